@@ -44,7 +44,8 @@ from stages.errors import InputError
 from stages.fusion.fuse import fuse
 from stages.fusion.posed_depth import rigid_pose
 from stages.registration.motion import angle
-from stages.registration.register import Registration, register
+from stages.registration.register import register
+from stages.registration.registered import Registration
 from stages.scans.formats.trajectories import inverted, read_tum
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Pose

@@ -21,7 +21,7 @@ from stages.adjusting.adjust import AdjustParams
 from stages.cleaning.clean import CleanParams
 from stages.comparing.compare import CompareParams
 from stages.fusion.params import FuseParams
-from stages.registration.register import RegisterParams
+from stages.registration.params import RegisterParams
 from stages.scans.params import ScanParams
 from stages.simplification.simplify import SimplifyParams
 from stages.stereo.depth import DepthParams

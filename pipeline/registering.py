@@ -24,7 +24,7 @@ from pipeline.own_paths import from_folder
 from stages.errors import InputError
 from stages.files.image_bytes import encoded_gray_png
 from stages.fusion.posed_depth import read_matching_color, rigid_pose
-from stages.registration.register import Registration
+from stages.registration.registered import Registration
 from stages.scans.formats.trajectories import write_tum
 from stages.scans.images import read_depth
 from stages.scans.scan import ColorImage, Frame, Scan

@@ -40,7 +40,9 @@ if TYPE_CHECKING:
     from stages.picturing.render import Viewpoint, render
     from stages.picturing.show import Page, show
     from stages.picturing.viewpoints import viewpoints
-    from stages.registration.register import RegisterParams, Registration, register
+    from stages.registration.params import RegisterParams
+    from stages.registration.register import register
+    from stages.registration.registered import Registration
     from stages.scans.params import ScanParams
     from stages.scans.read import read_scan
     from stages.scans.scan import Camera, Frame, Scan, StereoRig
@@ -93,7 +95,9 @@ _NAMES_OF = {
     "picturing.render": ("Viewpoint", "render"),
     "picturing.show": ("Page", "show"),
     "picturing.viewpoints": ("viewpoints",),
-    "registration.register": ("RegisterParams", "Registration", "register"),
+    "registration.params": ("RegisterParams",),
+    "registration.register": ("register",),
+    "registration.registered": ("Registration",),
     "scans.params": ("ScanParams",),
     "scans.read": ("read_scan",),
     "scans.scan": ("Camera", "Frame", "Scan", "StereoRig"),

@@ -46,6 +46,7 @@ __all__ = [
     "inside_all",
     "intersecting_triangles",
     "lay_out",
+    "match_descriptors",
     "match_pair",
     "planar_patches",
     "remesh",
@@ -465,6 +466,17 @@ def color_weight(
     wanted_threads: int,
 ) -> float:
     """Return the length that should count as much as a level in a result of `target` triangles."""
+
+def match_descriptors(
+    source: NDArray[np.uint8], target: NDArray[np.uint8], *, distinct: float
+) -> NDArray[np.int64]:
+    """Return (m, 2) indices of descriptors that are each other's likest, and distinctly so, by the source's.
+
+    Parameters
+    ----------
+    source, target : (n, 128) each, compared by the roots of their shares (RootSIFT).
+    distinct : the likest must be nearer than this share of the distance to the next.
+    """
 
 def match_pair(
     left: NDArray[np.uint8],

@@ -17,6 +17,7 @@
 //! | [`planar`] | simplification by near-planar patches | `mesh` |
 //! | [`atlas`] | the surface cut into charts that lie flat, packed into images | `base` |
 //! | [`texture`] | the colours of a mesh from photos of it | `base` |
+//! | [`recognition`] | descriptors of points in images, each with its likest in another | `base` |
 //! | [`stereo`] | disparity of a rectified pair by semi-global matching | `base` |
 //! | [`snm`] | the file that keeps normal meshes | `subdivision` |
 //! | [`normal`] | normal meshes: base, levels, and the search that places their vertices | `collapse`, `quadrics`, `subdivision`, `snm` |
@@ -34,6 +35,7 @@ pub mod normal;
 pub mod planar;
 pub mod quadric;
 pub mod quadrics;
+pub mod recognition;
 pub mod seams;
 pub mod snm;
 pub mod stereo;

@@ -28,7 +28,7 @@ from stages.scans.scan import Frame, Scan, SkippedFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 # Colour and depth agree where points land this near, pixels: nothing is to be gained.
 _GOOD_PX = 0.5

@@ -21,8 +21,9 @@ from stages.scans.scan import Pose
 
 # Fewer loops than this are not asked what they say of each other.
 _FEW_LOOPS = 6
-# Where the points of loops land this near to their matches without them, the path is not bent, pixels.
-_AGREED_PX = 1.0
+# Where the points of loops land this near to their matches without them, the path is not bent, pixels; and
+# the times by which a median may be more without being worse: a thousand points tell it no better.
+_AGREED_PX, _SAME = 1.0, 1.02
 # How much farther off points of the chain may land with loops than without: a share, and pixels.
 _BENT_SHARE, _BENT_PX = 2.0, 0.25
 # Poses are better where points land nearer by this share, or surfaces meet more; fewer points say nothing.
@@ -79,8 +80,9 @@ def _unsound_loops(
 ) -> tuple[list[Edge], list[Edge]]:
     """Return the loops along an unbroken chain, first those that are idle, then those that are false.
 
-    They are idle if the chain brings their points together as it is, and neither half of them brings those of
-    the other nearer; they are false if they bend the chain until its own points are off.
+    They are idle if the chain brings their points together as it is, and halves of them bring those of the
+    other, or the chain's own, no nearer but farther apart; they are false if they bend the chain until its
+    own points are off.
     """
     certain = [edge for edge in edges if edge.is_certain]
     part = {key: i for i, one in enumerate(pieces(len(chain.keys), certain)) for key in one}
@@ -90,15 +92,19 @@ def _unsound_loops(
     rest = _without(edges, along)
     unlooped = placed_pieces(chain, groups, rest)[0]
     straight = _median(_errors(chain, certain, unlooped))
-    with_loops, without = [], []
+    with_loops, without, bent = [], [], []
     for half in (0, 1):
         looped = placed_pieces(chain, groups, [*rest, *along[half::2]])[0]
-        if _median(_errors(chain, certain, looped)) > _BENT_SHARE * straight + _BENT_PX:
+        bent.append(_errors(chain, certain, looped))
+        if _median(bent[-1]) > _BENT_SHARE * straight + _BENT_PX:
             return [], along
         with_loops.append(_errors(chain, along[1 - half :: 2], looped))
         without.append(_errors(chain, along[1 - half :: 2], unlooped))
     apart = _median(np.concatenate(without))
-    needed = apart > _AGREED_PX or _median(np.concatenate(with_loops)) <= apart
+    needed = apart > _AGREED_PX or (
+        _median(np.concatenate(with_loops)) <= _SAME * apart
+        and _median(np.concatenate(bent)) <= _SAME * straight
+    )
     return ([] if needed else along), []
 
 
@@ -143,21 +149,23 @@ def _best(
     known = set(given)
     edges = [edge for edge in free.used if {chain.keys[edge.source], chain.keys[edge.target]} <= known]
     off = [_errors(chain, edges, one) for one in (given, near.poses, free.poses)]
-    if len(off[0]) >= _POINTS:
+    are_enough = len(off[0]) >= _POINTS
+    if are_enough:
         measures = [_median(one) for one in off]
-        found, as_given = min(measures[1:]), measures[0]
-        told = (
-            f"points that are recognised land {found:.2f} px from their matches, {as_given:.2f} px with "
-            "those given"
-        )
     else:
         measures = [1 - _meeting(chain, one, known) for one in (given, near.poses, free.poses)]
-        found, as_given = min(measures[1:]), measures[0]
-        told = f"{found:.1%} of surfaces do not meet, {as_given:.1%} with those given"
-    if min(measures[1:]) >= (1 - _BETTER) * measures[0]:
-        poses = _completed(chain, groups, given, free.poses)
-        return Placed(poses, free.used, free.wrong, told=told)
-    return free if measures[2] < (1 - _CLEARLY) * measures[1] else near
+    as_given, near_off, free_off = measures
+    best, found = (free, free_off) if free_off < (1 - _CLEARLY) * near_off else (near, near_off)
+    # What is asked is whether these are better, and not whether others would be.
+    if found < (1 - _BETTER) * as_given:
+        return best
+    told = (
+        f"points that are recognised land {found:.2f} px from their matches, {as_given:.2f} px with "
+        "those given"
+        if are_enough
+        else f"{found:.1%} of surfaces do not meet, {as_given:.1%} with those given"
+    )
+    return Placed(_completed(chain, groups, given, free.poses), free.used, free.wrong, told=told)
 
 
 def _completed(

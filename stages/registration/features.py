@@ -11,8 +11,8 @@ from stages.registration.points import Matched, fitted
 from stages.registration.sift import keypoints, matches
 from stages.scans.scan import Camera, DepthImage, Pose
 
-# Features are looked for in images of at most this width, and the strongest that have a depth are kept.
-WIDEST = 640
+# Features are looked for in images of at most so many pixels, and the strongest that have a depth are kept.
+PIXELS = 640 * 480
 _FOUND, _MOST = 2000, 800
 _CELLS = (8, 6)
 # Weaker corners count than by default: what is smooth or blurred has no others.
@@ -20,8 +20,9 @@ _CONTRAST = 0.01
 # Pixels that a point may be off where the other view sees it, and the share of its depth along it.
 _OFF_PX = 4.0
 _OFF_DEPTH = 0.05
-# Depth at a point is the mean of that of its neighbours which differ by less than this share.
-_ALIKE = 0.02
+# Depth at a point is told by neighbours within so many pixels that differ by less than this share; where they
+# are few, they are held to be level as firmly as so many squared pixels would tell.
+_BESIDE, _ALIKE, _FLAT = 3, 0.02, 4.0
 # Trials for the first motion, and for others, which only count where they have a fair share of the matches.
 _TRIALS, _MORE_TRIALS = 1000, 300
 # Motions that may be told apart in one pair of views, the least matches that tell one, and the least share of
@@ -84,8 +85,7 @@ def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> F
     found = keypoints(grey, _FOUND, contrast=_CONTRAST)
     pixels = found.pixels
     across, down = depth.shape[1] / grey.shape[1], depth.shape[0] / grey.shape[0]
-    columns, rows = np.rint((pixels + 0.5) * (across, down) - 0.5).astype(int).T
-    z = _depth_at(depth, rows, columns)
+    z = _depth_at(depth, (pixels + 0.5) * (across, down) - 0.5)
     there = np.flatnonzero(z > 0)
     there = there[_spread(pixels[there] / (grey.shape[1], grey.shape[0]), found.strength[there])[:_MOST]]
     pixels, z = pixels[there], z[there]
@@ -125,14 +125,27 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
     return found
 
 
-def _depth_at(depth: DepthImage, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return the depth at pixels, of less noise than one of them has; 0 where there is none."""
+def _depth_at(depth: DepthImage, pixels: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return the depth at places between pixels (n, 2), of less noise than one of them has; 0 where none is.
+
+    It is that of the plane of all near by which differ little: inverse depth is linear in the image.
+    """
     height, width = depth.shape
-    beside = np.array([(0, 0), *((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)])
-    rows, columns = (rows[:, None] + beside[:, 0]), (columns[:, None] + beside[:, 1])
-    values = depth[rows.clip(0, height - 1), columns.clip(0, width - 1)]
-    same = np.abs(values - values[:, :1]) <= _ALIKE * values[:, :1]
-    return np.asarray((values * same).sum(axis=1) / same.sum(axis=1), np.float32)
+    columns, rows = np.rint(pixels).astype(int).T
+    beside = np.arange(-_BESIDE, _BESIDE + 1)
+    down, across = (one.ravel() for one in np.meshgrid(beside, beside, indexing="ij"))
+    at_rows, at_columns = rows[:, None] + down, columns[:, None] + across
+    values = depth[at_rows.clip(0, height - 1), at_columns.clip(0, width - 1)].astype(np.float64)
+    there = depth[rows.clip(0, height - 1), columns.clip(0, width - 1)].astype(np.float64)[:, None]
+    same = (values > 0) & (np.abs(values - there) <= _ALIKE * there)
+    inverse = np.where(same, 1 / np.where(same, values, 1), 0)
+    terms = np.ones((len(rows), len(down), 3))
+    terms[:, :, 1] = at_columns - pixels[:, :1]
+    terms[:, :, 2] = at_rows - pixels[:, 1:]
+    known = terms * same[:, :, None]
+    system = known.swapaxes(1, 2) @ known + np.diag([1e-9, _FLAT, _FLAT])
+    fitted = np.linalg.solve(system, (known * inverse[:, :, None]).sum(axis=1)[:, :, None])[:, 0, 0]
+    return np.where(there[:, 0] > 0, 1 / np.where(fitted > 0, fitted, 1), 0).astype(np.float32)
 
 
 def _spread(places: NDArray[np.floating], strength: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -225,4 +225,5 @@ def _is_within(motion: Pose, shift: float, turn: float) -> bool:
 
 def angle(pose: Pose) -> float:
     """Return how far a pose turns, in radians."""
-    return float(np.arccos(np.clip((np.trace(pose[:3, :3]) - 1) / 2, -1, 1)))
+    # The trace hardly tells small turns: the roundings of a pose in a text file would be a tenth of a degree.
+    return float(2 * np.arcsin(min(np.linalg.norm(pose[:3, :3] - np.eye(3)) / np.sqrt(8), 1)))

@@ -27,12 +27,20 @@ _POINTS = 200
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Let Open3D align on one thread, so that sums are the same every time; pairs run side by side."""
+    """Let Open3D align on one thread, so that sums are the same every time; pairs run side by side.
+
+    OpenCV's threads, which have nothing to do then, would wait for work as fast as they can.
+    """
+    import cv2
+
     utility = open3d().utility
+    threads = cv2.getNumThreads()
     utility.set_max_threads(1)
+    cv2.setNumThreads(1)
     try:
         yield
     finally:
+        cv2.setNumThreads(threads)
         utility.set_max_threads(0)
 
 

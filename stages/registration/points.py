@@ -87,15 +87,16 @@ def fitted(matched: Matched, near: Pose) -> tuple[Pose, NDArray[np.float64]]:
         moved = source @ pose[:3, :3].T + pose[:3, 3]
         # Both measure one depth: a point is not nearer, and so trusted more, by its own error.
         deep = deviation(0.5 * (moved[:, 2] + target[:, 2]), per_m)
-        spread = _ellipsoids(target, deep, matched.focal)
-        spread += pose[:3, :3] @ _ellipsoids(source, deep, matched.focal) @ pose[:3, :3].T
-        sharp = np.linalg.inv(spread)
+        own = pose[:3, :3] @ _ellipsoids(source, deep, matched.focal) @ pose[:3, :3].T
+        sharp = np.linalg.inv(own + _ellipsoids(target, deep, matched.focal))
         apart = target - moved
         off = np.sqrt(np.einsum("ni,nij,nj->n", apart, sharp, apart))
         # Where pixels or depth are off by more than was thought, all is known less well.
         more = max(float(np.median(off)) / _MEDIAN_LENGTH, _LEAST_MORE)
         weight = 1 / (1 + (off / (_BEND * more)) ** 2) ** 2
-        steps = _by_motion(moved)
+        # Points move as they do where both views say they are: a turn that was told by where one view says so
+        # would come out short by that view's own errors, for what is left between the two has the same.
+        steps = _by_motion(moved + np.einsum("nij,njk,nk->ni", own, sharp, apart))
         weighed = (weight[:, None, None] * (sharp @ steps)).reshape(-1, 6)
         information = steps.reshape(-1, 6).T @ weighed / more**2
         found = np.linalg.lstsq(information, weighed.T @ apart.reshape(-1) / more**2, rcond=1e-12)[0]

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stages.errors import InputError
-from stages.params import check, param, resolve
-from stages.printing import by_figures, table
+from stages.params import resolve
 from stages.progress import Progress, silent
+from stages.registration import oddities
 from stages.registration.bridges import confirmed
 from stages.registration.chain import Chain, key_edges, make_chain
 from stages.registration.choosing import Placed, placed
-from stages.registration.focal import Focal, focal_of, focal_warnings, is_guess
+from stages.registration.focal import focal_of, focal_warnings, is_guess
 from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
-from stages.registration.motion import Motion, NoMotion, angle
+from stages.registration.motion import NoMotion
 from stages.registration.odometry import one_thread_each
+from stages.registration.params import RegisterKeywords, RegisterParams
+from stages.registration.registered import Registration
 from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
@@ -32,133 +34,10 @@ from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 # Depth is used up to so many times its median in so many frames.
 _MEDIANS, _SAMPLED = 2.5, 7
-_STILL_M, _STILL_RAD = 0.005, np.radians(0.5)
-_DARK = 8.0
-
-_HOW = "How"
-
-
-@dataclass(frozen=True, kw_only=True)
-class RegisterParams:
-    """How poses are found for frames that have none."""
-
-    enabled: bool | None = param(
-        None,
-        "Find poses: by default only where the scan has none; true finds them anew, false refuses such "
-        "a scan.",
-    )
-    max_depth: float | None = param(
-        None,
-        "Depth beyond this is not used to find poses. Default: 2.5 times the median depth of the scan.",
-        group=_HOW,
-        unit="m",
-        low=0,
-        low_open=True,
-    )
-    refine: bool = param(
-        False,
-        "Begin from the poses the scan has, and make them better; its world stays where it is. Where what is "
-        "found is not better on points it was not found by, the poses stay.",
-    )
-    piece: int = param(
-        1,
-        "Which piece of a scan that falls apart is used: 1 for the one of the most frames, 2 for the next.",
-        low=1,
-    )
-    subject: str = param(
-        "auto",
-        "What is registered, and fused: the `scene`, or the `object` alone that moves before a camera that "
-        "stands still, as on a turntable; all else is masked out. `auto` takes the object if there is one.",
-        choices=("auto", "scene", "object"),
-    )
-    focal: bool = param(
-        True,
-        "Where nobody states the camera, estimate its focal length from points that several frames show.",
-        group=_HOW,
-    )
-    loops: bool = param(True, "Look for places that were seen before, and close the loop.", group=_HOW)
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-class RegisterKeywords(TypedDict, total=False):
-    """RegisterParams as keywords of `register`."""
-
-    enabled: bool | None
-    max_depth: float | None
-    refine: bool
-    piece: int
-    subject: str
-    focal: bool
-    loops: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Registration:
-    """Poses of a scan's frames.
-
-    Attributes
-    ----------
-    frames : those of the piece that is used, each with a pose. The world is the first one's camera, or that
-        of the poses that were refined.
-    places : of these frames in the scan.
-    skipped : all others, and why.
-    pieces : names of the frames of each piece, the largest first: poses of different pieces say nothing
-        about each other.
-    apart : the other pieces by their numbers from 1: frames by their places, with poses in their own world.
-    edges : motions that were used or found wrong: source, target (places in the scan), fitness, rmse_m (None
-        where recognised points alone tell the motion), points, is_loop, is_used.
-    breaks : where a frame could not be placed to the one before: its name, and why.
-    key_frames : places in the scan.
-    warnings : what is odd.
-    seconds : of the work.
-    focal : that of the depth camera, where nobody stated it and the frames tell it: theirs has it.
-    subject : `scene`, or `object`: the frames then have masks of it, and the world is its own.
-    """
-
-    frames: tuple[Frame, ...]
-    places: tuple[int, ...]
-    skipped: tuple[SkippedFrame, ...]
-    pieces: tuple[tuple[str, ...], ...]
-    apart: dict[int, dict[int, Frame]]
-    edges: tuple[dict[str, Any], ...]
-    breaks: tuple[SkippedFrame, ...]
-    key_frames: tuple[int, ...]
-    warnings: tuple[str, ...]
-    seconds: float
-    subject: str = "scene"
-    focal: Focal | None = None
-
-    __repr__ = by_figures
-    _repr_html_ = table
-
-    def figures(self) -> dict[str, Any]:
-        """Return what a report says of it, as JSON values."""
-        used = [edge for edge in self.edges if edge["is_used"]]
-        centres = np.array(
-            [pose[:3, 3] for frame in self.frames if (pose := frame.world_from_camera) is not None]
-        )
-        return {
-            "subject": self.subject,
-            "focal": self.focal and self.focal.figures(),
-            "frames": len(self.frames),
-            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
-            "pieces": [len(piece) for piece in self.pieces],
-            "key_frames": len(self.key_frames),
-            "edges": len(used),
-            "loops": sum(edge["is_loop"] for edge in used),
-            "loops_refused": sum(not edge["is_used"] for edge in self.edges),
-            "median_fitness": _median([edge["fitness"] for edge in used]),
-            "median_rmse_m": _median([edge["rmse_m"] for edge in used if edge["rmse_m"] is not None]),
-            "path_m": float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()) if len(centres) else 0.0,
-            "breaks": [{"frame": one.name, "reason": one.reason} for one in self.breaks],
-            "warnings": list(self.warnings),
-        }
 
 
 def register(
@@ -351,9 +230,9 @@ def _result(
         breaks=breaks,
         key_frames=tuple(keys),
         warnings=(
-            *_said_of_pieces(len(order), usable, piece, breaks),
+            *oddities.of_pieces(len(order), usable, piece, breaks),
             *([f"the poses found are not better, those given are kept: {found.told}"] if found.told else []),
-            *_warnings(frames, chain, [poses[n] for n in in_worlds[piece]], found.used, found.wrong),
+            *oddities.of_poses(frames, chain, [poses[n] for n in in_worlds[piece]], found.used, found.wrong),
         ),
         seconds=time.perf_counter() - began,
     )
@@ -398,56 +277,3 @@ def _edge(edge: Edge, keys: Sequence[int], is_used: bool) -> dict[str, Any]:
         "is_loop": not edge.is_certain,
         "is_used": is_used,
     }
-
-
-def _said_of_pieces(count: int, usable: int, piece: int, breaks: Sequence[SkippedFrame]) -> Iterator[str]:
-    if count > 1:
-        another = f" (register.piece={1 if piece > 1 else 2} for another)" if usable > 1 else ""
-        more = f" and {len(breaks) - 1} more" if len(breaks) > 1 else ""
-        yield (
-            f"the frames fall into {count} pieces that could not be joined; piece {piece} is used{another}. "
-            f"The chain broke at {breaks[0].name}{more}: {breaks[0].reason}"
-        )
-
-
-def _warnings(
-    frames: Sequence[Frame],
-    chain: Chain,
-    poses: Sequence[Pose],
-    used: Sequence[Edge],
-    wrong: Sequence[Edge],
-) -> Iterator[str]:
-    motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
-    split = [motion for motion in motions if motion.is_split]
-    if len(split) > 0.1 * max(len(motions), 1):
-        yield (
-            f"in {len(split)} of {len(motions)} steps parts of the view move differently: something moves on "
-            "its own (a person, a turntable), or colour and depth do not belong together. What most of the "
-            "surface does was taken for the camera's motion"
-        )
-    loops = [edge for edge in (*used, *wrong) if not edge.is_certain]
-    if len(wrong) > max(0.5 * len(loops), 3):
-        yield (
-            f"{len(wrong)} of {len(loops)} places that look as if they were seen before do not fit the path: "
-            "it is bent, or the scene holds things that look the same; see path.ply"
-        )
-    if poses and all(np.linalg.norm(pose[:3, 3] - poses[0][:3, 3]) < _STILL_M for pose in poses):
-        turned = max(angle(inverted(poses[0]) @ pose) for pose in poses)
-        if turned < _STILL_RAD:
-            yield (
-                "the camera does not move: all frames show the scene from one place; a thing that was turned "
-                "in front of it is registered alone with register.subject=object"
-            )
-    dark = [number for number, one in chain.seen.items() if one.mean_color < _DARK]
-    if dark:
-        yield f"{len(dark)} colour images are black, the first is that of frame {frames[dark[0]].name}"
-    same = sum(
-        np.linalg.norm(m.target_from_source[:3, 3]) < 1e-5 and angle(m.target_from_source) < 1e-5
-        for m in motions
-    )
-    if same:
-        yield f"{same} frames are the same as the one before"
-
-
-def _median(values: Sequence[float]) -> float:
-    return float(np.median(values)) if len(values) else 0.0

@@ -55,19 +55,10 @@ def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 def matches(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Return (m, 2) indices of descriptors that are each other's nearest, and distinctly so."""
-    if len(source) == 0 or len(target) < 2:
-        return np.zeros((0, 2), np.int64)
-    likeness = rooted(source) @ rooted(target).T
-    here = np.arange(len(source))
-    nearest = likeness.argmax(axis=1)
-    best = likeness[here, nearest]
-    likeness[here, nearest] = -1
-    # Descriptors have unit length: squared distances are 2 - 2 likeness.
-    distinct = np.flatnonzero(2 - 2 * best < _DISTINCT**2 * (2 - 2 * likeness.max(axis=1)))
-    likeness[here, nearest] = best
-    columns = nearest[distinct]
-    mutual = distinct[likeness[:, columns].max(axis=0) <= best[distinct]]
-    return np.column_stack([mutual, nearest[mutual]])
+    from stages import _kernels
+
+    # A kernel, for products of small matrices keep all threads of OpenBLAS waiting for each other.
+    return _kernels.match_descriptors(source, target, distinct=_DISTINCT)
 
 
 def _stretched(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
-from stages.registration.features import WIDEST, Features, features_of
+from stages.registration.features import PIXELS, Features, features_of
 from stages.registration.points import deviation
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
@@ -98,8 +98,8 @@ def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
     color = read_matching_color(frame, depth) if frame.color_camera is not None else read_color(frame)
     if color is None:
         raise InputError("there is no colour image.", f"frame {frame.name}")
-    width = min(color.shape[1], WIDEST)
-    size = (width, max(round(color.shape[0] * width / color.shape[1]), 1))
+    share = min((PIXELS / (color.shape[0] * color.shape[1])) ** 0.5, 1.0)
+    size = (max(round(color.shape[1] * share), 1), max(round(color.shape[0] * share), 1))
     if size != (color.shape[1], color.shape[0]):
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
     return color, scaled(pinhole(frame.camera), *size)
@@ -108,12 +108,17 @@ def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
 def smaller(depth: DepthImage, step: int) -> DepthImage:
     """Return the median of what each block of pixels holds: no mean across an edge, no hole of a pixel."""
     height, width = (side // step for side in depth.shape)
-    blocks = depth[: height * step, : width * step].reshape(height, step, width, step).swapaxes(1, 2)
-    values = np.where(blocks > 0, blocks, np.inf).reshape(height, width, step * step)
-    values.sort(axis=2)
-    count = np.isfinite(values).sum(axis=2)
-    median = np.take_along_axis(values, np.maximum(count - 1, 0)[..., None] // 2, axis=2)[..., 0]
-    return np.where(count > 0, median, 0).astype(np.float32)
+    inside = depth[: height * step, : width * step]
+    values = [inside[i::step, j::step] for i in range(step) for j in range(step)]
+    values = [np.where(one > 0, one, np.float32(np.inf)) for one in values]
+    count = np.sum([one < np.inf for one in values], axis=0)
+    median = np.zeros((height, width), np.float32)
+    # The lesser half is sorted image by image: blocks of a few pixels each are slow to sort.
+    for rank in range((len(values) + 1) // 2):
+        for i in range(len(values) - 1, rank, -1):
+            values[i - 1], values[i] = np.minimum(*values[i - 1 : i + 1]), np.maximum(*values[i - 1 : i + 1])
+        np.copyto(median, values[rank], where=(count > 0) & ((count - 1) // 2 == rank))
+    return median
 
 
 def _image(depth: NDArray[np.float32]) -> Any:
@@ -129,31 +134,29 @@ def _surface(depth: NDArray[np.float32], camera: Camera) -> tuple[float, NDArray
     import cv2
 
     smooth = cv2.medianBlur(depth, 5)
-    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
-    rays = np.stack(
-        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(depth.shape)], 2
-    )
-    points = rays * smooth[..., None]
     gap = 4
-    across = points[gap:-gap, 2 * gap :] - points[gap:-gap, : -2 * gap]
-    down = points[2 * gap :, gap:-gap] - points[: -2 * gap, gap:-gap]
-    normals = np.cross(across, down)
-    lengths = np.linalg.norm(normals, axis=2)
-    middle = points[gap:-gap, gap:-gap]
-    corners = [
+    middle = smooth[gap:-gap, gap:-gap]
+    beside = [
         smooth[gap:-gap, 2 * gap :],
         smooth[gap:-gap, : -2 * gap],
         smooth[2 * gap :, gap:-gap],
         smooth[: -2 * gap, gap:-gap],
     ]
-    least, most = np.min(corners, axis=0), np.max(corners, axis=0)
-    sound = (least > 0) & (most - least < 0.1 * most) & (lengths > 0) & (middle[..., 2] > 0)
-    if np.count_nonzero(sound) < 100:
+    least, most = np.min(beside, axis=0), np.max(beside, axis=0)
+    rows, columns = np.nonzero((least > 0) & (most - least < 0.1 * most) & (middle > 0))
+    if len(rows) < 100:
         return 0.0, np.zeros((6, 6))
-    chosen = np.flatnonzero(sound)
-    chosen = chosen[:: max(len(chosen) // _SAMPLED, 1)]
-    n = normals.reshape(-1, 3)[chosen] / lengths.reshape(-1, 1)[chosen]
-    p = middle.reshape(-1, 3)[chosen]
+    some = slice(None, None, max(len(rows) // _SAMPLED, 1))
+    rows, columns = rows[some] + gap, columns[some] + gap
+
+    def points(down: int, across: int) -> NDArray[np.float64]:
+        v, u = rows + down, columns + across
+        rays = np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(rows))])
+        return rays * smooth[v, u, None]
+
+    n = np.cross(points(0, gap) - points(0, -gap), points(gap, 0) - points(-gap, 0))
+    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-30)
+    p = points(0, 0)
     centre = p.mean(axis=0)
     unit = np.sqrt(((p - centre) ** 2).sum(axis=1).mean())
     rows6 = np.concatenate([np.cross((p - centre) / unit, n), n], axis=1)

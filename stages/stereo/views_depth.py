@@ -43,7 +43,7 @@ from stages.stereo.views_confidence import views_confidence
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0

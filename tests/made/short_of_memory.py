@@ -189,6 +189,9 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
             running=running,
             **told,
         ),
+        "match_descriptors": partial(
+            kernels.match_descriptors, *np.tile(image.reshape(2, -1, 1)[:, : side * side], 128), distinct=0.8
+        ),
         "match_pair": partial(kernels.match_pair, image, image, lowest=0, count=64, wanted_threads=2),
         "sweep_planes": partial(
             kernels.sweep_planes,

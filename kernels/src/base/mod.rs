@@ -2,6 +2,7 @@
 //!
 //! | file | what |
 //! | --- | --- |
+//! | `by_processor` | inner loops in the widest instructions that the processor has |
 //! | [`ids`] | numbers of vertices, halfedges, edges and triangles |
 //! | [`errors`] | what can be wrong with a mesh |
 //! | [`geometry`] | vectors, triangles, distances |
@@ -10,6 +11,7 @@
 //! | [`memory`] | giving back what is free |
 //! | [`reserve`] | what happens when there is no more memory |
 
+pub(crate) mod by_processor;
 pub mod errors;
 pub mod geometry;
 pub mod ids;

@@ -18,6 +18,7 @@ mod normal_mesh;
 mod order;
 mod planar;
 mod quadric;
+mod recognition;
 mod seams;
 mod simplified;
 mod stereo;
@@ -76,6 +77,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(seams::simplify_seams, module)?)?;
     module.add_function(wrap_pyfunction!(seams::weld_sheets, module)?)?;
     module.add_function(wrap_pyfunction!(color_weight::color_weight, module)?)?;
+    module.add_function(wrap_pyfunction!(recognition::match_descriptors, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::match_pair, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::sweep_planes, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::agreeing, module)?)?;

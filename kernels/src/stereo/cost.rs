@@ -4,8 +4,8 @@
 //! stands any change of brightness and says little where an image is nearly flat; differences of gradients say
 //! something there.
 
-use super::by_processor::by_processor;
 use super::volume::{LANES, Pixels, Search, Size, Volume, rows, zeros};
+use crate::base::by_processor::by_processor;
 use crate::base::parallel::each;
 
 /// Pixels to either side that the census looks at, along x and y; it has a bit for each of them.

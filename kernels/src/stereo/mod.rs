@@ -13,7 +13,6 @@
 //!
 //! Costs are whole numbers, so that results are the same for any number of threads and any set of instructions.
 
-mod by_processor;
 pub mod cost;
 pub mod median;
 pub mod paths;

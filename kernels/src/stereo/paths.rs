@@ -3,8 +3,8 @@
 
 use std::ops::Range;
 
-use super::by_processor::by_processor;
 use super::volume::{Search, Size};
+use crate::base::by_processor::by_processor;
 use crate::base::parallel::both;
 
 /// What a change of disparity by one costs, and a larger one where the image is flat. Across an edge of so many levels it

@@ -4,12 +4,12 @@
 //! The planes are parallel to the view's own image. A partner's image comes warped as one of them maps it into the view;
 //! then any other plane maps it by a scale and a shift alone.
 
-use super::by_processor::by_processor;
 use super::cost::{described, weighed};
 use super::paths::Hypotheses;
 use super::pick::{best_and_margin, fraction};
 use super::ranges::Ranges;
 use super::volume::Size;
+use crate::base::by_processor::by_processor;
 use crate::base::parallel::{collect, each};
 
 /// What a partner says of a pixel of its warped image.

@@ -4,9 +4,9 @@
 
 use std::ops::Range;
 
-use super::by_processor::by_processor;
 use super::paths::{FAR, Hypotheses, Image, all_rows};
 use super::volume::{LANES, Size};
+use crate::base::by_processor::by_processor;
 
 /// Of each pixel the first hypothesis and how many there are, a multiple of [`LANES`]; and where its numbers begin.
 #[derive(Clone, Debug)]

@@ -2,8 +2,8 @@
 //! local stereo matching using orthogonal integral images", 2009; the rule for the arms after Mei et al., "On building an
 //! accurate stereo matching system on graphics hardware", 2011).
 
-use super::by_processor::by_processor;
 use super::volume::{Pixels, Search, Size, Volume, rows, zeros};
+use crate::base::by_processor::by_processor;
 use crate::base::parallel::{collect, each};
 
 /// How far an arm reaches, and by how many levels its pixels may differ from the first one; in its far half by a third.

@@ -1,20 +1,27 @@
 """Stray Scanner: a video, a row of `odometry.csv` for each frame of it, depth and confidence by number.
 
 Poses are camera-to-world, with OpenCV's camera axes; the world has y up. The camera matrix is the video's.
+With other poses (`poses=FILE`), the accelerometer of `imu.csv` tells what is up.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, images, numbers
+from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.phone_imu import phone_accelerometer
 from stages.scans.reading.phones import least_confidence, seen_in
 from stages.scans.reading.stated import stated_camera
 from stages.scans.reading.views import without_depth
@@ -70,6 +77,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     poses = [row.pose for row in rows]
     if given is not None:
         poses = trajectories.match(trajectories.read_trajectory(given), names, given)
+    ups, said_of_ups = _measured_ups(folder / "imu.csv", rows)
+    warnings += said_of_ups
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for position, (row, name, pose) in enumerate(zip(rows, names, poses, strict=True)):
@@ -91,9 +100,21 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                     color_camera=color_camera,
                     confidence=trusts.get(row.number),
                     least_confidence=least,
+                    # The phone's own poses tell it better.
+                    up=ups[position] if given is not None or pose is None else None,
                 )
             )
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _measured_ups(path: Path, rows: Sequence[_Row]) -> tuple[list[NDArray[np.float64] | None], list[str]]:
+    """Return what is up for the camera at each row, or None, and warnings."""
+    accelerometer, warnings = phone_accelerometer(path)
+    times = [row.timestamp for row in rows if row.timestamp is not None]
+    if len(times) < len(rows):
+        return [None] * len(rows), warnings
+    ups, said = ups_of(accelerometer, np.array(times, np.int64))
+    return ups, [*warnings, *said]
 
 
 def _by_number(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
@@ -144,7 +165,7 @@ def _own_camera(row: _Row, shared: Camera, path: Path) -> Camera:
 
 LAYOUT = Layout(
     name="stray-scanner",
-    text="rgb.mp4, odometry.csv, camera_matrix.csv, depth/, confidence/ (Stray Scanner)",
+    text="rgb.mp4, odometry.csv, camera_matrix.csv, depth/, confidence/, imu.csv (Stray Scanner)",
     matches=_matches,
     read=_read,
     up=Y_UP,

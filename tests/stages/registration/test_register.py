@@ -16,7 +16,8 @@ from stages.errors import InputError
 from stages.registration.features import recognise
 from stages.registration.graph import Edge, pieces
 from stages.registration.motion import Motion, NoMotion, angle, motion_between
-from stages.registration.register import Registration, register
+from stages.registration.register import register
+from stages.registration.registered import Registration
 from stages.registration.view import read_view
 from stages.scans.formats.trajectories import inverted, read_tum, write_tum
 from stages.scans.images import read_color, read_depth

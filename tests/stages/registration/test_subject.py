@@ -17,7 +17,8 @@ from stages.errors import InputError, StageError
 from stages.fusion.fuse import fuse
 from stages.inspecting.inspect import inspect
 from stages.registration.marks import Plate, marked_motion, moving_marks
-from stages.registration.register import Registration, register
+from stages.registration.register import register
+from stages.registration.registered import Registration
 from stages.registration.subject import shows_thing
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth

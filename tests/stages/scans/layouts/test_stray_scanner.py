@@ -161,3 +161,56 @@ def test_a_video_of_another_shape_is_refused(scan_folder, tiny):
     write_video(scan_folder / "rgb.mp4", [np.rot90(tiny.dotted(FACTOR)).copy()] * 2)
     with pytest.raises(InputError, match="turned by 90°"):
         read_scan(scan_folder)
+
+
+IMU = "timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z\n"
+
+
+def other_poses(folder):
+    """A world without a known up: the first camera's."""
+    (folder / "found.txt").write_text("000000 0 0 0 0 0 0 1\n000001 0 0 1 0 0 0 1\n")
+    return ScanParams(poses="found.txt")
+
+
+def readings(x, y, z):
+    return IMU + "".join(f"{10.45 + 0.01 * i}, {x}, {y}, {z}, 0.1, 0.2, 0.3\n" for i in range(20))
+
+
+@pytest.mark.parametrize(
+    ("reading", "up"),
+    [
+        # In g: held upright, the camera's image lies on its side, with what is up to the left.
+        ((0, -1, 0), (-1, 0, 0)),
+        # The right side of the phone up, as its images stand upright.
+        ((-1, 0, 0), (0, -1, 0)),
+        # On its back, in m/s² of older versions: the camera looks at the table.
+        ((0, 0, -9.81), (0, 0, -1)),
+    ],
+)
+def test_the_accelerometer_tells_what_is_up_with_other_poses(scan_folder, reading, up):
+    (scan_folder / "imu.csv").write_text(readings(*reading))
+    for frame in read_scan(scan_folder, other_poses(scan_folder)).frames:
+        np.testing.assert_allclose(frame.up, up, atol=1e-12)
+
+
+def test_the_poses_of_the_phone_tell_it_better(scan_folder):
+    (scan_folder / "imu.csv").write_text(readings(0, 0, -1))
+    scan = read_scan(scan_folder)
+    assert not any("imu.csv" in warning for warning in scan.warnings)
+    for frame in scan.frames:
+        np.testing.assert_allclose(frame.up, frame.world_from_camera[1, :3], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time, ax, ay, az\n1, 2, 3, 4\n", "names no column timestamp, a_x, a_y, a_z"),
+        (readings(0, -1, 0) + "10.7, 0.0, -1", "1 of 21 lines are no readings"),
+        (readings(0, -0.3, 0), "which is not gravity: it is not used"),
+    ],
+)
+def test_what_is_wrong_with_the_accelerometer_is_said_and_the_scan_goes_on(scan_folder, text, said):
+    (scan_folder / "imu.csv").write_text(text)
+    scan = read_scan(scan_folder, other_poses(scan_folder))
+    assert len(scan.frames) == 2
+    assert any(said in warning for warning in scan.warnings)

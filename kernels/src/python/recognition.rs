@@ -1,0 +1,44 @@
+//! `stages._kernels.match_descriptors`.
+
+use numpy::ndarray::Array2;
+use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::atlas::shape;
+use super::guarded::guarded;
+use crate::recognition::matching::{Descriptor, VALUES, matches};
+
+fn descriptors(values: &PyReadonlyArray2<'_, u8>) -> PyResult<Vec<Descriptor>> {
+    let values = values.as_array();
+    if values.ncols() != VALUES {
+        return Err(PyValueError::new_err(format!(
+            "descriptors are {:?}; n × {VALUES} is expected",
+            values.shape()
+        )));
+    }
+    Ok(values.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
+}
+
+/// Descriptors that are each other's likest, and distinctly so.
+#[pyfunction]
+#[pyo3(signature = (source, target, *, distinct))]
+pub fn match_descriptors(
+    py: Python<'_>,
+    source: PyReadonlyArray2<'_, u8>,
+    target: PyReadonlyArray2<'_, u8>,
+    distinct: f32,
+) -> PyResult<Py<PyArray2<i64>>> {
+    if distinct.is_nan() || distinct <= 0.0 {
+        return Err(PyValueError::new_err("a share of a distance is more than 0"));
+    }
+    // Bytes, their roots, and what is likest: two rows of 192 bytes and a half.
+    let rows = source.as_array().nrows().saturating_add(target.as_array().nrows()).saturating_mul(3);
+    guarded(rows, || {
+        let (source, target) = (descriptors(&source)?, descriptors(&target)?);
+        let found = py.detach(|| matches(&source, &target, distinct));
+        let count = found.len();
+        let places = found.into_iter().flatten().map(|place| place as i64).collect();
+        Ok(Array2::from_shape_vec((count, 2), places).map_err(shape)?.into_pyarray(py).unbind())
+    })
+}

@@ -1,0 +1,139 @@
+//! Descriptors of two images that are each other's likest.
+//!
+//! They are compared by the roots of their shares (RootSIFT: Arandjelović and Zisserman, "Three things everyone should know to
+//! improve object retrieval", 2012), in whole numbers: what matches is the same on every processor.
+
+use crate::base::by_processor::by_processor;
+
+/// Values of a descriptor.
+pub const VALUES: usize = 128;
+/// The length of a rooted descriptor. Products of two of them, whose roundings add at most a hundredth, fit 32 bits.
+const LENGTH: f32 = 16384.0;
+/// Descriptors that are looked at together: they stay in the nearest cache.
+const TOGETHER: usize = 64;
+
+pub type Descriptor = [u8; VALUES];
+type Rooted = [i16; VALUES];
+
+/// What is likest to a descriptor.
+#[derive(Clone, Copy)]
+struct Likest {
+    index: usize,
+    likeness: i32,
+    /// Of the next best.
+    second: i32,
+}
+
+/// Places (in `source` and in `target`) of descriptors that are each other's likest, in the order of `source`.
+///
+/// The distance to the likest is less than `distinct` of that to the next; so there are none for a single target.
+pub fn matches(source: &[Descriptor], target: &[Descriptor], distinct: f32) -> Vec<[usize; 2]> {
+    if target.len() < 2 {
+        return Vec::new();
+    }
+    let source: Vec<Rooted> = source.iter().map(rooted).collect();
+    let target: Vec<Rooted> = target.iter().map(rooted).collect();
+    let mut likest = vec![Likest { index: 0, likeness: -1, second: -1 }; source.len()];
+    let mut most = vec![-1; target.len()];
+    compare_all(&source, &target, &mut likest, &mut most);
+    let is_match = |one: &Likest| {
+        // Of vectors of one length the squared distance is twice what their product lacks.
+        let [near, next] = [one.likeness, one.second].map(|likeness| LENGTH * LENGTH - likeness as f32);
+        near < distinct * distinct * next && most[one.index] <= one.likeness
+    };
+    likest.iter().enumerate().filter(|(_, one)| is_match(one)).map(|(i, one)| [i, one.index]).collect()
+}
+
+/// The roots of the shares that values have of a descriptor, in a vector of `LENGTH`; nothing if it has none.
+fn rooted(descriptor: &Descriptor) -> Rooted {
+    let sum: u32 = descriptor.iter().map(|&value| value as u32).sum();
+    descriptor.map(|value| (LENGTH * (value as f32 / sum.max(1) as f32).sqrt()).round() as i16)
+}
+
+by_processor! {
+    fn compare_all(source: &[Rooted], target: &[Rooted], likest: &mut [Likest], most: &mut [i32]) = compare
+}
+
+#[inline(always)]
+fn compare(source: &[Rooted], target: &[Rooted], likest: &mut [Likest], most: &mut [i32]) {
+    for (block, (targets, most)) in target.chunks(TOGETHER).zip(most.chunks_mut(TOGETHER)).enumerate() {
+        for (one, best) in source.iter().zip(likest.iter_mut()) {
+            for (j, (other, most)) in targets.iter().zip(most.iter_mut()).enumerate() {
+                let likeness: i32 = one.iter().zip(other).map(|(&a, &b)| a as i32 * b as i32).sum();
+                *most = likeness.max(*most);
+                if likeness > best.likeness {
+                    *best = Likest { index: block * TOGETHER + j, likeness, second: best.likeness };
+                } else if likeness > best.second {
+                    best.second = likeness;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Descriptors of pseudo-random values, sparse as SIFT's are.
+    fn some(count: usize, mut seed: u64) -> Vec<Descriptor> {
+        let mut next = || {
+            seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            let value = (seed >> 33) as u8;
+            if value < 96 { 0 } else { value }
+        };
+        (0..count).map(|_| std::array::from_fn(|_| next())).collect()
+    }
+
+    #[test]
+    fn what_was_shuffled_is_found() {
+        let source = some(200, 1);
+        let mut target: Vec<Descriptor> = source.iter().rev().copied().collect();
+        for one in &mut target {
+            one[5] = one[5].saturating_add(20);
+        }
+        let expected: Vec<[usize; 2]> = (0..200).map(|i| [i, 199 - i]).collect();
+        assert_eq!(matches(&source, &target, 0.8), expected);
+    }
+
+    #[test]
+    fn what_is_there_twice_is_not_distinct() {
+        let source = some(20, 2);
+        let mut target = source.clone();
+        target.push(source[7]);
+        let found = matches(&source, &target, 0.8);
+        assert_eq!(found.len(), 19);
+        assert!(found.iter().all(|&[i, j]| i == j && i != 7));
+    }
+
+    #[test]
+    fn of_two_with_one_likest_the_nearer_is_taken() {
+        let mut source = some(2, 3);
+        let target = vec![source[0], some(1, 4)[0]];
+        source[1] = source[0];
+        source[1][0] = source[1][0].wrapping_add(100);
+        assert_eq!(matches(&source, &target, 0.8), [[0, 0]]);
+    }
+
+    #[test]
+    fn nothing_matches_one_or_none() {
+        let few = some(3, 5);
+        assert!(matches(&few, &few[..1], 0.8).is_empty());
+        assert!(matches(&[], &few, 0.8).is_empty());
+        // Descriptors without any value are alike, and not distinct.
+        assert!(matches(&[[0; VALUES]; 3], &[[0; VALUES]; 3], 0.8).is_empty());
+    }
+
+    #[test]
+    fn wide_instructions_give_the_same() {
+        let (source, target) = (some(70, 6), some(150, 7));
+        let [source, target] = [source, target].map(|all| all.iter().map(rooted).collect::<Vec<_>>());
+        let ends = [compare_all, compare].map(|run| {
+            let mut likest = vec![Likest { index: 0, likeness: -1, second: -1 }; source.len()];
+            let mut most = vec![-1; target.len()];
+            run(&source, &target, &mut likest, &mut most);
+            (likest.iter().map(|one| [one.index as i32, one.likeness, one.second]).collect::<Vec<_>>(), most)
+        });
+        assert_eq!(ends[0], ends[1]);
+    }
+}

@@ -1,0 +1,92 @@
+"""Loops are kept where they are true: a camera turns between walls that have one poster, and comes back."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stages.progress import silent
+from stages.registration.chain import key_edges, make_chain
+from stages.registration.choosing import placed
+from stages.registration.graph import Edge, pieces
+from stages.registration.motion import Motion, angle, motion_between
+from stages.registration.odometry import one_thread_each
+from stages.registration.register import register
+from stages.scans.formats.trajectories import inverted
+from stages.scans.scan import Frame, Pose
+from tests.made.room_of_posters import turning
+
+pytestmark = pytest.mark.slow
+
+MAX_DEPTH_M = 5.0
+
+
+def hidden(frames: Sequence[Frame]) -> list[Frame]:
+    return [replace(frame, world_from_camera=None) for frame in frames]
+
+
+def pose_of(frame: Frame) -> Pose:
+    pose = frame.world_from_camera
+    assert pose is not None
+    return np.asarray(pose)
+
+
+def turn_between(truth: Sequence[Frame], a: int, b: int) -> float:
+    """Return how far a camera turns from one place to another, degrees."""
+    return float(np.degrees(angle(inverted(pose_of(truth[a])) @ pose_of(truth[b]))))
+
+
+def turns_off(truth: Sequence[Frame], poses: Sequence[Pose]) -> list[float]:
+    """Return how far frames are turned wrong as seen from the first, degrees."""
+    return [
+        float(
+            np.degrees(
+                angle(inverted(inverted(pose_of(truth[0])) @ pose_of(true)) @ inverted(poses[0]) @ pose)
+            )
+        )
+        for true, pose in zip(truth, poses, strict=True)
+    ]
+
+
+def test_a_false_loop_is_dropped_and_a_true_one_kept() -> None:
+    truth = turning(0, 390)
+    with_loops, without = register(hidden(truth)), register(hidden(truth), loops=False)
+    assert len(with_loops.frames) == len(without.frames) == len(truth)
+    back = [edge for edge in with_loops.edges if edge["is_loop"] and edge["source"] - edge["target"] > 20]
+    false = [edge for edge in back if turn_between(truth, edge["source"], edge["target"]) > 90]
+    true = [edge for edge in back if edge not in false]
+    # The poster is recognised, and its wall meets the other to the last point.
+    assert len(false) >= 3
+    assert max(edge["fitness"] for edge in false) > 0.95
+    assert not any(edge["is_used"] for edge in false)
+    assert len(true) >= 10
+    assert all(edge["is_used"] for edge in true)
+    off = [turns_off(truth, [pose_of(frame) for frame in one.frames]) for one in (with_loops, without)]
+    assert max(off[0]) < 0.1
+    assert np.mean(off[0]) < 0.7 * np.mean(off[1])
+
+
+def test_false_loops_that_nothing_contradicts_do_not_bend_the_chain() -> None:
+    truth = turning(-30, 210)
+    with one_thread_each():
+        chain = make_chain(hidden(truth), MAX_DEPTH_M, silent, {})
+        certain = list(key_edges(chain, MAX_DEPTH_M))
+        false = []
+        for later, earlier in itertools.combinations(range(len(chain.keys) - 1, -1, -1), 2):
+            here, there = (chain.views.view(chain.keys[at]) for at in (later, earlier))
+            if turn_between(truth, chain.keys[later], chain.keys[earlier]) > 150:
+                motion = motion_between(here, there, MAX_DEPTH_M)
+                if isinstance(motion, Motion) and motion.points >= 25:
+                    false.append(Edge(later, earlier, motion, is_certain=False))
+        assert len(false) >= 6
+        groups = pieces(len(chain.keys), certain)
+        found = placed(chain, groups, [*certain, *false], {})
+        alone = placed(chain, groups, certain, {})
+    assert {id(edge) for edge in found.wrong} == {id(edge) for edge in false}
+    shifts = [np.linalg.norm(found.poses[at][:3, 3] - alone.poses[at][:3, 3]) for at in range(len(truth))]
+    assert max(shifts) < 1e-4
+    assert max(turns_off(truth, [found.poses[place] for place in range(len(truth))])) < 0.3

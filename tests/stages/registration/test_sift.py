@@ -1,0 +1,47 @@
+"""Descriptors that are each other's likest, against all products of their roots."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.registration.sift import matches, rooted
+
+
+def some(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
+    """Return descriptors whose values are mostly small, as SIFT's are."""
+    return (rng.random((count, 128)) ** 6 * 255).astype(np.uint8)
+
+
+@given(
+    seed=st.integers(0, 10_000), there=st.integers(0, 150), more=st.integers(0, 150), off=st.integers(0, 90)
+)
+@settings(max_examples=60, deadline=None)
+def test_matches_are_those_of_all_products(seed: int, there: int, more: int, off: int) -> None:
+    rng = np.random.default_rng(seed)
+    source = some(rng, there)
+    seen_again = (source[::-1].astype(int) + rng.integers(0, off + 1, source.shape)).clip(0, 255)
+    target = np.concatenate([seen_again.astype(np.uint8), some(rng, more)])
+    found = {(int(a), int(b)) for a, b in matches(source, target)}
+    if there == 0 or len(target) < 2:
+        assert not found
+        return
+    likeness = rooted(source).astype(np.float64) @ rooted(target).T
+    first, second = np.sort(2 - 2 * likeness, axis=1)[:, :2].T
+    nearest, back = likeness.argmax(axis=1), likeness.argmax(axis=0)
+    margin = np.sqrt(first.clip(0)) - 0.8 * np.sqrt(second)
+    for one in range(there):
+        # Roots are rounded to a 16384th: what is as near as that to the rule may be either.
+        if abs(margin[one]) > 1e-3:
+            is_match = margin[one] < 0 and back[nearest[one]] == one
+            assert ((one, int(nearest[one])) in found) == is_match
+
+
+@pytest.mark.parametrize(("shape", "distinct"), [((3, 64), 0.8), ((3, 128), 0.0), ((3, 128), float("nan"))])
+def test_what_is_no_descriptor_is_refused(shape: tuple[int, int], distinct: float) -> None:
+    with pytest.raises(ValueError, match=r"128 is expected|more than 0"):
+        _kernels.match_descriptors(np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), distinct=distinct)
