@@ -261,7 +261,11 @@ def _alone(frame: Frame, plan: Plan, factor: int, *, color: bool) -> Fused:
     image = read_matching_color(frame, view.surface.depth) if color else None
     mesh = cut(relief(view, here, image, plan.voxel_size, plan.limits), plan.crop)
     if len(mesh.triangles) == 0:
-        raise InputError(f"no surface came out of the frame{_of(plan.crop, int(here.sum()))}.", frame.name)
+        raise InputError(
+            f"no surface came out of the frame{_of(plan.crop, int(here.sum()))}. Check the depth scale and "
+            "the calibration.",
+            f"frame {frame.name}",
+        )
     return Fused(
         mesh=mesh,
         voxel_size=plan.voxel_size,
