@@ -54,7 +54,8 @@ _HEADLINES = {
     "tiles": "{tiles:,} tiles; {total_bytes:,} bytes, the root {root_bytes:,}",
     "report": "{pictures} pictures",
 }
-
+# Of a frame alone the pixels are joined, without voxels or a field.
+_JOINED = "{triangles:,} triangles, the pixels of a frame alone joined; depth up to {max_depth_m:.3g} m"
 
 # A figure in metres in such a line.
 _IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")
@@ -128,6 +129,8 @@ def line_of(event: StageFinished, *, is_metric: bool = True) -> str:
 def headline(stage: str, figures: Mapping[str, Any], *, is_metric: bool = True) -> str:
     """Return the figures of a stage that say most, as one line; lengths in units where they are no metres."""
     lines = _HEADLINES | {"simplify": _of_method(figures.get("method"))}
+    if figures.get("truncation_m") == 0:
+        lines["fuse"] = _JOINED
     line = lines.get(stage, "")
     line = line if is_metric else _IN_METRES.sub(r"\1 units", line)
     return _Figures({**figures, **figures.get("details", {})}).format(line)

@@ -12,10 +12,10 @@ import numpy as np
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
 from stages.fusion.crop import Crop, cut
-from stages.fusion.lone import as_one, continued, on_depth
 from stages.fusion.params import FuseKeywords, FuseParams
-from stages.fusion.plan import make_plan
+from stages.fusion.plan import Plan, make_plan
 from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
+from stages.fusion.relief import evened_alone, read_whole, relief
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise
 from stages.fusion.upsampling import upsampled_alone, upsampled_frame
@@ -24,13 +24,13 @@ from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, ColorImage, Frame, Scan, SkippedFrame
+from stages.scans.scan import ColorImage, Frame, Scan, SkippedFrame
 from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -40,7 +40,8 @@ class Fused:
     Attributes
     ----------
     mesh : with uint8 vertex colours where the frames have colour.
-    voxel_size, truncation, max_depth : metres, as given or derived.
+    voxel_size, truncation, max_depth : metres, as given or derived; truncation is 0 for a frame alone, whose
+        pixels are joined without a field.
     min_weight : frames, as given or derived.
     noise : depth noise measured between neighbouring frames.
     frames : how many frames were fused.
@@ -122,10 +123,9 @@ class Fused:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """A frame ready to be integrated: as it was read, and the camera that what is integrated belongs to."""
+    """A frame ready to be integrated."""
 
     view: PosedDepth
-    camera: Camera
     used: int
     parts: list[Layer]
     color: ColorImage | None
@@ -145,7 +145,8 @@ def fuse(
     read and filtered in threads, a few ahead, while one after the other goes into the volume. A frame that
     cannot be used is skipped and reported. With a crop the volume holds what is inside, and a seam outside as
     wide as the field is cut off at; depth outside tells that nothing is before it. The mesh is cut at the
-    border: there it is as without a crop. Equal input gives a bit-identical mesh on one machine, whatever the
+    border: there it is as without a crop. Of a frame alone the pixels are joined instead (see
+    stages.fusion.relief). Equal input gives a bit-identical mesh on one machine, whatever the
     number of threads.
 
     Parameters
@@ -172,11 +173,17 @@ def fuse(
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
     _require_usable(frames, where)
-    measured, frames = frames, list(upsampled_alone(frames, params))
+    measured = evened_alone(frames, params.max_jump)
+    frames = list(upsampled_alone(measured, params))
     is_larger = params.upsample == "guided" or frames[0] is not measured[0]
     threads = workers()
     plan = make_plan(frames, params, where, threads)
     color = params.color and any(frame.color is not None for frame in frames)
+    factor = params.upsample_factor if is_larger else 1
+    if len(frames) == 1:
+        fused = _alone(frames[0], plan, factor, color=color)
+        progress(1, 1)
+        return fused
     volume = Volume(
         plan.voxel_size,
         plan.truncation,
@@ -189,7 +196,7 @@ def fuse(
 
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
-            if params.upsample == "guided" and not plan.is_lone:
+            if params.upsample == "guided":
                 frame = upsampled_frame(frame, params)
             view = read_posed_depth(frame, plan.limits)
             here = plan.fused(view)
@@ -197,14 +204,9 @@ def fuse(
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
         used = int(np.count_nonzero(here))
-        if not plan.is_lone:
-            return _Prepared(view, view.camera, used, plan.layers(view, here), image)
-        wider = continued(view, here, image, plan.voxel_size)
-        parts = as_one(plan.layers(wider.view, wider.here))
-        return _Prepared(view, wider.view.camera, used, parts, wider.color)
+        return _Prepared(view, used, plan.layers(view, here), image)
 
     skipped: list[SkippedFrame] = []
-    lone: PosedDepth | None = None
     pixels = valid = used = outside = 0
     for done, item in enumerate(read_ahead(prepare, frames, threads=threads, ahead=threads + 2), 1):
         if isinstance(item, SkippedFrame):
@@ -212,9 +214,8 @@ def fuse(
             _require_share(skipped, len(frames), params.max_bad_share, where)
         else:
             view = item.view
-            lone = view if plan.is_lone else None
             # Without parts, nothing is added.
-            volume.integrate(item.parts, item.camera, plan.local(view.pose), item.color)
+            volume.integrate(item.parts, view.camera, plan.local(view.pose), item.color)
             outside += item.used == 0
             pixels += view.surface.depth.size
             valid += view.valid
@@ -223,14 +224,13 @@ def fuse(
 
     min_weight = params.min_weight or _least_weight(volume.typical_weight(), frames)
     mesh = volume.mesh(min_weight)
-    if lone is not None:
-        mesh = on_depth(mesh, lone, plan.local(lone.pose))
     mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
-    fused = len(frames) - len(skipped) - outside
+    used_frames = len(frames) - len(skipped) - outside
     if len(mesh.triangles) == 0:
         raise InputError(
-            f"no surface came out of {fused} frames at voxels of {plan.voxel_size:g} m: none was seen by "
-            f"{min_weight} of them{_of(plan.crop, used)}. Check poses and depth scale, or lower min_weight.",
+            f"no surface came out of {used_frames} frames at voxels of {plan.voxel_size:g} m: none was seen "
+            f"by {min_weight} of them{_of(plan.crop, used)}. Check poses and depth scale, or lower "
+            "min_weight.",
             where,
         )
     return Fused(
@@ -240,7 +240,7 @@ def fuse(
         max_depth=plan.max_depth,
         min_weight=min_weight,
         noise=plan.noise,
-        frames=fused,
+        frames=used_frames,
         skipped=tuple(skipped),
         pixels_valid=valid / pixels,
         pixels_used=used / pixels,
@@ -250,7 +250,40 @@ def fuse(
         support=plan.support,
         outside=outside,
         warnings=plan.warnings,
-        upsampled=params.upsample_factor if is_larger else 1,
+        upsampled=factor,
+    )
+
+
+def _alone(frame: Frame, plan: Plan, factor: int, *, color: bool) -> Fused:
+    """Join the pixels of a frame that no other fills up."""
+    view = read_whole(frame, plan.limits)
+    here = plan.fused(view)
+    image = read_matching_color(frame, view.surface.depth) if color else None
+    mesh = cut(relief(view, here, image, plan.voxel_size, plan.limits), plan.crop)
+    if len(mesh.triangles) == 0:
+        raise InputError(
+            f"no surface came out of the frame{_of(plan.crop, int(here.sum()))}. Check the depth scale and "
+            "the calibration.",
+            f"frame {frame.name}",
+        )
+    return Fused(
+        mesh=mesh,
+        voxel_size=plan.voxel_size,
+        truncation=0.0,
+        max_depth=plan.max_depth,
+        min_weight=1,
+        noise=plan.noise,
+        frames=1,
+        skipped=(),
+        pixels_valid=view.valid / view.surface.depth.size,
+        pixels_used=int(here.sum()) / view.valid,
+        volume_bytes=0,
+        device="CPU:0",
+        crop=plan.crop,
+        support=plan.support,
+        outside=0,
+        warnings=plan.warnings,
+        upsampled=factor,
     )
 
 

@@ -21,7 +21,9 @@ class FuseParams:
     voxel_size: float | None = param(
         None,
         "Edge of a voxel. Derived: twice the spacing of depth pixels at median depth, twice the measured "
-        "depth noise there, or what keeps the mesh near 2 million triangles, whichever is largest.",
+        "depth noise there, or what keeps the mesh near 2 million triangles, whichever is largest. Of a "
+        "frame alone the pixels are joined; some are left out so that vertices are half of this apart at "
+        "median depth.",
         unit="m",
         low=0,
         low_open=True,
@@ -36,8 +38,8 @@ class FuseParams:
     truncation: float | None = param(
         None,
         "Distance from the surface, along its normal, at which the field is cut off. Derived: three times "
-        "the measured noise of far depth, but 3 to 5 voxels (more if the voxels are finer than the noise); "
-        "5 for a frame alone.",
+        "the measured noise of far depth, but 3 to 5 voxels (more if the voxels are finer than the noise). "
+        "A frame alone has no field.",
         unit="m",
         low=0,
         low_open=True,
@@ -57,9 +59,10 @@ class FuseParams:
         low=0,
         low_open=True,
     )
-    max_angle: float = param(
-        87.0,
-        "Pixels that see the surface at a larger angle to its normal are dropped.",
+    max_angle: float | None = param(
+        None,
+        "Pixels that see the surface at a larger angle to its normal are dropped. Derived: 87; 89 for a "
+        "frame alone.",
         unit="degrees",
         low=0,
         high=89,
@@ -140,7 +143,7 @@ class FuseKeywords(TypedDict, total=False):
     min_depth: float
     max_depth: float | None
     max_jump: float
-    max_angle: float
+    max_angle: float | None
     min_weight: int | None
     box: Corners | None
     radius: float | None

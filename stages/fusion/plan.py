@@ -31,8 +31,8 @@ _PIXELS = 8_000_000
 _FREE = 2.0
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
-# Of a frame alone nobody knows the noise, and no other fills what it tears: the field reaches so many voxels.
-_LONE = 5
+# Degrees. What is seen more obliquely, other frames see better, if there are any.
+_MAX_ANGLE, _MAX_ANGLE_ALONE = 87.0, 89.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +51,6 @@ class Plan:
     triangles : how many triangles are expected, roughly.
     scene : where the scan lies, before anything is left out of it.
     crop : what is fused of it.
-    is_lone : whether a frame is fused alone (see stages.fusion.lone).
     reach : metres; the field is made up to so far outside, so that it is whole at the border.
     support : the plane that is left out, with what is below it.
     warnings : of what is left out.
@@ -65,7 +64,6 @@ class Plan:
     origin: NDArray[np.float64]
     scene: Scene
     crop: Crop
-    is_lone: bool
     reach: float
     support: Support | None
     warnings: tuple[str, ...]
@@ -104,7 +102,7 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     UsageError
         If nothing is inside of what is to be fused.
     """
-    limits = limits_of(params)
+    limits = limits_of(params, alone=len(frames) == 1)
     pairs = look(frames, limits, where, threads)
     looked_at = [view for view, _ in pairs]
     scene = scene_of(frames, looked_at)
@@ -116,9 +114,8 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         params.voxel_factor
         * max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
     )
-    is_lone = len(frames) == 1
     truncation = params.truncation or max(
-        (_LONE if is_lone else 3) * voxel_size,
+        3 * voxel_size,
         3 * noise.at(found.median),
         min(3 * noise.at(found.far), 5 * voxel_size),
     )
@@ -142,7 +139,6 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         origin=np.rint(np.median(centers, axis=0) / block) * block,
         scene=scene,
         crop=crop,
-        is_lone=is_lone,
         reach=truncation + voxel_size,
         support=kept.support,
         warnings=kept.warnings,
@@ -152,13 +148,13 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     return replace(plan, blocks=_expected_blocks(kept.views, plan, len(frames)), triangles=triangles)
 
 
-def limits_of(params: FuseParams) -> DepthLimits:
+def limits_of(params: FuseParams, *, alone: bool = False) -> DepthLimits:
     """Return what depth is taken at all, before the scene is known."""
     return DepthLimits(
         min_depth=params.min_depth,
         max_depth=params.max_depth or math.inf,
         max_jump=params.max_jump,
-        max_angle=params.max_angle,
+        max_angle=params.max_angle or (_MAX_ANGLE_ALONE if alone else _MAX_ANGLE),
     )
 
 

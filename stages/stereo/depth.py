@@ -22,7 +22,7 @@ from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame,
 from stages.stereo.by_network import completed, network_disparity, network_of, warnings_of
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
-from stages.stereo.disparity import stereo_disparity
+from stages.stereo.disparity import stereo_disparity, volume_bytes
 from stages.stereo.matching import (
     LARGEST_DISPARITY,
     SUBPIXELS,
@@ -36,7 +36,7 @@ from stages.stereo.matching import (
 )
 from stages.stereo.networks.network import Network
 from stages.stereo.pairs import pair_warnings, require_pair
-from stages.stereo.params import CENSUS, DepthKeywords, DepthParams
+from stages.stereo.params import AUTO, FAST, SEVERAL, DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
 from stages.stereo.subpixel import refined
@@ -46,14 +46,12 @@ if TYPE_CHECKING:
 
 __all__ = ["RESULT_VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 _Image = NDArray[np.uint8]
 
 # Disparities that are looked for when nothing says how near the scene is, as a share of the width.
 _WIDEST = 0.25
-# From this many pairs on, fusion sees most surfaces several times and drops what a single pair says.
-_SEVERAL = 3
 # Least confidence and uniqueness (%) where a pair stands alone, and where others look at the same surface:
 # there, grass and foliage that match less surely are worth having.
 _ALONE = (128, 20)
@@ -217,12 +215,15 @@ class PairStage:
         self.params = params
         self.network = network
         self.is_by_network = network is not None and network.is_stereo
-        derived = _AMONG_OTHERS if pairs >= _SEVERAL else _ALONE
+        derived = _AMONG_OTHERS if pairs >= SEVERAL else _ALONE
         given = params.min_confidence, params.uniqueness
         least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
-        self.is_own = params.matcher == CENSUS and not self.is_by_network
+        # A network searches in its own way: what it finds is only refused where it cannot be.
+        self.search = _search_range(rig, params, stated, 1.0 if self.is_by_network else _WIDEST)
+        volume = volume_bytes(rig.left.width, rig.left.height, self.search.count)
+        self.is_own = not self.is_by_network and params.is_own(pairs, volume)
         if self.is_own and params.min_confidence is None:
-            least = _SURE_AMONG_OTHERS if pairs >= _SEVERAL else _SURE_ALONE
+            least = _SURE_AMONG_OTHERS if pairs >= SEVERAL else _SURE_ALONE
         # Of several pairs, as many are matched at a time as there are cores.
         self.threads = 1 if pairs > 1 else params.threads
         # Confidence 0 says that nothing was measured.
@@ -230,14 +231,12 @@ class PairStage:
         self.rig = rig
         # Ours has its range narrowed by one that is fast.
         self.matcher = Matcher(
-            "3way" if self.is_own else params.matcher,
+            FAST if self.is_own or params.matcher == AUTO else params.matcher,
             params.block_size,
             *params.penalties,
             params.prefilter_cap,
             uniqueness,
         )
-        # A network searches in its own way: what it finds is only refused where it cannot be.
-        self.search = _search_range(rig, params, stated, 1.0 if self.is_by_network else _WIDEST)
         self.narrow = (
             not self.is_by_network
             and params.min_depth is None

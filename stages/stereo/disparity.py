@@ -129,7 +129,7 @@ def stereo_disparity(
     if not 0 <= min_confidence <= 1:
         raise UsageError(f"min_confidence is {min_confidence:g}; it must be from 0 to 1.")
     count = -(-(max_disparity - min_disparity + 1) // _LANES) * _LANES
-    require_room(_VOLUME_BYTES * first.shape[0] * first.shape[1] * count)
+    require_room(volume_bytes(first.shape[1], first.shape[0], count))
     found, of_right, _, margin, _ = _kernels.match_pair(
         first, second, lowest=min_disparity, count=count, wanted_threads=threads or 0
     )
@@ -177,6 +177,11 @@ def stereo_disparity(
     confidence[outside] = 0
     sure = (confidence >= min_confidence) & ~outside
     return Disparity(np.where(sure, found, np.float32(np.nan)), confidence, moved)
+
+
+def volume_bytes(width: int, height: int, count: int) -> int:
+    """Return the memory that matching images of so many pixels takes, for so many disparities."""
+    return _VOLUME_BYTES * width * height * count
 
 
 def _facing(disparity: Map, of_right: Map) -> Map:

@@ -12,8 +12,8 @@ from stages.stereo.matching import LARGEST_DISPARITY
 
 # How views are measured.
 SWEEP, PAIRS = "sweep", "pairs"
-# Our own matcher, and what only the others know.
-CENSUS = "census"
+# Our own matcher, what only the others know, and the one of them that is fast.
+AUTO, CENSUS, FAST = "auto", "census", "3way"
 _OF_OTHERS = (
     "block_size",
     "p1",
@@ -26,6 +26,10 @@ _OF_OTHERS = (
     "speckle_range",
     "smooth",
 )
+# From this many pairs on, fusion sees most surfaces several times and drops what a single pair says.
+SEVERAL = 3
+# Bytes that our own matcher may take where it was not asked for.
+_LARGEST_VOLUME = 4 << 30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +52,7 @@ class DepthParams:
         low_open=True,
     )
     max_relative_depth_error: float = param(
-        0.025,
+        0.05,
         "Depth is used up to where its expected error σ_z = z²/(f·b)·σ_d is this share of it",
         low=0,
         low_open=True,
@@ -59,18 +63,20 @@ class DepthParams:
     )
     min_confidence: int | None = param(
         None,
-        "Pixels of lower confidence get no depth; 128 is a spread of about 1.5 px. Default: 128 for one or "
-        "two pairs; 16 for more, since fusion drops what only one of them says. Of matcher census it is 255 "
-        "times the probability of being right: 204, or 128; that of views that are swept is so, too: 204",
+        "Pixels of lower confidence get no depth. Of matcher census, and of views that are swept, it is 255 "
+        "times the probability of being right: 204 by default, 128 for three and more pairs, since fusion "
+        "drops what only one of them says; of the other matchers 128 is a spread of about 1.5 px: 128, or 16",
         low=0,
         high=255,
     )
     matcher: str = param(
-        "3way",
+        AUTO,
         "Semi-global matcher: 3way gathers costs along three paths, in little memory; hh4 along four, "
         "erring a little less for twice the time; sgbm along five and hh along eight, for no gain. census is "
-        "our own, which covers more, with confidences that are probabilities, for six times the time",
-        choices=("3way", "sgbm", "hh4", "hh", CENSUS),
+        "our own, which covers more, with confidences that are probabilities, for four times the time. auto "
+        "is census for one or two pairs, unless it would take more than 4 GB or an option of the others is "
+        "given, and 3way for more",
+        choices=(AUTO, FAST, "sgbm", "hh4", "hh", CENSUS),
     )
     model: str | None = param(
         None,
@@ -260,11 +266,20 @@ class DepthParams:
         if self.penalties[0] >= self.penalties[1]:
             raise UsageError(f"p1 is {self.penalties[0]}; it must be below p2, {self.penalties[1]}.")
 
+    def is_own(self, pairs: int, volume: int) -> bool:
+        """Return whether our own matcher measures so many pairs, whose volumes take so many bytes."""
+        if self.matcher != AUTO:
+            return self.matcher == CENSUS
+        return pairs < SEVERAL and volume <= _LARGEST_VOLUME and not self.idle(_OF_OTHERS)
+
+    def idle(self, names: Sequence[str]) -> list[str]:
+        """Return which of these parameters were set."""
+        defaults = {one.name: one.default for one in fields(self)}
+        return [name for name in names if getattr(self, name) != defaults[name]]
+
     def require_default(self, names: Sequence[str], where: str) -> None:
         """Raise UsageError for a parameter that was set and would do nothing."""
-        defaults = {one.name: one.default for one in fields(self)}
-        idle = [name for name in names if getattr(self, name) != defaults[name]]
-        if idle:
+        if idle := self.idle(names):
             raise UsageError(f"{', '.join(idle)} has no effect with {where}; leave it out.")
 
     @property

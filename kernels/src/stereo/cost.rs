@@ -4,7 +4,7 @@
 //! stands any change of brightness and says little where an image is nearly flat; differences of gradients say
 //! something there.
 
-use super::volume::{LANES, Pixels, Search, Size, Volume, rows, zeros};
+use super::volume::{LANES, Pixels, Search, Size};
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::each;
 
@@ -87,47 +87,51 @@ pub fn weighed(bits: i32, levels: i32) -> i16 {
     ((bits * BIT + levels.min(LARGEST_GRADIENT) * LEVEL) >> 8) as i16
 }
 
-/// Costs of all pixels and disparities.
-pub fn costs(left: &[u8], right: &[u8], size: Size, search: Search, threads: usize) -> Volume {
+/// A row of an image that costs are made of; that of the right image is reversed, so that it is walked along as
+/// disparities rise.
+struct Row {
+    census: Vec<u64>,
+    across: Vec<i16>,
+    down: Vec<i16>,
+}
+
+/// What a pair's costs are made of.
+pub struct Pair {
+    left: Described,
+    right: Vec<Row>,
+    width: usize,
+    search: Search,
+}
+
+/// Describe both images of brightness.
+pub fn pair(left: &[u8], right: &[u8], size: Size, search: Search, threads: usize) -> Pair {
     let (left, right) = (described(left, size, threads), described(right, size, threads));
-    let mut volume = zeros(size, search);
-    each(rows(&mut volume, size, search), threads, |(y, row)| {
-        let own = y * size.width..(y + 1) * size.width;
-        // Reversed, so that it is walked along as disparities rise.
-        let facing: Vec<(u64, [i32; 2])> =
-            own.clone().rev().map(|i| (right.census[i], right.gradient[i].map(i32::from))).collect();
-        let census: Vec<u64> = facing.iter().map(|one| one.0).collect();
-        let across: Vec<i32> = facing.iter().map(|one| one.1[0]).collect();
-        let down: Vec<i32> = facing.iter().map(|one| one.1[1]).collect();
-        let (own_census, own_gradient) = (&left.census[own.clone()], &left.gradient[own]);
-        costs_of_row(own_census, own_gradient, &census, &across, &down, search, row);
-    });
-    volume
+    let rows = right.census.chunks(size.width).zip(right.gradient.chunks(size.width));
+    let right = rows
+        .map(|(census, gradient)| Row {
+            census: census.iter().rev().copied().collect(),
+            across: gradient.iter().rev().map(|one| one[0]).collect(),
+            down: gradient.iter().rev().map(|one| one[1]).collect(),
+        })
+        .collect();
+    Pair { left, right, width: size.width, search }
+}
+
+impl Pair {
+    /// Costs of all disparities of a row's pixels.
+    pub fn costs_of(&self, y: usize, costs: &mut [i16]) {
+        let own = y * self.width..(y + 1) * self.width;
+        let (census, gradient) = (&self.left.census[own.clone()], &self.left.gradient[own]);
+        costs_of_row(census, gradient, &self.right[y], self.search, costs);
+    }
 }
 
 by_processor! {
-    #[allow(clippy::too_many_arguments)]
-    fn costs_of_row(
-        own_census: &[u64],
-        own_gradient: &[[i16; 2]],
-        census: &[u64],
-        across: &[i32],
-        down: &[i32],
-        search: Search,
-        row: &mut [i16],
-    ) = of_row
+    fn costs_of_row(own_census: &[u64], own_gradient: &[[i16; 2]], facing: &Row, search: Search, row: &mut [i16]) = of_row
 }
 
 #[inline(always)]
-fn of_row(
-    own_census: &[u64],
-    own_gradient: &[[i16; 2]],
-    census: &[u64],
-    across: &[i32],
-    down: &[i32],
-    search: Search,
-    row: &mut [i16],
-) {
+fn of_row(own_census: &[u64], own_gradient: &[[i16; 2]], facing: &Row, search: Search, row: &mut [i16]) {
     let (width, count) = (own_census.len() as i32, search.count);
     debug_assert_eq!(count % LANES, 0);
     for (x, costs) in row.chunks_exact_mut(count).enumerate() {
@@ -140,12 +144,16 @@ fn of_row(
             continue;
         }
         let start = (width - 1 - before + first as i32) as usize;
-        let facing = start..start + (end - first);
-        let ([own_across, own_down], own) = (own_gradient[x].map(i32::from), own_census[x]);
-        let (census, across, down) = (&census[facing.clone()], &across[facing.clone()], &down[facing]);
-        for (d, cost) in costs[first..end].iter_mut().enumerate() {
-            let bits = (own ^ census[d]).count_ones() as i32;
-            *cost = weighed(bits, (across[d] - own_across).abs() + (down[d] - own_down).abs());
+        let there = start..start + (end - first);
+        let ([own_across, own_down], own) = (own_gradient[x], own_census[x]);
+        let (across, down) = (&facing.across[there.clone()], &facing.down[there.clone()]);
+        let costs = &mut costs[..];
+        for (cost, census) in costs[first..end].iter_mut().zip(&facing.census[there]) {
+            *cost = (own ^ census).count_ones() as i16;
+        }
+        for ((cost, across), down) in costs[first..end].iter_mut().zip(across).zip(down) {
+            let levels = (across - own_across).abs() + (down - own_down).abs();
+            *cost = weighed((*cost).into(), levels.into());
         }
         let (nearest, farthest) = (costs[first].max(OUTSIDE), costs[end - 1].max(OUTSIDE));
         costs[..first].fill(nearest);

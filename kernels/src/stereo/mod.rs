@@ -40,16 +40,16 @@ pub fn match_pair(
     threads: usize,
     progress: &mut Progress<'_>,
 ) -> Result<Matched, KernelError> {
-    progress.tell(0, 4)?;
+    progress.tell(0, 3)?;
     let (grey, grey_right) = (cost::grey(left), cost::grey(right));
-    let mut costs = cost::costs(&grey, &grey_right, size, search, threads);
-    progress.tell(1, 4)?;
-    let mut sums = support::averaged(left, &mut costs, size, search, threads);
-    progress.tell(2, 4)?;
+    let pair = cost::pair(&grey, &grey_right, size, search, threads);
+    let costs = support::averaged(left, size, search, threads, |y, row| pair.costs_of(y, row));
+    progress.tell(1, 3)?;
+    let mut sums = volume::zeros(size, search);
     paths::summed(&grey, &costs, size, &search, threads, &mut sums);
-    progress.tell(3, 4)?;
+    progress.tell(2, 3)?;
     let matched = pick::picked(&sums, &costs, size, search, threads);
-    progress.tell(4, 4)?;
+    progress.tell(3, 3)?;
     Ok(matched)
 }
 

@@ -1,6 +1,7 @@
 //! The best disparity of each pixel, and what tells how sure it is.
 
 use super::volume::{Search, Size};
+use crate::base::by_processor::by_processor;
 use crate::base::parallel::each;
 
 /// What was found for each pixel of the left image, and for the right one.
@@ -55,18 +56,15 @@ pub fn picked(sums: &[i16], costs: &[i16], size: Size, search: Search, threads: 
 impl Row<'_> {
     fn pick(self, sums: &[i16], costs: &[i16], search: Search) {
         let (width, count) = (self.disparity.len(), search.count);
-        let mut least_of_right = vec![i16::MAX; width];
+        // Of the right image, reversed, so that it is walked along as disparities rise: the least sum, and of which disparity.
+        let (mut least, mut of_least) = (vec![i16::MAX; width], vec![-1i16; width]);
         for (x, sums) in sums.chunks_exact(count).enumerate() {
-            // Of the right image, from the farthest disparity that lies within it.
             let before = x as i32 - search.lowest;
             let first = (before - (width as i32 - 1)).clamp(0, count as i32) as usize;
             let end = (before + 1).clamp(0, count as i32) as usize;
-            for (d, &sum) in sums.iter().enumerate().take(end).skip(first) {
-                let there = (before - d as i32) as usize;
-                if sum < least_of_right[there] {
-                    least_of_right[there] = sum;
-                    self.of_right[there] = (d as i32 + search.lowest) as f32;
-                }
+            if first < end {
+                let there = (width as i32 - 1 - before + first as i32) as usize;
+                keep_least(&sums[first..end], first as i16, &mut least[there..], &mut of_least[there..]);
             }
             let (best, margin) = best_and_margin(sums);
             self.disparity[x] = (best as i32 + search.lowest) as f32 + fraction(sums, best);
@@ -74,6 +72,25 @@ impl Row<'_> {
             self.margin[x] = margin;
             self.cost[x] = costs[x * count + best];
         }
+        for (of_right, &d) in self.of_right.iter_mut().rev().zip(&of_least) {
+            if d >= 0 {
+                *of_right = (i32::from(d) + search.lowest) as f32;
+            }
+        }
+    }
+}
+
+by_processor! {
+    fn keep_least(sums: &[i16], first: i16, least: &mut [i16], of_least: &mut [i16]) = all_least
+}
+
+/// Put each sum, of the disparities from `first` on, in place of one that is more.
+#[inline(always)]
+fn all_least(sums: &[i16], first: i16, least: &mut [i16], of_least: &mut [i16]) {
+    for (d, ((&sum, least), of_least)) in (first..).zip(sums.iter().zip(least).zip(of_least)) {
+        let is_less = sum < *least;
+        *of_least = if is_less { d } else { *of_least };
+        *least = if is_less { sum } else { *least };
     }
 }
 

@@ -2,13 +2,16 @@
 //! local stereo matching using orthogonal integral images", 2009; the rule for the arms after Mei et al., "On building an
 //! accurate stereo matching system on graphics hardware", 2011).
 
-use super::volume::{Pixels, Search, Size, Volume, rows, zeros};
+use super::volume::{Pixels, Search, Size, Volume, zeros};
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::{collect, each};
 
 /// How far an arm reaches, and by how many levels its pixels may differ from the first one; in its far half by a third.
 const ARM: usize = 5;
 const LIKE: u8 = 20;
+/// How many rows are averaged along y at once: those that their arms reach are held, and made twice where bands meet.
+const HELD: usize = 2 * ARM + 1;
+const BAND: usize = 64;
 
 /// Pixels to the left, to the right, above and below.
 type Arms = [u8; 4];
@@ -35,18 +38,34 @@ fn arms(image: &Pixels, size: Size, threads: usize) -> Vec<Arms> {
     })
 }
 
-/// Average costs in place, first along x and then along y; the volume that is returned holds zeros.
-pub fn averaged(image: &Pixels, costs: &mut Volume, size: Size, search: Search, threads: usize) -> Volume {
+/// Costs of all pixels and disparities, averaged first along x and then along y. `costs_of` fills a row of them; rows are
+/// made as they are needed, so that only a few are held before they are averaged.
+pub fn averaged(
+    image: &Pixels,
+    size: Size,
+    search: Search,
+    threads: usize,
+    costs_of: impl Fn(usize, &mut [i16]) + Sync,
+) -> Volume {
     let arms = arms(image, size, threads);
-    let mut along_x = zeros(size, search);
-    each(rows(&mut along_x, size, search), threads, |(y, row)| {
-        averages_of_row(costs, &arms, size, y, 1, row)
+    let long = size.width * search.count;
+    let mut volume = zeros(size, search);
+    let bands = volume.chunks_mut(BAND * long).enumerate().collect();
+    each(bands, threads, |(band, part): (usize, &mut [i16])| {
+        let mut one = vec![0; long];
+        let mut along_x = vec![0; HELD * long];
+        let mut next = (band * BAND).saturating_sub(ARM);
+        for (row, out) in part.chunks_mut(long).enumerate() {
+            let y = band * BAND + row;
+            while next < (y + ARM + 1).min(size.height) {
+                costs_of(next, &mut one);
+                averages_of_row(&one, &arms, size, next, false, &mut along_x[next % HELD * long..][..long]);
+                next += 1;
+            }
+            averages_of_row(&along_x, &arms, size, y, true, out);
+        }
     });
-    each(rows(costs, size, search), threads, |(y, row)| {
-        averages_of_row(&along_x, &arms, size, y, size.width, row);
-    });
-    each(rows(&mut along_x, size, search), threads, |(_, row)| row.fill(0));
-    along_x
+    volume
 }
 
 by_processor! {
@@ -55,22 +74,24 @@ by_processor! {
         arms: &[Arms],
         size: Size,
         y: usize,
-        step: usize,
+        across_rows: bool,
         row: &mut [i16],
     ) = of_row
 }
 
 #[inline(always)]
-fn of_row(costs: &[i16], arms: &[Arms], size: Size, y: usize, step: usize, row: &mut [i16]) {
+fn of_row(costs: &[i16], arms: &[Arms], size: Size, y: usize, across_rows: bool, row: &mut [i16]) {
     let count = row.len() / size.width;
     for (x, out) in row.chunks_exact_mut(count).enumerate() {
-        let i = y * size.width + x;
-        let way = if step == 1 { 0 } else { 2 };
-        let (before, after) = (arms[i][way] as usize, arms[i][way + 1] as usize);
-        let first = i - before * step;
-        out.copy_from_slice(&costs[first * count..][..count]);
+        let [left, right, above, below] = arms[y * size.width + x].map(usize::from);
+        let (before, after) = if across_rows { (above, below) } else { (left, right) };
+        let of = |k: usize| {
+            let place = if across_rows { (y + k - before) % HELD * size.width + x } else { x + k - before };
+            &costs[place * count..][..count]
+        };
+        out.copy_from_slice(of(0));
         for k in 1..=before + after {
-            for (sum, cost) in out.iter_mut().zip(&costs[(first + k * step) * count..][..count]) {
+            for (sum, cost) in out.iter_mut().zip(of(k)) {
                 *sum += cost;
             }
         }

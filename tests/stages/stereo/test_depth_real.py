@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stages.scans.images import read_color, read_right
+from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, StereoRig
 from stages.stereo.depth import DepthMap, depth, depth_scan
@@ -47,7 +49,7 @@ def require(result: DepthMap, truth: np.ndarray, *, wrong: float, covered: float
 def test_motorcycle(shared_data: Path) -> None:
     folder = shared_data / "stereo/middlebury2014_motorcycle"
     scan = read_scan(folder)
-    (_, result), *rest = depth_scan(scan)
+    (_, result), *rest = depth_scan(scan, matcher="3way")
 
     assert not rest
     assert isinstance(result, DepthMap)
@@ -61,7 +63,13 @@ def test_motorcycle(shared_data: Path) -> None:
 
 
 def test_cones(shared_data: Path) -> None:
-    """The same defaults on another pair, whose calibration is made up."""
+    """The same matcher on another pair, whose calibration is made up."""
+    result, truth = cones(shared_data, matcher="3way")
+    require(result, truth, wrong=0.01, covered=0.85)
+
+
+def cones(shared_data: Path, **changes: Any) -> tuple[DepthMap, np.ndarray]:
+    """Measure the pair, and return its true disparity, too."""
     import cv2
 
     folder = shared_data / "stereo/middlebury2003_cones"
@@ -73,18 +81,46 @@ def test_cones(shared_data: Path) -> None:
     first, second = read_color(frame), read_right(frame)
     assert first is not None
     assert second is not None
-    result = depth(first, second, StereoRig(camera, camera, right_from_left, rectified=True))
-
+    result = depth(first, second, StereoRig(camera, camera, right_from_left, rectified=True), **changes)
     truth = cv2.imread(str(folder / "disp2.pgm"), cv2.IMREAD_UNCHANGED) / 4.0
     truth[truth == 0] = np.inf
-    require(result, truth, wrong=0.01, covered=0.85)
+    return result, truth
+
+
+def test_a_pair_alone_covers_what_both_images_show(shared_data: Path) -> None:
+    """By our own matcher: of what both cameras see nearly all, and few of it wrong."""
+    folder = shared_data / "stereo/middlebury2014_motorcycle"
+    (_, motorcycle), *_ = depth_scan(read_scan(folder))
+    assert isinstance(motorcycle, DepthMap)
+    for result, truth in ((motorcycle, read_pfm(folder / "disp0.pfm")), cones(shared_data)):
+        seen = visible(truth)
+        given = result.depth > 0
+        assert np.mean(given[seen]) > 0.95
+        assert np.mean(np.abs(result.disparity - truth)[given & seen] > 2) < 0.0165
+
+
+def test_pairs_of_a_street_are_covered(shared_data: Path) -> None:
+    """KITTI 2015, against lidar: the ground truth is given out, few of it more than 3 px off."""
+    import cv2
+
+    folder = shared_data / "real/kitti_stereo_2015"
+    covered, wrong = [], []
+    for place, name in enumerate(("000002_10", "000015_10", "000025_10", "000035_10")):
+        (_, result), *_ = depth_scan(read_scan(folder, ScanParams(first=place, last=place)))
+        assert isinstance(result, DepthMap)
+        truth = cv2.imread(str(folder / f"disp_occ_0/{name}.png"), cv2.IMREAD_UNCHANGED) / 256.0
+        given = (result.depth > 0) & (truth > 0)
+        covered.append(np.count_nonzero(given) / np.count_nonzero(truth))
+        wrong.append(np.mean(np.abs(result.disparity - truth)[given] > 3))
+    assert np.mean(covered) > 0.85
+    assert np.mean(wrong) < 0.03
 
 
 def test_street_agrees_with_itself_from_frame_to_frame(shared_data: Path) -> None:
     """Depth of one frame, moved by the given poses into the next, is what is measured there."""
     scan = read_scan(shared_data / "stereo/kitti_sequence_1")
     pairs = [scan.frames[i] for i in (8, 9)]
-    (here, near), (there, far) = depth_scan(type(scan)(scan.layout, pairs, scan.rig))
+    (here, near), (there, far) = depth_scan(type(scan)(scan.layout, pairs, scan.rig), matcher="3way")
     assert isinstance(near, DepthMap)
     assert isinstance(far, DepthMap)
     assert here.world_from_camera is not None

@@ -1,0 +1,234 @@
+"""A frame that is fused alone: its pixels are the vertices, joined where depth does not jump.
+
+No other frame fills what a volume tears or loses at rims, and voxels of one size are too large near the
+camera and too small far from it, where noise is many of them deep. Joined pixels show all that has depth, as
+finely as it was measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.fusion.depth_filter import bridged
+from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
+from stages.scans.images import read_depth
+from stages.scans.scan import ColorImage, DepthImage, Frame, pinhole
+from stages.surface.mesh import Mesh
+
+Mask = NDArray[np.bool_]
+Triangles = NDArray[np.int32]
+
+# The pixels that noise is evened out over: so many steps each way, of so many pixels.
+_STEPS, _STEP = 3, 3
+# Slopes and noise are means over so many pixels each way.
+_WINDOW = 15
+# What differs from the plane around by more than this many times the noise belongs to another surface.
+_WITHIN = 3.0
+# The mean size of a Gaussian's error, in standard deviations.
+_MEAN_ERROR = math.sqrt(2 / math.pi)
+# No more triangles are made of a frame.
+_TRIANGLES = 2_000_000
+
+
+def evened_alone(frames: Sequence[Frame], max_jump: float) -> Sequence[Frame]:
+    """Return a frame alone with its noise evened out; several as they are, for fusion does that."""
+    if len(frames) != 1:
+        return frames
+    try:
+        depth = read_depth(frames[0])
+    except InputError:
+        return frames  # Told where the frame is read.
+    if depth is None:
+        return frames
+    depth, _ = bridged(depth, max_jump)
+    # Depth that is read has neither any more.
+    return [
+        replace(
+            frames[0],
+            depth=evened(depth, max_jump),
+            camera=pinhole(frames[0].camera),
+            confidence=None,
+            least_confidence=0,
+            mask=None,
+        )
+    ]
+
+
+def evened(depth: DepthImage, max_jump: float) -> DepthImage:
+    """Even out noise: each pixel takes the mean of what those around say of it that lie on its plane.
+
+    A plane's inverse depth is linear in the pixel's place. How large noise is, the differences of neighbours
+    tell, around each pixel anew; what is farther off the plane is of another surface. What is missing stays
+    missing.
+
+    Parameters
+    ----------
+    depth : (h, w) float32 metres, 0 where missing.
+    max_jump : change of depth between neighbours, relative to depth, that makes a discontinuity.
+    """
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    slopes, error = [], np.zeros_like(depth)
+    for axis in (1, 0):
+        difference, known = _differences(inverse, axis, max_jump)
+        slope = _mean(difference, known)
+        slopes.append(slope)
+        error += _mean(np.abs(difference - slope) * known, known) / 2
+    # Of a difference of two pixels, from the mean of its size.
+    limit = np.minimum(_WITHIN * error / _MEAN_ERROR, np.float32(max_jump) * inverse)
+    total, count = np.zeros_like(depth), np.ones_like(depth)
+    across, down = slopes
+    for dy in range(-_STEPS * _STEP, _STEPS * _STEP + 1, _STEP):
+        for dx in range(-_STEPS * _STEP, _STEPS * _STEP + 1, _STEP):
+            here, there = _shifted(depth.shape, dy, dx)
+            if (dy, dx) == (0, 0) or not inverse[here].size:
+                continue
+            off = inverse[there] - inverse[here] - dx * across[here] - dy * down[here]
+            counts = (inverse[there] > 0) & (np.abs(off) <= limit[here])
+            total[here] += np.where(counts, off, 0)
+            count[here] += counts
+    even = inverse + total / count
+    return np.asarray(np.divide(1, even, out=np.zeros_like(depth), where=depth > 0), np.float32)
+
+
+def read_whole(frame: Frame, limits: DepthLimits) -> PosedDepth:
+    """Read a frame's depth with what lies beside jumps, too: there triangles end, and no voxel is filled.
+
+    Raises
+    ------
+    InputError
+        As `read_posed_depth`.
+    """
+    view = read_posed_depth(frame, limits)
+    depth = read_depth(frame)
+    assert depth is not None
+    depth[(depth < limits.min_depth) | (depth > limits.max_depth)] = 0
+    return replace(view, surface=replace(view.surface, depth=np.maximum(depth, view.surface.depth)))
+
+
+def relief(
+    view: PosedDepth, here: Mask, color: ColorImage | None, voxel_size: float, limits: DepthLimits
+) -> Mesh:
+    """Return the mesh of a frame's pixels, in the world.
+
+    Parameters
+    ----------
+    here : (h, w), which pixels are wanted.
+    color : (h, w, 3) uint8 of the same size.
+    voxel_size : metres; vertices are half of this apart at median depth, but no nearer than pixels are, and
+        no more than a million.
+    limits : nothing is joined across jumps, nor where it is seen at a larger angle.
+    """
+    step = _step(view, here, voxel_size)
+    grid = np.s_[::step, ::step]
+    depth = np.where(here, view.surface.depth, np.float32(0))[grid]
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    triangles = _joined(inverse, limits.max_jump)
+    rows, columns = np.divmod(np.arange(depth.size), depth.shape[1])
+    triangles = triangles[
+        _angles(view.camera_points(step * rows, step * columns), triangles) <= limits.max_angle
+    ]
+    used = np.zeros(depth.size, bool)
+    used[triangles] = True
+    rank = np.cumsum(used, dtype=np.int32) - 1
+    rows, columns = np.divmod(np.flatnonzero(used), depth.shape[1])
+    vertices = view.world_points(step * rows, step * columns)
+    colors = None if color is None else _averaged(color, step)[grid][rows, columns]
+    return Mesh(vertices, rank[triangles].astype(np.int32), colors)
+
+
+def _angles(points: NDArray[np.float32], triangles: Triangles) -> NDArray[np.float64]:
+    """Return the angles between normals and lines of sight, degrees; of triangles without area 90."""
+    a, b, c = (points[triangles[:, k]].astype(np.float64) for k in range(3))
+    normal = np.cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1) * np.linalg.norm(a, axis=1)
+    facing = np.abs(np.einsum("ij,ij->i", normal, a))
+    return np.asarray(
+        np.degrees(np.arccos(np.divide(facing, size, out=np.zeros_like(size), where=size > 0).clip(0, 1)))
+    )
+
+
+def _step(view: PosedDepth, here: Mask, voxel_size: float) -> int:
+    """Return how many pixels are left out from one vertex to the next."""
+    depth = view.surface.depth[here]
+    spacing = float(np.median(depth)) / view.camera.fx
+    return max(1, round(voxel_size / (2 * spacing)), math.ceil(math.sqrt(2 * len(depth) / _TRIANGLES)))
+
+
+def _joined(inverse: DepthImage, max_jump: float) -> Triangles:
+    """Return triangles (m, 3) of neighbouring pixels, facing the camera.
+
+    A square is cut along the diagonal whose ends differ less. Of three corners, or where the fourth lies
+    across a jump, one triangle is left.
+    """
+    height, width = inverse.shape
+    number = np.arange(height * width, dtype=np.int32).reshape(height, width)
+    places = (np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[1:, 1:], np.s_[:-1, 1:])
+    corners = [number[place].ravel() for place in places]
+    value = [inverse[place].ravel() for place in places]
+
+    def near(a: int, b: int) -> Mask:
+        least = np.minimum(value[a], value[b])
+        return np.asarray((least > 0) & (np.abs(value[a] - value[b]) <= np.float32(max_jump) * least))
+
+    sides = [near(k, (k + 1) % 4) for k in range(4)]
+    first, second = near(0, 2), near(1, 3)
+    straight = np.abs(value[0] - value[2]) <= np.abs(value[1] - value[3])
+    whole = sides[0] & sides[1] & sides[2] & sides[3]
+    by_first = first & (straight | ~second | ~whole)
+    by_second = second & ~(by_first & whole)
+    found = []
+    # Counterclockwise as the camera sees it, whose y points down.
+    for wanted, (a, b, c), (k, m) in (
+        (by_first, (0, 1, 2), (0, 1)),
+        (by_first, (0, 2, 3), (2, 3)),
+        (by_second, (0, 1, 3), (0, 3)),
+        (by_second, (1, 2, 3), (1, 2)),
+    ):
+        kept = wanted & sides[k] & sides[m]
+        found.append(np.stack([corners[i][kept] for i in (a, b, c)], axis=1))
+    triangles = np.concatenate(found)
+    return triangles[np.argsort(triangles[:, 0], kind="stable")]
+
+
+def _averaged(color: ColorImage, step: int) -> ColorImage:
+    import cv2
+
+    return color if step == 1 else np.asarray(cv2.blur(color, (step, step)), np.uint8)
+
+
+def _differences(inverse: DepthImage, axis: int, max_jump: float) -> tuple[DepthImage, DepthImage]:
+    """Return the difference to the next pixel, and 1 where there is one; both 0 elsewhere."""
+    first, second = (np.s_[:, :-1], np.s_[:, 1:]) if axis else (np.s_[:-1], np.s_[1:])
+    difference, known = np.zeros_like(inverse), np.zeros_like(inverse)
+    least = np.minimum(inverse[first], inverse[second])
+    step = inverse[second] - inverse[first]
+    known[first] = (least > 0) & (np.abs(step) <= np.float32(max_jump) * least)
+    difference[first] = step * known[first]
+    return difference, known
+
+
+def _mean(values: DepthImage, known: DepthImage) -> DepthImage:
+    import cv2
+
+    total, count = (
+        cv2.boxFilter(image, -1, (_WINDOW, _WINDOW), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for image in (values, known)
+    )
+    return np.asarray(total / np.maximum(count, 1), np.float32)
+
+
+def _shifted(shape: tuple[int, ...], dy: int, dx: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the pixels that have one so far below and to the right, and those."""
+
+    def of(size: int, by: int) -> tuple[slice, slice]:
+        long = max(size - abs(by), 0)
+        return slice(max(-by, 0), max(-by, 0) + long), slice(max(by, 0), max(by, 0) + long)
+
+    (y, v), (x, u) = of(shape[0], dy), of(shape[1], dx)
+    return (y, x), (v, u)
