@@ -42,12 +42,14 @@ __all__ = [
     "decode_rows",
     "encode_rows",
     "encode_triangles",
+    "first_inside",
     "fit",
     "inside_all",
     "intersecting_triangles",
     "lay_out",
     "match_descriptors",
     "match_pair",
+    "not_before",
     "planar_patches",
     "remesh",
     "side_lengths",
@@ -499,6 +501,7 @@ def sweep_planes(
     partners: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]],
     first: NDArray[np.int32],
     count: NDArray[np.uint16],
+    bound: tuple[NDArray[np.float32], float] | None = None,
     *,
     planes: int,
     wanted_threads: int,
@@ -510,6 +513,7 @@ def sweep_planes(
     partners : warped images (h', w'), what of them is shown (0 nothing, 1 the scene, 2 nothing of the thing),
         and (planes, 3) maps: on a plane (x, y) of the view is seen at (s·x + a, s·y + b), as s, a, b.
     first, count : (h, w); `count` is a multiple of 16.
+    bound : (h, w) the nearest plane of each pixel, NaN where any may be, and what each plane farther costs.
 
     Returns
     -------
@@ -537,6 +541,37 @@ def inside_all(
     wanted_threads: int,
 ) -> NDArray[np.bool_]:
     """Return which places lie in the masks of all views that look at them; matrices as of `agreeing`."""
+
+def not_before(
+    depth: NDArray[np.float32],
+    others: Sequence[tuple[NDArray[np.float64], NDArray[np.float32]]],
+    *,
+    share: float,
+    wanted_threads: int,
+) -> NDArray[np.uint8]:
+    """Count the other views whose depth is more than a share of the place's; matrices as of `agreeing`."""
+
+def first_inside(
+    wanted: NDArray[np.bool_],
+    masks: Sequence[tuple[NDArray[np.float64], NDArray[np.bool_]]],
+    *,
+    least: int,
+    span: tuple[float, float],
+    steps: int,
+    wanted_threads: int,
+) -> NDArray[np.float32]:
+    """Return the depth at which rays of wanted pixels first lie in the masks of all views that look there.
+
+    Parameters
+    ----------
+    masks : matrices as of `agreeing`, and masks.
+    least : as many views must look there.
+    span : the nearest and the farthest depth that is tried, in so many `steps` of inverse depth.
+
+    Returns
+    -------
+    (h, w), 0 where there is none.
+    """
 
 def weighted_medians(
     image: NDArray[np.uint8],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.scans.scan import DepthImage
 from stages.stereo.posed_views import PosedView
+
+# What another view measured is before a place if it is nearer by this share of depth.
+_BEFORE = 0.025
 
 
 def merged(
@@ -46,33 +50,46 @@ def merged(
     return depth.astype(np.float32), trust
 
 
+@dataclass(frozen=True, eq=False)
+class Said:
+    """What other views say of each pixel's place, counts of views, (h, w) uint8; 0 where there is no depth.
+
+    Attributes
+    ----------
+    agreeing, nearly : measured the same depth there, and nearly the same.
+    open : measured nothing before it, so that they may see it.
+    looking : have any depth there.
+    """
+
+    agreeing: NDArray[np.uint8]
+    nearly: NDArray[np.uint8]
+    open: NDArray[np.uint8]
+    looking: NDArray[np.uint8]
+
+
 def agreeing_views(
     view: PosedView,
     depth: DepthImage,
     others: Iterable[tuple[PosedView, DepthImage]],
     tolerance: float,
-    looser: float | None = None,
+    looser: float,
     threads: int = 1,
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Count for each pixel the other views that measured the same place.
+) -> Said:
+    """Ask other views for each pixel's place.
 
     Parameters
     ----------
     depth : (h, w) float32 metres of `view`, 0 where there is none.
     others : views and their own depth maps.
-    tolerance : share of depth by which a map may differ from the depth at which the place should be seen.
-    looser : the same, for the second count; `tolerance` if None.
-
-    Returns
-    -------
-    Two of (h, w) uint8, 0 where there is no depth.
+    tolerance : share of depth by which a map that agrees may differ from what it should have there.
+    looser : the same, of one that nearly agrees.
     """
-    return _kernels.agreeing(
-        depth,
-        [(view.pixels_to(other), measured) for other, measured in others],
-        tolerances=(tolerance, tolerance if looser is None else looser),
-        wanted_threads=threads,
+    maps = [(view.pixels_to(other), measured) for other, measured in others]
+    same, nearly = _kernels.agreeing(depth, maps, tolerances=(tolerance, looser), wanted_threads=threads)
+    unhidden, looking = (
+        _kernels.not_before(depth, maps, share=share, wanted_threads=threads) for share in (1 - _BEFORE, 0.0)
     )
+    return Said(same, nearly, unhidden, looking)
 
 
 def _alike(depths: DepthImage, reference: DepthImage, tolerance: float) -> NDArray[np.bool_]:

@@ -54,22 +54,29 @@ class Backdrop:
         return np.asarray(_off(image, self.color) <= self.tolerance)
 
 
-def common_backdrop(images: Sequence[ColorImage]) -> Backdrop | None:
+def common_backdrop(images: Sequence[ColorImage], seen: Sequence[Mask]) -> Backdrop | None:
     """Return the backdrop of views, by the colour that the borders of nearly all have; None if there is none.
 
     Parameters
     ----------
     images : (h, w, 3) uint8, some of the views.
+    seen : (h, w) each, what of them shows anything. Where lens distortion was removed, black may lie around
+        what the camera saw; it is no backdrop.
     """
     import cv2
 
-    borders = [_border(image) for image in images]
+    borders = [border for border in map(_border, images, seen) if len(border)]
     if not borders:
         return None
     color = np.median([np.median(border, axis=0) for border in borders], axis=0).astype(np.float32)
     if np.median(np.concatenate([_off(border, color) for border in borders])) > _SPREAD:
         return None
-    off = np.concatenate([_off(image[::_STEP, ::_STEP], color).ravel() for image in images])
+    off = np.concatenate(
+        [
+            _off(image[::_STEP, ::_STEP][shown[::_STEP, ::_STEP]], color)
+            for image, shown in zip(images, seen, strict=True)
+        ]
+    )
     dividing, _ = cv2.threshold(off.astype(np.uint8)[None], 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     found = Backdrop(color, float(np.clip(_SHARE * dividing, _LEAST, _MOST)))
     like = [np.mean(found.alike(border)) >= _BORDER_SHARE for border in borders]
@@ -137,11 +144,13 @@ def _textured(image: NDArray[np.uint8], least: float) -> Mask:
     return np.asarray(steps(image, _WINDOW) >= least * _WINDOW**2)
 
 
-def _border(image: ColorImage) -> ColorImage:
-    """Return the outermost pixels of an image, (n, 3)."""
-    inner = np.ones(image.shape[:2], bool)
-    inner[_BORDER:-_BORDER, _BORDER:-_BORDER] = False
-    return np.asarray(image[inner])
+def _border(image: ColorImage, seen: Mask) -> ColorImage:
+    """Return the outermost pixels of what an image shows, (n, 3)."""
+    import cv2
+
+    window = np.ones((2 * _BORDER + 1, 2 * _BORDER + 1), np.uint8)
+    inner = cv2.erode(seen.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(image[seen & (inner == 0)])
 
 
 def _off(image: ColorImage, color: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -27,6 +27,7 @@ class Counts:
     plain : those of them without texture all around, which are taken for background.
     matched : those of the others that were measured with some partner.
     kept : those of them that enough other views agree with.
+    filled : those that no view measured, and that lie on the hull of the silhouettes.
     outlined : pixels of views whose scene is told from the rest by a mask or a backdrop.
     """
 
@@ -35,6 +36,7 @@ class Counts:
     plain: int = 0
     matched: int = 0
     kept: int = 0
+    filled: int = 0
     outlined: int = 0
 
     def __add__(self, other: Counts) -> Counts:
@@ -45,6 +47,7 @@ class Counts:
             self.plain + other.plain,
             self.matched + other.matched,
             self.kept + other.kept,
+            self.filled + other.filled,
             self.outlined + other.outlined,
         )
 
@@ -55,7 +58,7 @@ Result = tuple[Frame, DepthMap | SkippedFrame, Counts]
 def with_warning(
     results: Iterator[Result], params: DepthParams
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
-    """Pass the results of views on, the last map among them with a warning if the depth of all is little.
+    """Pass the results of views on, the last map among them with warnings on the depth of all.
 
     From each map on, what comes is held back until the next one does.
     """
@@ -67,10 +70,10 @@ def with_warning(
             yield from held
             held = []
         held.append((frame, result))
-    said = why_little(total, params)
+    said = [one for one in (why_little(total, params), why_filled(total)) if one]
     for frame, result in held:
         if said and isinstance(result, DepthMap):
-            yield frame, replace(result, warnings=(*result.warnings, said))
+            yield frame, replace(result, warnings=(*result.warnings, *said))
         else:
             yield frame, result
 
@@ -101,3 +104,14 @@ def why_little(counts: Counts, params: DepthParams) -> str | None:
     shares = [(count / counts.shown, text) for count, text in steps]
     named = ", ".join(f"{share:.0%} {text}" for share, text in sorted(shares, reverse=True) if share >= _MUCH)
     return f"depth covers only {counts.kept / counts.shown:.0%} of {what}: {named}"
+
+
+def why_filled(counts: Counts) -> str | None:
+    """Return what is to be said of a thing much of which was not measured, or None."""
+    share = counts.filled / max(counts.kept + counts.filled, 1)
+    if share < _MUCH:
+        return None
+    return (
+        f"{share:.0%} of the thing's depth was measured by no view, and is that of the hull of its "
+        "silhouettes (depth.on_hull=false leaves it out; more views measure more)"
+    )

@@ -16,6 +16,7 @@ class KeptMaps:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        folder.mkdir(exist_ok=True)
 
     def put(self, at: int, depth: DepthImage, confidence: NDArray[np.uint8]) -> None:
         """Keep the maps of a view.

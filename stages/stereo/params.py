@@ -226,6 +226,12 @@ class DepthParams:
         unit="grey levels",
         low=0,
     )
+    on_hull: bool = param(
+        True,
+        "Single views of a thing that masks or a backdrop tell from the rest: what no view measured gets the "
+        "depth of the hull of the silhouettes, as far behind it as measured depth around is, and is marked. "
+        "Else the thing has holes there",
+    )
     max_side: int = param(
         1600,
         "Single views: larger images are made smaller, to this longer side, with a warning",
@@ -334,6 +340,7 @@ class DepthKeywords(TypedDict, total=False):
     agreeing_views: int
     agreement: float | None
     backdrop: float
+    on_hull: bool
     max_side: int
     max_pose_error: float
     turn_back: bool

@@ -48,6 +48,8 @@ _GRID = 5
 HALF_MARGIN = 120.0
 # What a partner's warped image says of a pixel, as the kernel has it.
 _NOTHING, _SCENE, _EMPTY = 0, 1, 2
+# What the farthest plane costs more than one at the nearest place there can be.
+_LEAN = 120.0
 # Room around what is looked at: that of coarse images' pixels, px.
 _ROOM = 32
 
@@ -68,13 +70,17 @@ class Swept:
     planes: int
 
 
-def plane_sweep(main: Seen, partners: Sequence[Seen], threads: int = 1) -> Swept:
+def plane_sweep(
+    main: Seen, partners: Sequence[Seen], front: DepthImage | None = None, threads: int = 1
+) -> Swept:
     """Find the depth of each pixel of a view.
 
     Parameters
     ----------
     main : the view; planes lie between its `near` and `far`. Its pixels about the thing are looked at.
     partners : one or more others that see the same from aside.
+    front : (h, w) metres, the nearest at which a pixel can lie, 0 where nothing is known of it. Where images
+        do not tell, it is taken to lie near there.
     threads : results are the same for any number of them.
 
     Raises
@@ -85,6 +91,7 @@ def plane_sweep(main: Seen, partners: Sequence[Seen], threads: int = 1) -> Swept
     rows, columns = _window(main)
     whole = main.grey.shape
     main = _cut(main, rows, columns)
+    nearest = None if front is None else _inverse(front[rows, columns])
     view = main.view
     step = _step(view, [one.view for one in partners])
     span = 1 / view.near - 1 / view.far
@@ -102,8 +109,9 @@ def plane_sweep(main: Seen, partners: Sequence[Seen], threads: int = 1) -> Swept
             first, wide = _ranges(plane, distinct, shape, planes)
         else:
             first, wide = np.zeros(shape, np.int32), np.full(shape, planes, np.uint16)
+        bound = None if nearest is None else _bound(nearest, shape, view, step * 2**level, count)
         plane, margin = _kernels.sweep_planes(
-            fine.grey, warped, first, wide, planes=planes, wanted_threads=threads
+            fine.grey, warped, first, wide, bound, planes=planes, wanted_threads=threads
         )
         distinct = (margin / (margin + np.float32(HALF_MARGIN))).astype(np.float32)
     found = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
@@ -111,6 +119,22 @@ def plane_sweep(main: Seen, partners: Sequence[Seen], threads: int = 1) -> Swept
     found[0][rows, columns] = 1 / refined(main, partners, inverse_depth, step)
     found[1][rows, columns] = distinct
     return Swept(*found, planes)
+
+
+def _inverse(front: DepthImage) -> Map:
+    """Return inverse depth (h, w), 1/m, 0 where nothing is known."""
+    return np.divide(1, front, out=np.zeros_like(front), where=front > 0)
+
+
+def _bound(
+    nearest: Map, shape: tuple[int, ...], view: PosedView, step: float, count: int
+) -> tuple[Map, float]:
+    """Return the nearest plane of each pixel, NaN where none is known, and what each plane farther costs."""
+    import cv2
+
+    small = cv2.resize(nearest, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    plane = (np.asarray(small) - 1 / view.far) / np.float32(step)
+    return np.where(small > 0, plane, np.float32(np.nan)).astype(np.float32), _LEAN / count
 
 
 def _window(one: Seen) -> tuple[slice, slice]:

@@ -20,12 +20,14 @@ from stages.stereo.networks.network import Network
 from stages.stereo.params import SWEEP, DepthParams
 from stages.stereo.plane_sweep import plane_sweep
 from stages.stereo.posed_views import PosedView
-from stages.stereo.shown import Outline, grown, shown
+from stages.stereo.shown import Outline, grown, hull_front, shown
 from stages.stereo.view_images import Seen, color_of, grey_of
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
 # Images of views, and where they show the thing, are kept up to so many bytes.
 _KEPT_BYTES = 1 << 28
+# Where the hull begins is known well enough at one in so many pixels each way.
+_FRONT_EVERY = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ def measured_view(
     except InputError as error:
         return SkippedFrame(name, str(error))
     if network is None and params.views == SWEEP:
-        return _swept(scan, chosen[at], params, outline, images, at, color)
+        return _swept(scan, views, chosen[at], params, outline, images, at, color)
     depths: list[DepthImage] = []
     confidences: list[NDArray[np.uint8]] = []
     searches: list[SearchRange] = []
@@ -111,6 +113,7 @@ def images_of(scan: Scan, views: Sequence[PosedView], outline: Outline) -> Calla
 
 def _swept(
     scan: Scan,
+    views: Sequence[PosedView],
     partners_of: Sequence[int],
     params: DepthParams,
     outline: Outline,
@@ -129,8 +132,9 @@ def _swept(
             continue  # Reported when its own turn comes.
     if not others:
         return _without_partners(scan.frames[at].name, bool(partners_of))
-    found = plane_sweep(images(at), others)
     measured, _ = shown(scan.frames[at], color, outline, params.backdrop)
+    front = hull_front(views[at], measured, outline.hull, _FRONT_EVERY) if outline.hull else None
+    found = plane_sweep(images(at), others, front)
     depth = np.where(measured, found.depth, np.float32(0))
     counts = Counts(
         all=depth.size,

@@ -26,6 +26,7 @@ from stages.stereo.agreement import agreeing_views
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.coverage import Counts, with_warning
 from stages.stereo.depth_map import DepthMap
+from stages.stereo.hull_fill import filled_in
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
 from stages.stereo.params import OF_PAIRS, SWEEP, DepthKeywords, DepthParams
@@ -76,8 +77,9 @@ def views_depth(
 
     Background matches anything, and gets no depth. Masks tell it, else a backdrop that all views have around
     the thing (see stages.stereo.background); in pairs also the want of texture. Where masks
-    cut a thing out of all views, nothing is kept outside the hull of its silhouettes. If depth covers little
-    of what the views show, the last map has a warning that says why.
+    cut a thing out of all views, nothing is kept outside the hull of its silhouettes. What no view measured
+    of a thing lies on that hull (see stages.stereo.hull_fill). If depth covers little of what the views show,
+    or much of it was not measured, the last map has a warning that says so.
 
     Images larger than `max_side` are made smaller first, and those that are upside down against their poses
     are turned back (see stages.stereo.turned); the maps say so among their warnings.
@@ -92,7 +94,7 @@ def views_depth(
     scan : with colour and poses, without depth.
     params : of the depth stage; `partners`, `agreeing_views` and `agreement` are about views alone. Single
         fields can be given by name instead.
-    progress : called after each view of the first and of the second turn.
+    progress : called after each view of each turn.
 
     Returns
     -------
@@ -134,7 +136,9 @@ def _results(
     outline = outline_of(scan, views, params.backdrop)
     farthest = max(view.far for view in views)
     threads = params.threads or os.cpu_count() or 1
-    total = 2 * len(views)
+    fills = params.on_hull and bool(outline.hull)
+    turns = 3 if fills else 2
+    total = turns * len(views)
     of_pairs = network if network is not None and network.is_stereo else None
     sweeps = params.views == SWEEP and of_pairs is None
     if sweeps:
@@ -169,11 +173,13 @@ def _results(
                 color = color_of(scan.frames[at])
             except InputError as error:
                 return SkippedFrame(scan.frames[at].name, str(error))
-            count, nearly = agreeing_views(views[at], depth, others, tolerance, _NEARLY * tolerance)
+            said = agreeing_views(views[at], depth, others, tolerance, _NEARLY * tolerance)
             trust = kept.confidence(at)
-            dropped = (nearly if sweeps and outline.silhouettes else count) < params.agreeing_views
+            dropped = (
+                said.nearly if sweeps and outline.silhouettes else said.agreeing
+            ) < params.agreeing_views
             if sweeps:
-                trust = views_confidence(depth, trust, grey_of(color), count, nearly, outline.is_known)
+                trust = views_confidence(depth, trust, grey_of(color), said, outline.is_known)
                 dropped |= trust < least
             depth[dropped] = 0
             counts[at] = replace(counts[at], kept=int(np.count_nonzero(depth)))
@@ -190,15 +196,23 @@ def _results(
             )
 
         skipped: list[SkippedFrame] = []
-        second_turn = read_ahead(check, range(len(views)), threads=threads, ahead=threads + 2)
-        for at, checked in enumerate(second_turn):
+        last_turn = read_ahead(check, range(len(views)), threads=threads, ahead=threads + 2)
+        if fills:
+
+            def tell(done: int) -> None:
+                progress(len(views) + done, total)
+
+            last_turn = filled_in(last_turn, scan, views, outline, params, Path(folder), tell)
+        for at, checked in enumerate(last_turn):
             if isinstance(checked, SkippedFrame):
                 skipped.append(checked)
                 _require_share(skipped, len(views), params.max_skipped, scan)
                 yield scan.frames[at], checked, counts.get(at, Counts())
             else:
+                if checked.filled is not None and network is None:
+                    counts[at] = replace(counts[at], filled=int(np.count_nonzero(checked.filled)))
                 yield _measured_frame(scan.frames[at], views[at], checked), checked, counts[at]
-            progress(len(views) + at + 1, total)
+            progress((turns - 1) * len(views) + at + 1, total)
 
 
 def _require_enough(scan: Scan, params: DepthParams) -> None:

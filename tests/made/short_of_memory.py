@@ -215,6 +215,22 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
             [(np.eye(3, 4), image[..., 0] < 9)] * 4,
             wanted_threads=2,
         ),
+        "not_before": partial(
+            kernels.not_before,
+            image[..., 0].astype(np.float32),
+            [(np.eye(3, 4), image[..., 0].astype(np.float32))] * 4,
+            share=0.9,
+            wanted_threads=2,
+        ),
+        "first_inside": partial(
+            kernels.first_inside,
+            image[..., 0] < 9,
+            [(np.eye(3, 4), image[..., 0] < 9)] * 4,
+            least=1,
+            span=(1.0, 2.0),
+            steps=2,
+            wanted_threads=2,
+        ),
         "weighted_medians": partial(
             kernels.weighted_medians,
             image,

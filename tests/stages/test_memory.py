@@ -49,6 +49,8 @@ SIDES = {
     "sweep_planes": 300,
     "agreeing": 400,
     "inside_all": 400,
+    "not_before": 400,
+    "first_inside": 400,
     "weighted_medians": 150,
 }
 # A kernel that goes another way for some of what it takes: a base mesh without levels is rounded.

@@ -82,6 +82,8 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(stereo::sweep_planes, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::agreeing, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::inside_all, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::not_before, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::first_inside, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::weighted_medians, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;

@@ -10,7 +10,7 @@ use super::detached::detached;
 use super::guarded::guarded;
 use crate::base::parallel::threads;
 use crate::stereo::median::weighted_medians as medians_of;
-use crate::stereo::planes::{Partner, Shown, words};
+use crate::stereo::planes::{Bound, Partner, Shown, words};
 use crate::stereo::ranges::Ranges;
 use crate::stereo::seen_by::{Matrix, Other};
 use crate::stereo::volume::{LANES, Search, Size};
@@ -115,7 +115,7 @@ fn partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult
 
 /// The planes on which a view's pixels lie, as its partners show: number with a fraction, and margin.
 #[pyfunction]
-#[pyo3(signature = (grey, partners, first, count, *, planes, wanted_threads))]
+#[pyo3(signature = (grey, partners, first, count, bound = None, *, planes, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
 pub fn sweep_planes(
     py: Python<'_>,
@@ -123,12 +123,14 @@ pub fn sweep_planes(
     partners: Vec<WarpedPartner<'_>>,
     first: PyReadonlyArray2<'_, i32>,
     count: PyReadonlyArray2<'_, u16>,
+    bound: Option<(PyReadonlyArray2<'_, f32>, f32)>,
     planes: usize,
     wanted_threads: usize,
 ) -> PyResult<(Map<f32>, Map<i16>)> {
     let size = size_of(grey.as_array().shape())?;
     if first.as_array().shape() != grey.as_array().shape()
         || count.as_array().shape() != grey.as_array().shape()
+        || bound.as_ref().is_some_and(|(nearest, _)| nearest.as_array().shape() != grey.as_array().shape())
     {
         return Err(PyValueError::new_err("ranges are of another size than the view"));
     }
@@ -148,8 +150,12 @@ pub fn sweep_planes(
             partners.iter().map(|one| partner(one, planes, threads)).collect::<PyResult<Vec<_>>>()?;
         let ranges = Ranges::new(first.iter().copied().collect(), count.iter().copied().collect());
         let grey: Vec<u8> = grey.as_array().iter().copied().collect();
+        let bound = bound.as_ref().map(|(nearest, lean)| Bound {
+            nearest: nearest.as_array().iter().copied().collect(),
+            lean: *lean,
+        });
         let found = detached(py, None, false, |progress| {
-            crate::stereo::sweep(&grey, &partners, size, &ranges, threads, progress)
+            crate::stereo::sweep(&grey, &partners, size, &ranges, bound.as_ref(), threads, progress)
         })?;
         Ok((map(py, size, found.plane)?, map(py, size, found.margin)?))
     })
@@ -208,6 +214,56 @@ pub fn inside_all(
         let threads = threads(wanted_threads);
         let inside = py.detach(|| crate::stereo::seen_by::inside_all(&depth, size, &masks, threads));
         map(py, size, inside)
+    })
+}
+
+/// How many other views have nothing before a place: their depth there is more than a share of the place's.
+#[pyfunction]
+#[pyo3(signature = (depth, others, *, share, wanted_threads))]
+pub fn not_before(
+    py: Python<'_>,
+    depth: PyReadonlyArray2<'_, f32>,
+    others: Vec<OtherView<'_, f32>>,
+    share: f64,
+    wanted_threads: usize,
+) -> PyResult<Map<u8>> {
+    let size = size_of(depth.as_array().shape())?;
+    let images: usize = others.iter().map(|one| one.1.as_array().len()).sum();
+    guarded((images + size.pixels()) / 24, || {
+        let others = others.iter().map(other).collect::<PyResult<Vec<_>>>()?;
+        let depth: Vec<f32> = depth.as_array().iter().copied().collect();
+        let threads = threads(wanted_threads);
+        let counts = py.detach(|| crate::stereo::seen_by::not_before(&depth, size, &others, share, threads));
+        map(py, size, counts)
+    })
+}
+
+/// Depth of the nearest places of pixels' rays that all other views have in their masks.
+#[pyfunction]
+#[pyo3(signature = (wanted, masks, *, least, span, steps, wanted_threads))]
+pub fn first_inside(
+    py: Python<'_>,
+    wanted: PyReadonlyArray2<'_, bool>,
+    masks: Vec<OtherView<'_, bool>>,
+    least: usize,
+    span: [f64; 2],
+    steps: usize,
+    wanted_threads: usize,
+) -> PyResult<Map<f32>> {
+    let size = size_of(wanted.as_array().shape())?;
+    let [near, far] = span;
+    if !(near > 0.0 && far > near && far.is_finite() && steps > 0 && steps <= 1 << 20) {
+        return Err(PyValueError::new_err("depth is looked for from near to far, in steps"));
+    }
+    let images: usize = masks.iter().map(|one| one.1.as_array().len()).sum();
+    guarded((images + 4 * size.pixels()) / 96, || {
+        let masks = masks.iter().map(other).collect::<PyResult<Vec<_>>>()?;
+        let wanted: Vec<bool> = wanted.as_array().iter().copied().collect();
+        let threads = threads(wanted_threads);
+        let found = py.detach(|| {
+            crate::stereo::seen_by::first_inside(&wanted, size, &masks, least, span, steps, threads)
+        });
+        map(py, size, found)
     })
 }
 

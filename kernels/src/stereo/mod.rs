@@ -62,12 +62,16 @@ pub fn sweep(
     partners: &[planes::Partner],
     size: Size,
     ranges: &ranges::Ranges,
+    bound: Option<&planes::Bound>,
     threads: usize,
     progress: &mut Progress<'_>,
 ) -> Result<planes::Swept, KernelError> {
     progress.tell(0, 2)?;
     let words = planes::words(grey, size, |_| planes::Shown::Scene, threads);
-    let costs = planes::costs(&words, partners, size, ranges, threads);
+    let mut costs = planes::costs(&words, partners, size, ranges, threads);
+    if let Some(bound) = bound {
+        planes::bounded(&mut costs, size, ranges, bound, threads);
+    }
     progress.tell(1, 2)?;
     let mut sums = vec![0; costs.len()];
     paths::summed(grey, &costs, size, ranges, threads, &mut sums);

@@ -151,6 +151,37 @@ fn place(maps: &[[f32; 3]], size: Size, x: usize, y: usize, places: &mut [i32]) 
     }
 }
 
+/// The nearest plane on which each pixel can lie, as the hull of silhouettes has it; what is on it is on planes a little
+/// behind it rather than far behind it: each plane farther costs `lean` more, up to [`LEAN_MOST`].
+pub struct Bound {
+    pub nearest: Vec<f32>,
+    pub lean: f32,
+}
+
+/// No more than what images tell of a place with texture.
+const LEAN_MOST: f32 = 24.0;
+
+/// Add to the costs what a bound says of them.
+pub fn bounded(costs: &mut [i16], size: Size, ranges: &Ranges, bound: &Bound, threads: usize) {
+    each(ranges.rows(costs, size), threads, |(y, row)| {
+        let mut rest = row;
+        for i in y * size.width..(y + 1) * size.width {
+            let (first, count) = (ranges.first[i], usize::from(ranges.count[i]));
+            let (costs, others) = std::mem::take(&mut rest).split_at_mut(count);
+            rest = others;
+            let nearest = bound.nearest[i];
+            for (d, cost) in costs.iter_mut().enumerate() {
+                let behind = nearest - (first + d as i32) as f32;
+                *cost = if behind < -1.0 {
+                    EMPTY
+                } else {
+                    *cost + (bound.lean * behind.max(0.0)).min(LEAN_MOST) as i16
+                };
+            }
+        }
+    });
+}
+
 /// What was found for each pixel of the view.
 #[derive(Clone, Debug)]
 pub struct Swept {

@@ -59,3 +59,59 @@ pub fn inside_all(depth: &[f32], size: Size, masks: &[Other<bool>], threads: usi
         masks.iter().all(|one| one.at(i % size.width, i / size.width, z).is_none_or(|(inside, _)| inside))
     })
 }
+
+/// How many of the others have nothing before the place: their depth there is more than `share` of the place's. None where
+/// there is no depth.
+pub fn not_before(depth: &[f32], size: Size, others: &[Other<f32>], share: f64, threads: usize) -> Vec<u8> {
+    collect(size.pixels(), threads, |i| {
+        let mut count = 0u8;
+        if depth[i] > 0.0 {
+            for other in others {
+                if let Some((there, ahead)) = other.at(i % size.width, i / size.width, depth[i].into()) {
+                    count = count.saturating_add(u8::from(f64::from(there) > share * ahead));
+                }
+            }
+        }
+        count
+    })
+}
+
+/// The nearest place along each wanted pixel's ray that lies in the masks of all others that see it, `least` at the fewest;
+/// 0 where there is none. Looked for at depths from `near` to `far`, in so many steps of inverse depth, the last of which is
+/// halved until it is small.
+#[allow(clippy::too_many_arguments)]
+pub fn first_inside(
+    wanted: &[bool],
+    size: Size,
+    masks: &[Other<bool>],
+    least: usize,
+    [near, far]: [f64; 2],
+    steps: usize,
+    threads: usize,
+) -> Vec<f32> {
+    const HALVINGS: usize = 5;
+    let step = (1.0 / near - 1.0 / far) / steps as f64;
+    collect(size.pixels(), threads, |i| {
+        let inside = |inverse: f64| {
+            let mut seen = 0;
+            masks.iter().all(|one| match one.at(i % size.width, i / size.width, 1.0 / inverse) {
+                Some((inside, _)) => {
+                    seen += 1;
+                    inside
+                }
+                None => true,
+            }) && seen >= least
+        };
+        let place = |at: usize| 1.0 / near - at as f64 * step;
+        if !wanted[i] {
+            return 0.0;
+        }
+        let Some(first) = (0..=steps).find(|&at| inside(place(at))) else { return 0.0 };
+        let (mut outside, mut found) = (place(first.saturating_sub(1)), place(first));
+        for _ in 0..HALVINGS {
+            let middle = (outside + found) / 2.0;
+            if inside(middle) { found = middle } else { outside = middle }
+        }
+        (1.0 / found) as f32
+    })
+}

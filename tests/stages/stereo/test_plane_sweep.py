@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages import _kernels
+from stages.stereo.agreement import Said
 from stages.stereo.plane_sweep import plane_sweep
 from stages.stereo.posed_views import PosedView
 from stages.stereo.view_images import Seen
@@ -189,8 +190,8 @@ def test_confidence_rises_with_what_speaks_for_it() -> None:
     depth[:, :5] = 0
 
     def at(distinct: int, agreeing: int, image: np.ndarray = grey, is_outlined: bool = False) -> np.ndarray:
-        said = [np.full((40, 60), n, np.uint8) for n in (distinct, agreeing, agreeing)]
-        return views_confidence(depth, said[0], image, said[1], said[2], is_outlined)
+        sure, same, all_ = (np.full((40, 60), n, np.uint8) for n in (distinct, agreeing, 8))
+        return views_confidence(depth, sure, image, Said(same, same, all_, all_), is_outlined)
 
     assert not at(128, 4)[:, :5].any()
     inner = np.s_[10:30, 20:40]
@@ -219,21 +220,26 @@ def test_what_others_say_is_what_they_see(seed: int) -> None:
         maps[0], list(zip(matrices, maps[1:], strict=True)), tolerances=(0.05, 0.2), wanted_threads=1
     )
     inside = _kernels.inside_all(maps[0], list(zip(matrices, masks[1:], strict=True)), wanted_threads=2)
+    open_ = _kernels.not_before(
+        maps[0], list(zip(matrices, maps[1:], strict=True)), share=0.9, wanted_threads=2
+    )
 
     for v, u in np.ndindex(maps[0].shape):
         z = float(maps[0][v, u])
         point = views[0].to_world(views[0].rays(np.array(float(u)), np.array(float(v))) * z)
-        counts, is_inside = [0, 0], True
+        counts, is_inside, behind = [0, 0], True, 0
         for other, depth, mask in zip(views[1:], maps[1:], masks[1:], strict=True):
             x, y, ahead = (float(n) for n in other.project(point))
             if not other.holds(np.array(x), np.array(y)):
                 continue
             column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
             is_inside &= bool(mask[row, column])
+            behind += int(depth[row, column] > 0.9 * ahead)
             for k, tolerance in enumerate((0.05, 0.2)):
                 counts[k] += depth[row, column] > 0 and abs(depth[row, column] - ahead) <= tolerance * ahead
         if z > 0:
             assert (near[v, u], wide[v, u]) == tuple(counts)
             assert inside[v, u] == is_inside
+            assert open_[v, u] == behind
         else:
-            assert near[v, u] == wide[v, u] == 0
+            assert near[v, u] == wide[v, u] == open_[v, u] == 0

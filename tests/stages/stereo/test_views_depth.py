@@ -164,7 +164,7 @@ def test_a_planted_wrong_depth_is_agreed_with_by_none() -> None:
     depth[80:100, 110:130] *= 0.95
     others = [(views[at], truth[at].astype(np.float32)) for at in (1, 2, 4, 5)]
 
-    count, _ = agreeing_views(views[3], depth, others, 0.01)
+    count = agreeing_views(views[3], depth, others, 0.01, 0.02).agreeing
 
     assert not count[80:100, 110:130].any()
     sound = truth[3] > 0
