@@ -4,10 +4,11 @@
 
 Scans with colour and depth, their poses and colour camera adjusted; then the colour images alone are views,
 and depth that the sensor measured is the truth where no jump is near. "found": of the truth's pixels, those
-with depth; "wrong": of these, off by more than 5 %; "right": found and not wrong, of all; CPU seconds a
-megapixel of a view. Then folders of views as they are: seconds and CPU seconds for the depth of all, their
-share of pixels with depth, and, where masks cut a thing out, the mean intersection over union of the masks
-and the silhouettes of the clean mesh.
+with depth; "wrong": of these, off by more than 5 %; "right": found and not wrong, of all; "of three": found,
+of what at least two other views see, too, by the sensor's depth in them; CPU seconds a megapixel of a view.
+Then folders of views as they are: seconds and CPU seconds for the depth of all, the share of their pixels
+with depth, and, where masks cut a thing out, the mean intersection over union of the masks and the
+silhouettes of the clean mesh.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_color, read_depth, read_seen
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Scan, pinhole
+from stages.stereo.agreement import agreeing_views
 from stages.stereo.depth_map import DepthMap
+from stages.stereo.posed_views import posed_views
 from stages.stereo.views_depth import views_depth
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
@@ -46,7 +49,7 @@ FOLDERS = (
     "stereo/middlebury_templeRing",
 )
 WAYS = {"pairs": {"views": "pairs", "partners": 4}, "sweep": {"views": "sweep"}}
-WRONG, JUMP = 0.05, 0.1
+WRONG, JUMP, SAME = 0.05, 0.1, 0.03
 
 
 def view_and_truth(frame: Frame) -> tuple[Frame, NDArray[np.float32]]:
@@ -73,22 +76,36 @@ def view_and_truth(frame: Frame) -> tuple[Frame, NDArray[np.float32]]:
     return view, truth
 
 
+def seen_by_three(scan: Scan, truths: Sequence[NDArray[np.float32]]) -> list[NDArray[np.bool_]]:
+    """Return where the truth of each view is that of two others, too; holes of a pixel are closed."""
+    views = posed_views(scan)
+    closed = [np.asarray(cv2.dilate(truth, np.ones((3, 3), np.uint8)), np.float32) for truth in truths]
+    result = []
+    for at, truth in enumerate(truths):
+        others = [(views[other], closed[other]) for other in range(len(views)) if other != at]
+        result.append(agreeing_views(views[at], truth, others, SAME, SAME, threads=2).agreeing >= 2)
+    return result
+
+
 def measured(name: str, scan: Scan, truths: Sequence[NDArray[np.float32]]) -> None:
     """Print a row for each way."""
     some = np.concatenate([truth[truth > 0][::97] for truth in truths])
     near, far = (float(f * np.quantile(some, q)) for f, q in ((0.9, 0.002), (1.1, 0.998)))
     known = sum(int(np.count_nonzero(truth)) for truth in truths)
+    three = seen_by_three(scan, truths)
+    known_to_three = sum(int(np.count_nonzero(seen)) for seen in three)
     for way, changes in WAYS.items():
-        began, found, wrong = time.process_time(), 0, 0
+        began, found, wrong, of_three = time.process_time(), 0, 0, 0
         results = views_depth(scan, min_depth=near, max_depth=far, **changes)  # type: ignore[arg-type]
-        for (_, result), truth in zip(results, truths, strict=True):
+        for (_, result), truth, seen in zip(results, truths, three, strict=True):
             if isinstance(result, DepthMap):
+                of_three += int(np.count_nonzero(seen & (result.depth > 0)))
                 both = (truth > 0) & (result.depth > 0)
                 found += int(np.count_nonzero(both))
                 off = np.abs(result.depth[both] / truth[both] - 1)
                 wrong += int(np.count_nonzero(off > WRONG))
         seconds = (time.process_time() - began) / sum(truth.size for truth in truths) * 1e6
-        shares = (found / known, wrong / max(found, 1), (found - wrong) / known)
+        shares = (found / known, wrong / max(found, 1), (found - wrong) / known, of_three / known_to_three)
         print_row([name, way, *(f"{share:.1%}" for share in shares), f"{seconds:.1f}"])
 
 
@@ -128,7 +145,7 @@ def main() -> None:
     )
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
-    print_head(["scan", "way", "found", "wrong", "right", "CPU s"], words=2)
+    print_head(["scan", "way", "found", "wrong", "right", "of three", "CPU s"], words=2)
     for name, (path, step) in SCANS.items():
         frames = adjust(read_scan(data / path)).frames[::step]
         views, truths = zip(*(view_and_truth(frame) for frame in frames), strict=True)
