@@ -44,7 +44,7 @@ SIDES = {
     "simplify_seams": 100,
     "remesh": 30,
     "decode_normal_mesh": 20,
-    "match_descriptors": 150,
+    "match_descriptors": 50,
     "match_pair": 300,
     "sweep_planes": 300,
     "agreeing": 400,

@@ -54,7 +54,7 @@ fuse(scan.frames[:10], voxel_size=None)
 fuse(scan, voxel_siz=0.01)  # error: call-arg
 fuse(scan, voxel_size="1 cm")  # error: arg-type
 fuse(scan, min_weight=1.5)  # error: arg-type
-fuse(scan, max_angle=None)  # error: arg-type
+fuse(scan, max_jump=None)  # error: arg-type
 fuse(scan, stages.CleanParams())  # error: arg-type
 fuse("folder")  # error: arg-type
 clean(mesh, keep_largest=True, progress=lambda done, total: done < total)
