@@ -66,7 +66,7 @@ def settings(
         "depth, left_right=match": ours(left_right="match"),
         "depth, matcher=sgbm": ours(matcher="sgbm"),
         "depth, matcher=hh4": ours(matcher="hh4"),
-        "depth, matcher=census": ours(matcher="census"),
+        "depth, matcher=3way": ours(matcher="3way"),
         "depth, block_size=5": ours(block_size=5),
         "depth, min_confidence=1": ours(min_confidence=1),
         "depth, smooth=true": ours(smooth=True),
