@@ -65,7 +65,7 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
     """
     depth, inverse = bridged(depth, max_jump)
     torn = np.zeros(depth.shape, bool)
-    across, down = _differences(inverse, 1, max_jump, torn), _differences(inverse, 0, max_jump, torn)
+    across, down = differences(inverse, 1, max_jump, torn), differences(inverse, 0, max_jump, torn)
     rays = _rays(camera)
     normal = _normal(depth, camera, rays.columns, rays.rows, across.mean(_WINDOW), down.mean(_WINDOW))
     obliqueness = _length(normal)
@@ -114,7 +114,7 @@ def _bridge(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> No
 
 
 @dataclass(frozen=True, eq=False)
-class _Differences:
+class Differences:
     """Differences between neighbouring pixels along an axis, and 1 where there is one, else 0."""
 
     value: Image
@@ -131,7 +131,7 @@ class _Differences:
         return np.asarray(total[at] / np.maximum(count[at], 1))
 
 
-def _differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> _Differences:
+def differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> Differences:
     """Take differences along `axis`; discontinuities are left out, and marked in `torn`."""
     first, second = (np.s_[:, :-1], np.s_[:, 1:]) if axis else (np.s_[:-1, :], np.s_[1:, :])
     a, b = inverse[first], inverse[second]
@@ -144,7 +144,7 @@ def _differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> _Dif
     value, known = np.zeros(inverse.shape, np.float32), np.zeros(inverse.shape, np.float32)
     known[first] = both & ~jump
     np.multiply(difference, known[first], out=value[first])
-    return _Differences(value, known)
+    return Differences(value, known)
 
 
 def _normal(

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.fusion.depth_filter import bridged
+from stages.fusion.depth_filter import Differences, bridged, differences
 from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
-from stages.scans.images import read_depth
+from stages.scans.images import read_color, read_depth
 from stages.scans.scan import ColorImage, DepthImage, Frame, pinhole
 from stages.surface.mesh import Mesh
 
@@ -40,19 +40,22 @@ def evened_alone(frames: Sequence[Frame], max_jump: float) -> Sequence[Frame]:
     """Return a frame alone with its noise evened out; several as they are, for fusion does that."""
     if len(frames) != 1:
         return frames
+    (frame,) = frames
     try:
-        depth = read_depth(frames[0])
+        depth, photo = read_depth(frame), read_color(frame)
     except InputError:
         return frames  # Told where the frame is read.
     if depth is None:
         return frames
     depth, _ = bridged(depth, max_jump)
-    # Depth that is read has neither any more.
+    # What was read has none of what reading takes away: the lens, what is unsure or masked.
     return [
         replace(
-            frames[0],
+            frame,
             depth=evened(depth, max_jump),
-            camera=pinhole(frames[0].camera),
+            camera=pinhole(frame.camera),
+            color=photo,
+            color_camera=None if frame.color_camera is None else pinhole(frame.color_camera),
             confidence=None,
             least_confidence=0,
             mask=None,
@@ -74,11 +77,13 @@ def evened(depth: DepthImage, max_jump: float) -> DepthImage:
     """
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     slopes, error = [], np.zeros_like(depth)
+    torn = np.zeros(depth.shape, bool)
     for axis in (1, 0):
-        difference, known = _differences(inverse, axis, max_jump)
-        slope = _mean(difference, known)
+        found = differences(inverse, axis, max_jump, torn)
+        slope = found.mean(_WINDOW)
         slopes.append(slope)
-        error += _mean(np.abs(difference - slope) * known, known) / 2
+        off_slope = np.abs(found.value - slope) * found.known
+        error += Differences(off_slope, found.known).mean(_WINDOW) / 2
     # Of a difference of two pixels, from the mean of its size.
     limit = np.minimum(_WITHIN * error / _MEAN_ERROR, np.float32(max_jump) * inverse)
     total, count = np.zeros_like(depth), np.ones_like(depth)
@@ -200,27 +205,6 @@ def _averaged(color: ColorImage, step: int) -> ColorImage:
     import cv2
 
     return color if step == 1 else np.asarray(cv2.blur(color, (step, step)), np.uint8)
-
-
-def _differences(inverse: DepthImage, axis: int, max_jump: float) -> tuple[DepthImage, DepthImage]:
-    """Return the difference to the next pixel, and 1 where there is one; both 0 elsewhere."""
-    first, second = (np.s_[:, :-1], np.s_[:, 1:]) if axis else (np.s_[:-1], np.s_[1:])
-    difference, known = np.zeros_like(inverse), np.zeros_like(inverse)
-    least = np.minimum(inverse[first], inverse[second])
-    step = inverse[second] - inverse[first]
-    known[first] = (least > 0) & (np.abs(step) <= np.float32(max_jump) * least)
-    difference[first] = step * known[first]
-    return difference, known
-
-
-def _mean(values: DepthImage, known: DepthImage) -> DepthImage:
-    import cv2
-
-    total, count = (
-        cv2.boxFilter(image, -1, (_WINDOW, _WINDOW), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for image in (values, known)
-    )
-    return np.asarray(total / np.maximum(count, 1), np.float32)
 
 
 def _shifted(shape: tuple[int, ...], dy: int, dx: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:

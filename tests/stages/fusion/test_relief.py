@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from stages import clean, fuse, read_scan
 from stages._open3d import open3d
@@ -74,6 +75,21 @@ def test_a_lone_frame_shows_what_has_depth_and_nothing_else() -> None:
     assert fused.pixels_used <= 1
     np.testing.assert_array_equal(fused.mesh.colors, 90)
     assert clean(fused.mesh).mesh.triangles.shape == fused.mesh.triangles.shape
+
+
+def test_colours_are_seen_through_the_lens() -> None:
+    """A frame alone has the same colours at the same places as the first of two."""
+    bent = replace(CAMERA, distortion=(-0.3, 0.1, 0.0, 0.0, 0.0))
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    color = np.stack([u, v, u + v], axis=-1).astype(np.uint8)
+    frame = Frame("0", bent, color=color, depth=np.full(u.shape, 2, np.float32), world_from_camera=np.eye(4))
+    one, two = (fuse(frames, voxel_size=0.02, min_weight=1).mesh for frames in ([frame], [frame, frame]))
+    nearest, place = cKDTree(one.vertices).query(two.vertices)
+    near = nearest < 0.02
+    assert near.mean() > 0.9
+    difference = np.abs(one.colors[place].astype(int) - two.colors)[near]
+    assert np.median(difference) <= 1
+    assert np.percentile(difference, 90) <= 4
 
 
 def test_triangles_face_the_camera_and_meet_at_their_edges() -> None:

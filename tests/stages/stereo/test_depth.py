@@ -103,12 +103,12 @@ def test_depth_counts_in_the_offset_of_the_principal_points() -> None:
     [
         ({"matcher": "3way", "left_right": "project"}, 0.002, 0.05),
         ({"matcher": "3way", "left_right": "match"}, 0.002, 0.05),
-        # What the right camera cannot see is taken from the wall around.
-        ({"matcher": "census"}, 0.003, 1.0),
+        # What the right camera cannot see is taken from what is around: four of five times the wall.
+        ({"matcher": "census"}, 0.003, None),
     ],
 )
 def test_a_foreground_does_not_lend_its_depth_to_the_background(
-    given: dict[str, Any], wrong: float, in_hidden: float
+    given: dict[str, Any], wrong: float, in_hidden: float | None
 ) -> None:
     """A square in front of a wall: beside it lies what the right camera cannot see."""
     u, v = pixels()
@@ -123,7 +123,10 @@ def test_a_foreground_does_not_lend_its_depth_to_the_background(
     used = result.depth > 0
     hidden = ~near & near_right[:, np.maximum(np.arange(WIDTH) - 12, 0)]
     assert np.mean(errors(result, truth) > 2) < wrong
-    assert used[hidden].mean() <= in_hidden
+    if in_hidden is None:
+        assert np.mean(np.abs(result.disparity - truth)[hidden & used] < 2) > 0.8
+    else:
+        assert used[hidden].mean() < in_hidden
     assert used[~hidden & (u > 16)].mean() > 0.9
 
 
