@@ -73,7 +73,7 @@ class DepthParams:
         AUTO,
         "Semi-global matcher: 3way gathers costs along three paths, in little memory; hh4 along four, "
         "erring a little less for twice the time; sgbm along five and hh along eight, for no gain. census is "
-        "our own, which covers more, with confidences that are probabilities, for four times the time. auto "
+        "our own, which covers more, with confidences that are probabilities, for seven times the time. auto "
         "is census for one or two pairs, unless it would take more than 4 GB or an option of the others is "
         "given, and 3way for more",
         choices=(AUTO, FAST, "sgbm", "hh4", "hh", CENSUS),
