@@ -13,7 +13,6 @@ Frames are numbered, not named after their files: names decide nothing, so a res
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from stages.stereo.completed_scan import completed_scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import write_ply_cloud
+from stages.threads import threads_to_use
 
 # Points in the cloud of a whole scan: enough to judge it by, and quick to open anywhere (15 bytes each).
 MAX_POINTS = 1_000_000
@@ -85,7 +85,7 @@ def write_depth_maps(
     def write(item: tuple[int, Frame, DepthMap]) -> _Written:
         return _write(folder, *item, budget)
 
-    threads = os.cpu_count() or 1
+    threads = threads_to_use()
     written = list(read_ahead(write, usable(), threads=threads, ahead=threads + 1))
     if not written:
         first = f" The first, {skipped[0].name}: {skipped[0].reason}" if skipped else ""

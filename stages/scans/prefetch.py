@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,6 +9,7 @@ from itertools import islice
 from typing import TypeVar
 
 from stages._blas import require_buffers
+from stages.threads import threads_to_use
 
 # More threads than this wait for memory, and hold that many images.
 _MOST_WORKERS = 8
@@ -21,7 +21,7 @@ S = TypeVar("S")
 
 def workers() -> int:
     """Return how many threads are worth having."""
-    return min(os.cpu_count() or 1, _MOST_WORKERS)
+    return min(threads_to_use(), _MOST_WORKERS)
 
 
 def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahead: int) -> Iterator[R]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -22,6 +21,7 @@ from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
 from stages.stereo.networks.network import Network
 from stages.stereo.params import DepthKeywords, DepthParams
+from stages.threads import threads_to_use
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -66,7 +66,7 @@ def completed_scan(
         )
     finest = max([_COARSEST, *(frame.depth_scale for frame in scan.frames)])
     farthest = params.max_depth or _STEPS / finest
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     results = read_ahead(
         partial(_completed_frame, network, params, farthest),
         scan.frames,

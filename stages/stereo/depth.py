@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -40,6 +39,7 @@ from stages.stereo.params import AUTO, FAST, SEVERAL, DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
 from stages.stereo.subpixel import refined
+from stages.threads import threads_to_use
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -127,7 +127,7 @@ def depth_scan(
         network=network_of(params),
     )
     warnings = _first_warnings(stage, scan)
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     total = len(scan.frames)
     skipped = 0
     results = read_ahead(

@@ -8,7 +8,6 @@ hollow stays as the hull has it only where no view measured it.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.shown import Outline, Silhouette, hull_front, shown
 from stages.stereo.view_images import color_of
+from stages.threads import threads_to_use
 
 Mask = NDArray[np.bool_]
 Map = NDArray[np.float32]
@@ -94,7 +94,7 @@ def filled_in(
             filled=filled if found.filled is None else filled | found.filled,
         )
 
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     yield from read_ahead(fill, range(len(views)), threads=threads, ahead=threads + 2)
 
 

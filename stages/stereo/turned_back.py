@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.turned import Corners, corners, turned
 from stages.stereo.view_images import color_of, grey_of
+from stages.threads import threads_to_use
 
 
 def turned_back(
@@ -31,7 +31,7 @@ def turned_back(
         except InputError:
             return None  # Reported when its turn comes.
 
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
     places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
     if not places:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -40,6 +39,7 @@ from stages.stereo.turned_back import turned_back
 from stages.stereo.view_images import color_of, grey_of
 from stages.stereo.view_matching import images_of, measured_view
 from stages.stereo.views_confidence import views_confidence
+from stages.threads import threads_to_use
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -135,7 +135,7 @@ def _results(
     box = scene_box(scan)
     outline = outline_of(scan, views, params.backdrop)
     farthest = max(view.far for view in views)
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     fills = params.on_hull and bool(outline.hull)
     turns = 3 if fills else 2
     total = turns * len(views)
@@ -238,7 +238,7 @@ def _recognised(
         except InputError:
             return None  # Reported when its turn comes.
 
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     points = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
 
     def compare(pair: tuple[int, int]) -> Recognised | None:
