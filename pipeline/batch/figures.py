@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from pipeline.run import RunResult
@@ -36,7 +36,7 @@ def figures_of(result: RunResult) -> dict[str, Any]:
         "peak_memory_mb": round(max(float(one.made["peak_memory_bytes"]) for one in result.stages) / 1e6),
         "result": next((name for name in _RESULTS if name in placed), None),
         "page": None if result.page is None else result.page.name,
-        "picture": _picture(report["pictures"]),
+        "picture": _picture(report["pictures"]) or _photo(placed),
     }
 
 
@@ -47,6 +47,12 @@ def _picture(drawn: Sequence[str]) -> str | None:
         if of_mesh:
             return next((name for name in of_mesh if name.endswith("-overview.png")), of_mesh[0])
     return None
+
+
+def _photo(placed: Collection[str]) -> str | None:
+    """Return the photo in the middle of a scan, for a run that drew nothing."""
+    photos = sorted(name for name in placed if name.startswith("pictures/photos/"))
+    return photos[len(photos) // 2] if photos else None
 
 
 def written_by(result: RunResult) -> int:

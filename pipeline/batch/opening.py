@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pipeline.batch.heartbeat import Watch
-from pipeline.batch.queue import Job, Queue, Settings, new_queue, standing_queue
+from pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue, standing_queue
 from pipeline.batch.records import Records
 from stages.errors import InputError
 
@@ -30,6 +30,7 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callabl
         If the queue cannot be written.
     """
     while True:
+        seen = latest_number(out)
         try:
             standing = standing_queue(out)
         except InputError as error:
@@ -41,7 +42,7 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callabl
                 note("a batch of the same scans was begun here; this goes on with it")
                 return standing
             _require_quiet(standing, note)
-        queue = new_queue(out, settings, jobs)
+        queue = new_queue(out, seen + 1, settings, jobs)
         if queue is not None:
             return queue
 

@@ -148,8 +148,17 @@ def standing_queue(out: Path) -> Queue | None:
     return None if folder is None else _read(out, folder)
 
 
-def new_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue | None:
-    """Write a queue beside that which stands, which then stands; None if another process was faster.
+def latest_number(out: Path) -> int:
+    """Return the number of the queue that was begun last, whole or not; 0 if none was."""
+    return max(map(_number, _generations(out)), default=0)
+
+
+def new_queue(out: Path, number: int, settings: Settings, jobs: Sequence[Job]) -> Queue | None:
+    """Write a queue, which then stands; None if another process was faster.
+
+    Parameters
+    ----------
+    number : one more than the latest that was seen: of those who have seen the same, one writes the next.
 
     Raises
     ------
@@ -158,8 +167,7 @@ def new_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue | Non
     """
     with explained(f"the queue in {out / FOLDER} cannot be written"):
         (out / FOLDER).mkdir(parents=True, exist_ok=True)
-        numbers = [int(path.name) for path in _generations(out)]
-        folder = out / FOLDER / f"{max(numbers, default=0) + 1:04d}"
+        folder = out / FOLDER / f"{number:04d}"
         try:
             folder.mkdir()
         except FileExistsError:
@@ -170,7 +178,7 @@ def new_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue | Non
         lines = [_line(head), *(_line(asdict(job)) for job in jobs)]
         write_whole(folder / _JOBS, "".join(lines).encode())
         for older in _generations(out):
-            if older < folder:
+            if _number(older) < number:
                 shutil.rmtree(older, ignore_errors=True)
     return Queue(out, folder, settings, tuple(jobs), (), __version__)
 

@@ -52,8 +52,11 @@ def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahea
 def both(beside: Callable[[], R], here: Callable[[], S]) -> tuple[R, S]:
     """Return what two pieces of work return, the first done in a thread while the caller does the second.
 
-    An exception of the first is raised once the second has ended.
+    An exception of the first is raised once the second has ended. Where one thread is to be used, one comes
+    after the other.
     """
+    if threads_to_use() == 1:
+        return beside(), here()
     require_buffers(2)
     with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
         one = pool.submit(beside)
