@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import signal
 import sys
 import threading
 import time
@@ -66,6 +67,8 @@ class Link:
 
 def main() -> None:
     """Run the jobs that come, until no more do."""
+    # Only the worker sends it here; started in the background, a process has it switched off.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     link = Link(sys.stdin.buffer, _own_stdout())
     try:
         while True:

@@ -39,6 +39,7 @@ class Process:
 
     def __init__(self, inbox: queue.SimpleQueue[tuple[Process, Message]], threads: int, log: Path) -> None:
         self._inbox = inbox
+        self._is_interrupted = False
         with log.open("ab") as errors:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", _CODE],
@@ -50,7 +51,8 @@ class Process:
                 # Ctrl-C is the worker's: it says what becomes of the job.
                 start_new_session=True,
             )
-        threading.Thread(target=self._listen, name="listen", daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, name="listen", daemon=True)
+        self._listener.start()
 
     def say(self, message: Message) -> None:
         """Send a line; a process that is gone tells so by itself."""
@@ -60,7 +62,8 @@ class Process:
                 self._process.stdin.flush()
 
     def interrupt(self) -> None:
-        """Have it end, and its job put away what it was writing."""
+        """Have it end, and its job put away what it was writing; `end` waits for that."""
+        self._is_interrupted = True
         with suppress(OSError):
             if sys.platform == "win32":
                 self._process.kill()
@@ -68,7 +71,11 @@ class Process:
                 self._process.send_signal(signal.SIGINT)
 
     def end(self) -> None:
-        """Wait for its end; it is not waited for long."""
+        """Have it end if it has not; it is not waited for long."""
+        if self._is_interrupted:
+            # Where its stdin ends, it puts nothing away.
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_PATIENCE)
         with suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.close()
@@ -77,12 +84,14 @@ class Process:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._listener.join()
 
     def _listen(self) -> None:
         stdout = self._process.stdout
         assert stdout is not None
-        for line in stdout:
-            # A process that is killed may leave half a line.
-            with suppress(ValueError):
-                self._inbox.put((self, json.loads(line)))
+        with stdout:
+            for line in stdout:
+                # A process that is killed may leave half a line.
+                with suppress(ValueError):
+                    self._inbox.put((self, json.loads(line)))
         self._inbox.put((self, {"gone": self._process.wait()}))

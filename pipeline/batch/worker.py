@@ -165,6 +165,8 @@ class Worker:
     def _take(self, slot: _Slot, message: Message) -> None:
         job, claim = slot.job, slot.claim
         if "gone" in message:
+            if slot.process is not None:
+                slot.process.end()
             slot.process = None
             if job is not None and claim is not None:
                 self._gone(slot, job, claim, message["gone"])
