@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.batch_dry_run import tell_dry_run
 from cli.batch_options import (
     AUTO,
     JobsOption,
@@ -20,7 +21,7 @@ from cli.batch_options import (
 from cli.batch_result import tell_batch
 from cli.batch_watch import watching_batch
 from cli.options import Changes
-from cli.output import Output, size_of, table_of
+from cli.output import Output
 from cli.paths import require_writable
 from cli.quality import QualityOption
 from cli.run_options import (
@@ -38,11 +39,12 @@ from cli.run_options import (
     run_config,
 )
 from stages import ScanParams
-from stages.errors import InputError, ScanloomError, UsageError
+from stages.errors import InputError, UsageError
+
+DASK_PANEL = "Dask"
 
 if TYPE_CHECKING:
     from pipeline.batch.finding import NoScan
-    from pipeline.batch.queue import Job, Settings
     from pipeline.config import Config
 
 
@@ -97,6 +99,24 @@ def batch(
         typer.Option("--queue-only", help="Only write the queue into OUT, for scanloom worker OUT, and end."),
     ] = False,
     take_over_after: TakeOverOption = None,
+    executor: Annotated[
+        str,
+        typer.Option(
+            metavar="own|dask",
+            help="Who runs the scans: workers of our own, or Dask, which the extra dask installs.",
+            rich_help_panel=DASK_PANEL,
+        ),
+    ] = "own",
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS|SYSTEM",
+            help="Of Dask: the address of a scheduler that runs, as tcp://host:8786; or slurm, pbs, sge, "
+            "lsf, oar or htcondor, by which dask-jobqueue starts --jobs workers as its configuration says.",
+            rich_help_panel=DASK_PANEL,
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Make a mesh from every scan in a folder, each in OUT/<scan> under the names that run uses.
 
@@ -121,6 +141,7 @@ def batch(
         raise UsageError(
             "--queue-only works on nothing; give --jobs, --threads, --memory and --disk to scanloom worker."
         )
+    _require_executor(executor, scheduler)
     config = _portable(run_config(config_file, quality, settings, scan_options, page, report, out))
     _require_stages(until, force)
     folder, target = folder.resolve(), target.resolve()
@@ -143,7 +164,7 @@ def batch(
     )
     more = {"no_scans": [{"folder": str(one.place), "reason": one.reason} for one in others]}
     if dry_run:
-        _tell_dry_run(target, what, queued, config, more, out)
+        tell_dry_run(target, what, queued, config, more, out)
         return
     queue = open_queue(target, what, queued, out.remark)
     if queue_only:
@@ -152,8 +173,33 @@ def batch(
         out.result(figures, text)
         return
     with ending_as_interrupted(), watching_batch(out) as tell:
-        worker_of(queue, jobs, threads, *sizes, take_over_after, tell, out).work()
+        if scheduler is not None:
+            from pipeline.batch.dask import work_by_dask
+
+            work_by_dask(
+                queue,
+                scheduler,
+                workers=jobs_wanted(jobs),
+                threads=threads or 1,
+                memory=sizes[0],
+                disk=sizes[1],
+                take_over_after=take_over_after,
+                tell=tell,
+            )
+        else:
+            worker_of(queue, jobs, threads, *sizes, take_over_after, tell, out).work()
     tell_batch(queue, out, more)
+
+
+def _require_executor(executor: str, scheduler: str | None) -> None:
+    if executor not in ("own", "dask"):
+        raise UsageError(f"--executor is {executor!r}; it must be own or dask.")
+    if executor == "dask" and scheduler is None:
+        raise UsageError(
+            "--executor dask needs --scheduler: an address, or slurm, pbs, sge, lsf, oar or htcondor."
+        )
+    if executor == "own" and scheduler is not None:
+        raise UsageError("--scheduler is Dask's; give --executor dask with it.")
 
 
 def _portable(config: Config) -> Config:
@@ -205,56 +251,3 @@ def _found(
 def _tell_others(others: list[NoScan], out: Output) -> None:
     for one in others:
         out.remark(f"no scan: {one.place}: {one.reason}")
-
-
-def _tell_dry_run(
-    target: Path, what: Settings, queued: tuple[Job, ...], config: Config, more: dict[str, Any], out: Output
-) -> None:
-    """Print what a batch would do, scan by scan; what cannot be read is a row, too."""
-    import os
-
-    from pipeline.dry_run import DryRun, foresee
-
-    found: list[DryRun | ScanloomError] = []
-    with out.progress("scans", "scans") as progress:
-        for job in queued:
-            how: dict[str, Any] = {
-                "until": what.until,
-                "force": what.force,
-                "cache_dir": os.path.normpath(target / what.cache),
-                "overwrite": what.overwrite,
-            }
-            try:
-                scan = os.path.normpath(target / job.scan)
-                found.append(foresee(scan, target / job.name, config, **how))
-            except ScanloomError as error:
-                found.append(error)
-            progress(len(found), len(queued))
-    rows = [["scan", "layout", "frames", "stages", "cached", "seconds", "memory"]]
-    lines, told = [], []
-    for job, one in zip(queued, found, strict=True):
-        if not isinstance(one, DryRun):
-            rows.append([job.name, "", "", "", "", "", ""])
-            lines.append(f"{job.name}: {one}")
-            told.append({"scan": job.name, "error": str(one)})
-            continue
-        cached = sum(stage.cached for stage in one.stages)
-        figures = [f"{one.frames:,}", str(len(one.stages)), str(cached), f"{one.seconds:.1f}"]
-        rows.append([job.name, one.layout, *figures, size_of(one.memory_bytes) if one.memory_bytes else ""])
-        told.append({"scan": job.name, **one.figures()})
-        lines += [f"{job.name}: it would not begin: {one.refused}"] if one.refused else []
-    runs = [one for one in found if isinstance(one, DryRun)]
-    seconds = sum(one.seconds for one in runs)
-    most = max((one.memory_bytes for one in runs), default=0)
-    total = f"{len(queued):,} scans, about {seconds:,.0f} s in a row, {size_of(most)} at the most for one"
-    out.result(
-        {
-            "dry_run": True,
-            "out": str(target),
-            "scans": told,
-            "expected_seconds": round(seconds, 1),
-            "expected_memory_mb": round(most / 1e6),
-            **more,
-        },
-        "\n".join([table_of(rows), "", *lines, *([""] if lines else []), f"{total}; nothing is written."]),
-    )
