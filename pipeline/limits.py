@@ -101,7 +101,7 @@ class LimitGuard:
             most = max(to_come, key=lambda name: self._expected[name].memory_bytes)
             take = self._expected[most]
             if take.memory_bytes > self._limits.memory:
-                raise StageError(self._too_much_memory(most, take.memory_bytes, _BASES[take.basis]))
+                raise StageError(self._memory_trouble(most, take.memory_bytes, _BASES[take.basis]))
         if self._limits.disk is not None:
             total = sum(self._expected[name].disk_bytes for name in to_come)
             if total > self._limits.disk - self._written:
@@ -126,7 +126,7 @@ class LimitGuard:
         if self._limits.memory is not None and self._is_time("memory", _MEMORY_PAUSE):
             taken = self._peak()
             if taken > self._limits.memory:
-                raise StageError(self._too_much_memory(stage, taken, None))
+                raise StageError(self._memory_trouble(stage, taken, None))
         if self._limits.disk is not None and self._is_time("disk", _DISK_PAUSE):
             self._require_disk(stage, 2 * _bytes_in(folder))
 
@@ -152,7 +152,7 @@ class LimitGuard:
         self._looked[what] = now
         return True
 
-    def _too_much_memory(self, stage: str, needed: int, basis: str | None) -> str:
+    def _memory_trouble(self, stage: str, needed: int, basis: str | None) -> str:
         limit = self._limits.memory or 0
         takes = "has taken" if basis is None else f"is expected to take ({basis})"
         what = f"{stage} {takes} {_size(needed)} of memory, more than the limit of {_size(limit)}; "

@@ -29,7 +29,7 @@ from pipeline.failures import explained
 from pipeline.limits import Limits
 from pipeline.needs import expected_of
 from pipeline.run import RunResult, Wanted, run_wanted, wanted_of
-from stages.errors import InputError, ScanloomError, UsageError, bug_sentence
+from stages.errors import InputError, ScanloomError, UsageError, bug_explained
 
 # Seconds between two lines of progress.
 _PAUSE = 0.5
@@ -104,7 +104,7 @@ def _ended(job: Mapping[str, Any], link: Link) -> dict[str, Any]:
         is_input = isinstance(error, (InputError, UsageError))
         state, reason = (UNUSABLE if is_input else FAILED), str(error)
     except Exception as error:
-        state, reason = FAILED, bug_sentence(error)
+        state, reason = FAILED, bug_explained(error)
     seconds = round(time.perf_counter() - started, 3)
     return {
         "state": state,

@@ -115,13 +115,14 @@ def _ended(queue: Queue, records: Records, number: int, future: Any) -> Record:
     why = str(future.exception() or future.result() or "its process ended without a result")
     if future.status == "error" and type(future.exception()).__name__ == "KilledWorker":
         why = "the workers that ran it died again and again, as they do where memory ends"
+    why = f"it could not be run by Dask: {' '.join(why.split())}.".replace("..", ".")
     latest = Claims(queue.folder / "claims", "").latest().get(number)
     names = {job.number: job.name for job in queue.jobs}
     record = Record(
         number,
         names.get(number, f"job {number}"),
         FAILED,
-        f"it could not be run by Dask: {' '.join(why.split())}.".replace("..", "."),
+        why,
         worker="dask",
         attempt=0 if latest is None else latest.attempt,
     )

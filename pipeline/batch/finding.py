@@ -91,11 +91,11 @@ def _searched(place: Path, top: Path, seen: set[str], depth: int) -> Iterator[Fo
     if real in seen:
         return
     seen.add(real)
-    reason = "it is of no known layout" if any(place.iterdir()) else "it is empty"
+    why = "it is of no known layout" if _listed(place) else "it is empty"
     try:
         matched = matching(place)
     except InputError as error:
-        matched, reason = None, str(error).removeprefix(f"{place}: ")
+        matched, why = None, str(error).removeprefix(f"{place}: ")
     files = _files(place)
     if matched is not None and not (files and _is_collection(place, matched[1], files)):
         yield Found(place, _name(place, top), matched[0].name)
@@ -108,7 +108,7 @@ def _searched(place: Path, top: Path, seen: set[str], depth: int) -> Iterator[Fo
         yield from inside
     else:
         # One sentence for all that is below it.
-        yield NoScan(place, reason)
+        yield NoScan(place, why)
 
 
 def _is_collection(place: Path, reason: str, files: Sequence[Path]) -> bool:

@@ -81,8 +81,8 @@ class Records:
             known = {one.name: values[one.name] for one in fields(Record)}
             return Record(**{**known, "warnings": tuple(known["warnings"])})
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
-            reason = f"what became of it is not known: {self._path(claim)} is damaged; run the batch again."
-            return Record(claim.number, "", FAILED, reason, attempt=claim.attempt)
+            why = f"what became of it is not known: {self._path(claim)} is damaged; run the batch again."
+            return Record(claim.number, "", FAILED, why, attempt=claim.attempt)
 
     def _path(self, claim: Claim) -> Path:
         return self._folder / f"{claim.number:06d}.{claim.attempt}.json"

@@ -135,11 +135,11 @@ class Supply:
             return False
         where = f" in {last}" if last else ""
         how = f"crashed {crashes} times" if crashes >= _MOST_CRASHES else f"was killed {alike} times"
-        reason = (
+        why = (
             f"the process that ran it {how}{where}, as it does where memory ends; run this scan alone, or "
             "with larger voxels."
         )
         worker = tries[-1].worker if tries else ""
-        self._given_up.append(Record(claim.number, "", FAILED, reason, worker=worker, attempt=claim.attempt))
+        self._given_up.append(Record(claim.number, "", FAILED, why, worker=worker, attempt=claim.attempt))
         self._ended.add(claim.number)
         return True

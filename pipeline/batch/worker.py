@@ -7,6 +7,7 @@ that no job can keep it from beating, or take it along.
 from __future__ import annotations
 
 import queue as queues
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -121,8 +122,8 @@ class Worker:
         job = self._jobs.get(claim.number)
         if job is None:
             where = self._queue.folder / "jobs.jsonl"
-            reason = f"{where}: the line of this job is damaged; run the batch again, which writes it anew."
-            self._end(Record(claim.number, "", FAILED, reason, worker=self.name, attempt=claim.attempt))
+            why = f"{where}: the line of this job is damaged; run the batch again, which writes it anew."
+            self._end(Record(claim.number, "", FAILED, why, worker=self.name, attempt=claim.attempt))
             return
         slot.job, slot.claim, slot.stage = job, claim, ""
         if slot.process is None:
@@ -191,14 +192,14 @@ class Worker:
         if slot.ran >= _JOBS_A_PROCESS and slot.process is not None:
             slot.process.end()
             slot.process = None
-        state, reason = said["state"], said["reason"]
+        state, why = said["state"], said["reason"]
         if state == UNUSABLE and not self._queue.scan_of(job).exists():
-            reason = f"{self._queue.scan_of(job)}: the scan is not there any more."
+            why = f"{self._queue.scan_of(job)}: the scan is not there any more."
         record = Record(
             job.number,
             job.name,
             state,
-            reason,
+            why,
             said["seconds"],
             self.name,
             claim.attempt,
@@ -239,7 +240,9 @@ class Worker:
             if slot.process is not None:
                 slot.process.end()
             if slot.claim is not None:
-                self._claims.end(slot.claim, RELEASED)
+                # If it cannot be written, others see that this worker has ended.
+                with suppress(OSError):
+                    self._claims.end(slot.claim, RELEASED)
 
 
 def _how(code: int) -> str:
