@@ -25,11 +25,11 @@ from stages.errors import InputError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.scans.threads import threads_to_use
 from stages.stereo.completed_scan import completed_scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import write_ply_cloud
-from stages.threads import threads_to_use
 
 # Points in the cloud of a whole scan: enough to judge it by, and quick to open anywhere (15 bytes each).
 MAX_POINTS = 1_000_000

@@ -24,7 +24,7 @@ from stages.errors import StageError
 from stages.files.opening import opened
 from stages.progress import Progress, silent
 from stages.scans.scan import Frame, Packed, Scan
-from stages.threads import threads_to_use
+from stages.scans.threads import threads_to_use
 
 # Few stages look at these, or none: names and times are shown to people. See `label_digests`.
 _DIGESTED_APART = frozenset({"name", "timestamp", "up"})

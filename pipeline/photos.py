@@ -16,7 +16,7 @@ from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_photo
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, pinhole
-from stages.threads import threads_to_use
+from stages.scans.threads import threads_to_use
 
 FILE, PHOTOS = "cameras.json", "photos"
 

@@ -22,7 +22,7 @@ from pipeline.batch.records import FAILED, Record, Records
 from pipeline.batch.told import Counted, JobEnded, Noted, Tell, untold
 from pipeline.failures import explained
 from stages.errors import InputError, UsageError
-from stages.threads import environment_of
+from stages.scans.threads import environment_of
 
 # Systems that dask-jobqueue starts workers by, and its classes.
 SYSTEMS = {

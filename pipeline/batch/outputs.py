@@ -6,7 +6,8 @@ import os
 from pathlib import Path
 
 from pipeline.batch.page import PAGE, page_of_batch
-from pipeline.batch.summary import COLUMNS, CSV, PARQUET, Summary, csv_of, parquet_of
+from pipeline.batch.parquet import parquet_of
+from pipeline.batch.summary import COLUMNS, CSV, PARQUET, Summary, csv_of
 from pipeline.batch.whole import write_whole
 from pipeline.failures import explained
 from stages.errors import InputError

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import TypeVar
 
 from stages._blas import require_buffers
-from stages.threads import threads_to_use
+from stages.scans.threads import threads_to_use
 
 # More threads than this wait for memory, and hold that many images.
 _MOST_WORKERS = 8

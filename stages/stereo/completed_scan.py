@@ -16,12 +16,12 @@ from stages.progress import Progress, silent
 from stages.scans.images import read_color, read_depth, read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Scan, SkippedFrame, pinhole
+from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
 from stages.stereo.networks.network import Network
 from stages.stereo.params import DepthKeywords, DepthParams
-from stages.threads import threads_to_use
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

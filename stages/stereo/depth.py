@@ -18,6 +18,7 @@ from stages.progress import Progress, silent
 from stages.scans import images
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import completed, network_disparity, network_of, warnings_of
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
@@ -39,7 +40,6 @@ from stages.stereo.params import AUTO, FAST, SEVERAL, DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
 from stages.stereo.subpixel import refined
-from stages.threads import threads_to_use
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -19,6 +19,7 @@ from stages import _kernels
 from stages.errors import InputError
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import DepthImage, Scan, SkippedFrame
+from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import FILLED
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.kept_maps import KeptMaps
@@ -26,7 +27,6 @@ from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.shown import Outline, Silhouette, hull_front, shown
 from stages.stereo.view_images import color_of
-from stages.threads import threads_to_use
 
 Mask = NDArray[np.bool_]
 Map = NDArray[np.float32]

@@ -13,11 +13,11 @@ from stages.errors import InputError
 from stages.scans.images import read_color, read_mask
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Packed, Scan
+from stages.scans.threads import threads_to_use
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.turned import Corners, corners, turned
 from stages.stereo.view_images import color_of, grey_of
-from stages.threads import threads_to_use
 
 
 def turned_back(

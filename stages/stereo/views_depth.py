@@ -21,6 +21,7 @@ from stages.scans.depth_range import Range, range_of_points
 from stages.scans.images import read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.scans.threads import threads_to_use
 from stages.stereo.agreement import agreeing_views
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.coverage import Counts, with_warning
@@ -39,7 +40,6 @@ from stages.stereo.turned_back import turned_back
 from stages.stereo.view_images import color_of, grey_of
 from stages.stereo.view_matching import images_of, measured_view
 from stages.stereo.views_confidence import views_confidence
-from stages.threads import threads_to_use
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
