@@ -61,6 +61,8 @@ def worker_of(
     take_over_after: float | None,
     tell: Tell,
     out: Output,
+    *,
+    stay: bool = True,
 ) -> Worker:
     """Return the worker that options come to."""
     from pipeline.batch.sizing import expected_needs, jobs_at_once, memory_to_use
@@ -83,6 +85,7 @@ def worker_of(
         is_limit=memory is not None,
         disk=disk,
         take_over_after=take_over_after,
+        stay=stay,
         tell=tell,
     )
 

@@ -130,7 +130,7 @@ def batch(
     Example: scanloom batch scans -o out --memory '16 GB' --set simplify.max_shape=0.005
     """
     from pipeline.batch.opening import open_queue
-    from pipeline.batch.outputs import require_replaceable
+    from pipeline.batch.outputs import require_replaceable, withdraw_outputs
     from pipeline.batch.queue import Settings, jobs_of
     from pipeline.own_paths import from_there
     from pipeline.run import cache_folder
@@ -167,6 +167,7 @@ def batch(
         tell_dry_run(target, what, queued, config, more, out)
         return
     queue = open_queue(target, what, queued, out.remark)
+    withdraw_outputs(target)
     if queue_only:
         figures = {"out": str(target), "queued": len(queued), **more}
         text = f"{len(queued):,} scans queued; any machine works on them with: scanloom worker {target}"

@@ -35,6 +35,14 @@ def worker(
     memory: MemoryOption = None,
     disk: DiskOption = None,
     take_over_after: TakeOverOption = None,
+    wait: Annotated[
+        bool,
+        typer.Option(
+            "--wait/--no-wait",
+            help="When no scan is left to take, stay until the others are finished with theirs, to take over "
+            "those of a worker that dies; without, end at once and leave the machine to others.",
+        ),
+    ] = True,
 ) -> None:
     """Work on the queue of a batch until every scan has come to an end.
 
@@ -54,7 +62,7 @@ def worker(
     require_writable(queue.folder)
     tell_version(queue.version, out)
     with ending_as_interrupted(), watching_batch(out) as tell:
-        working = worker_of(queue, jobs, threads, *sizes, take_over_after, tell, out)
+        working = worker_of(queue, jobs, threads, *sizes, take_over_after, tell, out, stay=wait)
         out.remark(f"worker {working.name}, {len(queue.numbers):,} scans")
         working.work()
     tell_batch(queue, out, {})

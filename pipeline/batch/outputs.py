@@ -41,6 +41,20 @@ def write_outputs(summary: Summary, title: str) -> list[Path]:
     return [summary.out / name for name, content in files.items() if content is not None]
 
 
+def withdraw_outputs(out: Path) -> None:
+    """Remove what an earlier batch wrote: what it tells is not of the results beside it any more.
+
+    Raises
+    ------
+    StageError
+        If it cannot be removed.
+    """
+    with explained(f"outdated tables cannot be removed from {out}"):
+        for name in (PAGE, CSV, PARQUET):
+            if os.path.lexists(out / name) and _is_own(out / name):
+                (out / name).unlink()
+
+
 def require_replaceable(out: Path) -> None:
     """Refuse, before any work, files in the place of these that no batch has written.
 

@@ -87,9 +87,13 @@ class Supply:
         """Return how many jobs have come to an end, as far as known, and how many there are."""
         return len(self._ended), len(self._numbers)
 
+    def has_more(self) -> bool:
+        """Return whether there are jobs that were not tried yet, or that have to be again."""
+        return bool(self._ahead or self._again)
+
     def is_finished(self) -> bool:
         """Return whether every job has come to an end."""
-        return not self._ahead and not self._again and all(one in self._ended for one in self._numbers)
+        return not self.has_more() and all(one in self._ended for one in self._numbers)
 
     def _taken_over(self) -> Claim | None:
         self._watch.look()

@@ -58,6 +58,7 @@ class Worker:
     is_limit : `memory` was asked for, and ends jobs that take more; else it only decides how many run at a
         time.
     only : numbers of the jobs to work on; None for all.
+    stay : wait for the jobs of others, to take over those of who dies.
     disk : bytes that all jobs may write; None for no limit.
     take_over_after : seconds; None for what the queue says.
     """
@@ -73,11 +74,13 @@ class Worker:
         disk: int | None = None,
         take_over_after: float | None = None,
         only: frozenset[int] | None = None,
+        stay: bool = True,
         tell: Tell = untold,
     ) -> None:
         self.name = name_of_worker()
         self._queue = queue
         self._threads = threads
+        self._stay = stay
         self._tell = tell
         self._patience = take_over_after or queue.settings.take_over_after
         self._claims = Claims(queue.folder / "claims", self.name)
@@ -90,7 +93,7 @@ class Worker:
         self._jobs = {job.number: job for job in queue.jobs}
 
     def work(self) -> None:
-        """Work until every job has come to an end, by this worker or another.
+        """Work until every job has come to an end, by this worker or another, or there is none to take.
 
         Raises
         ------
@@ -114,7 +117,9 @@ class Worker:
             for record in self._supply.given_up():
                 self._end(record)
             self._tell(Counted(*self._supply.counted()))
-            if all(slot.job is None for slot in self._slots) and self._supply.is_finished():
+            if all(slot.job is None for slot in self._slots) and (
+                self._supply.is_finished() or not (self._stay or self._supply.has_more())
+            ):
                 return
             self._hear()
 

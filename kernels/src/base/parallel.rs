@@ -2,8 +2,8 @@
 //! room for a thread, there are fewer.
 
 use std::mem::MaybeUninit;
-use std::sync::{Mutex, OnceLock};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Mutex, OnceLock};
 use std::thread::{self, Scope, ScopedJoinHandle};
 
 use super::reserve;

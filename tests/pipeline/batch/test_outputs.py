@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.batch import outputs
-from pipeline.batch.outputs import require_replaceable, write_outputs
+from pipeline.batch.outputs import require_replaceable, withdraw_outputs, write_outputs
 from pipeline.batch.parquet import parquet_of
 from pipeline.batch.records import DONE, FAILED, RUNNING, UNUSABLE, WAITING, Record
 from pipeline.batch.summary import COLUMNS, Summary, csv_of
@@ -89,9 +89,15 @@ def test_without_pyarrow_no_table_of_before_stays(summary: Summary, monkeypatch:
     assert not (summary.out / "batch.parquet").exists()
 
 
-def test_what_a_batch_wrote_is_replaced(summary: Summary):
+def test_what_a_batch_wrote_is_replaced_and_withdrawn(summary: Summary):
     write_outputs(summary, "many")
     require_replaceable(summary.out)
+    (summary.out / "notes.txt").write_text("mine")
+    withdraw_outputs(summary.out)
+    assert [path.name for path in summary.out.iterdir()] == ["notes.txt"]
+    (summary.out / "index.html").write_text("mine, too")
+    withdraw_outputs(summary.out)
+    assert (summary.out / "index.html").exists()
 
 
 @pytest.mark.parametrize("name", ["index.html", "batch.csv", "batch.parquet"])

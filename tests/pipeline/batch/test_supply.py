@@ -72,6 +72,15 @@ def test_two_workers_share_all_jobs_and_both_see_the_end(queue: Queue):
     assert one.counted() == (4, 4)
 
 
+def test_what_can_be_taken_is_told_from_what_others_have(queue: Queue):
+    one, other = supply_of(queue, "one"), supply_of(queue, "other")
+    assert one.has_more()
+    assert taken(other) == firsts(range(4))
+    assert one.next() is None
+    assert not one.has_more()
+    assert not one.is_finished()
+
+
 def test_the_dead_lose_their_jobs_to_one_worker(queue: Queue):
     clock = Clock()
     dead = claims_of(queue, "dead")

@@ -209,3 +209,13 @@ def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin
     for number in range(4):
         name = f"scan-{number}"
         assert results(queue.out / name) == results(quiet / name) != {}
+
+
+def test_a_worker_that_does_not_stay_ends_when_nothing_is_left_to_take(small_scans: Path, queue_of: Begin):
+    queue = queue_of(small_scans)
+    claims = Claims(queue.folder / "claims", "other")
+    assert claims.take(Claim(4, 0))
+    Worker(queue, slots=1, threads=1, stay=False).work()
+    states = {one.name: one.state for one in summary_of(queue).records}
+    assert states["scan-3"] == "running"
+    assert [states[f"scan-{k}"] for k in range(3)] == [DONE] * 3
