@@ -119,8 +119,8 @@ class Guard(Protocol):
     def before(self, stage: str) -> None:
         """Look before a stage works."""
 
-    def during(self, stage: str, folder: Path) -> None:
-        """Look while it works, at the files it has written so far too."""
+    def during(self, stage: str, folder: Path, share: float) -> None:
+        """Look while it works, at the files it has written so far too; `share` of its work is done."""
 
     def kept(self, stage: str, entry: Entry) -> None:
         """Look at what it left."""
@@ -232,7 +232,7 @@ class Engine:
     def _make(self, stage: Stage, folder: Path) -> dict[str, Any]:
         def progress(done: int, total: int) -> None:
             if self._guard is not None:
-                self._guard.during(stage.name, folder)
+                self._guard.during(stage.name, folder, done / max(total, 1))
             self._events(StageProgress(stage.name, done, total))
 
         inputs = _values(stage, self._sources)

@@ -44,6 +44,8 @@ def expected_of(scan: Scan, config: Config, planned: Sequence[str], cache: Path)
         for one in earlier:
             _note_voxels(one, voxels)
         take = expected(stage.name, size, None, earlier[:1], stage.cost)
+        if not earlier and stage.cost.by_voxels and config.fuse.voxel_size is None:
+            take = take.scaled(1 / config.fuse.voxel_factor**2)
         if earlier and stage.cost.by_voxels:
             then = earlier[0]["made"].get("megapixels")
             factor = _finer(earlier[0], voxels, config.fuse)

@@ -252,7 +252,7 @@ def run_wanted(
         events,
         overwrite=overwrite,
         megapixels=megapixels(scan),
-        guard=_guard(wanted, cache, limits),
+        guard=_guard(wanted, cache, limits, events),
     ) as engine:
         engine.results.require_replaceable(placed_by(wanted))
         engine.results.withdraw_others([stage.name for stage in wanted.plan])
@@ -266,12 +266,12 @@ def run_wanted(
     return RunResult(out, cache.folder, outcomes, written, page)
 
 
-def _guard(wanted: Wanted, cache: Cache, limits: Limits) -> LimitGuard | None:
+def _guard(wanted: Wanted, cache: Cache, limits: Limits, events: Events) -> LimitGuard | None:
     if not limits:
         return None
     expected = expected_of(wanted.scan, wanted.config, wanted.planned, cache.folder)
     by_voxels = [stage.name for stage in wanted.plan if stage.cost.by_voxels]
-    return LimitGuard(limits, wanted.config, expected, by_voxels)
+    return LimitGuard(limits, wanted.config, expected, by_voxels, lambda text: events(Warned(text)))
 
 
 def _page(

@@ -22,12 +22,17 @@ MB = 10**6
 
 
 def guard(
-    limits: Limits, *needs: int, disk: int = 0, assignments: tuple[str, ...] = (), peak: int = 0
+    limits: Limits,
+    *needs: int,
+    disk: int = 0,
+    assignments: tuple[str, ...] = (),
+    peak: int = 0,
+    basis: str = "scaled",
+    warned: list[str] | None = None,
 ) -> LimitGuard:
-    expected = {
-        name: Expectation(1.0, need, "scaled", disk) for name, need in zip(STAGES, needs, strict=False)
-    }
-    return LimitGuard(limits, Config().set(assignments), expected, ("fuse", "clean"), lambda: peak)
+    expected = {name: Expectation(1.0, need, basis, disk) for name, need in zip(STAGES, needs, strict=False)}
+    warn = [].append if warned is None else warned.append
+    return LimitGuard(limits, Config().set(assignments), expected, ("fuse", "clean"), warn, lambda: peak)
 
 
 def entry(size: int) -> Any:
@@ -72,7 +77,30 @@ def test_a_stage_that_takes_more_is_stopped(tmp_path: Path):
     taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
     taken.before("fuse")
     with pytest.raises(StageError, match=r"fuse has taken 500 MB of memory, .*voxel_factor=1\.5 would fit"):
-        taken.during("fuse", tmp_path)
+        taken.during("fuse", tmp_path, 1.0)
+
+
+@pytest.mark.parametrize(("share", "times"), [(1.0, "1.5"), (0.5, "2"), (0.25, "2.9"), (0.01, "2.9")])
+def test_what_would_fit_is_told_by_the_share_that_was_done(tmp_path: Path, share: float, times: str):
+    taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
+    with pytest.raises(StageError, match=rf"voxel_factor={times} would fit"):
+        taken.during("fuse", tmp_path, share)
+
+
+def test_what_only_the_size_of_the_scan_tells_is_a_warning():
+    warned: list[str] = []
+    needs = (0, 900 * MB, 0)
+    guard(Limits(memory=600 * MB, disk=MB), *needs, disk=MB, basis="estimated", warned=warned).before(
+        "adjust"
+    )
+    assert len(warned) == 2
+    assert warned[0].startswith(
+        "fuse is expected to take (by the scan's size) 900 MB of memory, more than the"
+    )
+    assert "fuse.voxel_factor=1.5 would fit. This is an estimate; the stage is stopped" in warned[0]
+    assert warned[1].startswith("the run is expected to write 3 MB, and the limit leaves 1 MB of 1 MB")
+    with pytest.raises(StageError, match="no voxel size fits"):
+        guard(Limits(memory=200 * MB), *needs, basis="estimated").before("adjust")
 
 
 def test_disk_that_is_expected_and_disk_that_is_written(tmp_path: Path):
@@ -84,7 +112,7 @@ def test_disk_that_is_expected_and_disk_that_is_written(tmp_path: Path):
     counted.kept("adjust", entry(30))
     assert counted.written == 60
     (tmp_path / "draft.bin").write_bytes(bytes(19))
-    counted.during("fuse", tmp_path)
+    counted.during("fuse", tmp_path, 1.0)
     with pytest.raises(StageError, match=r"fuse brings what the run has written to .*more than the limit"):
         counted.kept("fuse", entry(21))
 
@@ -92,7 +120,7 @@ def test_disk_that_is_expected_and_disk_that_is_written(tmp_path: Path):
 def test_a_draft_that_grows_too_large_is_stopped(tmp_path: Path):
     (tmp_path / "draft.bin").write_bytes(bytes(60))
     with pytest.raises(StageError, match="fuse brings"):
-        guard(Limits(disk=100), 0, 0, 0).during("fuse", tmp_path)
+        guard(Limits(disk=100), 0, 0, 0).during("fuse", tmp_path, 1.0)
 
 
 def test_the_volume_keeps_to_the_limit_too():
