@@ -39,6 +39,7 @@ class Supply:
         patience: float,
         only: frozenset[int] | None = None,
     ) -> None:
+        self._logs = queue.folder / "workers"
         self._claims = claims
         self._records = records
         self._watch = watch
@@ -139,11 +140,11 @@ class Supply:
             return False
         where = f" in {last}" if last else ""
         how = f"crashed {crashes} times" if crashes >= _MOST_CRASHES else f"was killed {alike} times"
+        worker = tries[-1].worker if tries else ""
         why = (
             f"the process that ran it {how}{where}, as it does where memory ends; run this scan alone, or "
-            "with larger voxels."
+            f"with larger voxels. What it printed is in {self._logs / worker}.log."
         )
-        worker = tries[-1].worker if tries else ""
         self._given_up.append(Record(claim.number, "", FAILED, why, worker=worker, attempt=claim.attempt))
         self._ended.add(claim.number)
         return True
