@@ -349,8 +349,14 @@ class Cache:
                 if error.errno in (errno.ENOTEMPTY, errno.EEXIST) and not replace:
                     return None
                 raise
+            held = take_lock(place / IN_USE, shared=True)
+        # Whoever waits for the names need not wait for the disk, too: all of the entry is on it already.
+        try:
             flush(place.parent)
-            return take_lock(place / IN_USE, shared=True)
+        except BaseException:
+            held.release()
+            raise
+        return held
 
     def _drop(self, place: Path, lock: Lock) -> bool:
         """Put a damaged entry aside unless another process has done so; `lock` is given up."""

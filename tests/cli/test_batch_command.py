@@ -110,8 +110,11 @@ def test_a_queue_is_worked_on_by_whoever_comes(scanloom: Run, scans: Path, tmp_p
     # Scans and results may be moved together.
     shutil.move(scans, tmp_path / "elsewhere" / "scans")
     shutil.move(out, tmp_path / "elsewhere" / "out")
-    worked = scanloom("worker", tmp_path / "elsewhere" / "out", "--jobs", 1, "--threads", 1)
+    # As many at a time as are expected to fit, of which none says more than all that there is.
+    worked = scanloom("worker", tmp_path / "elsewhere" / "out", "--memory", "1 GB", "--take-over-after", 30)
     assert worked.exit_code == 1
+    assert re.search(r"^1 at a time, in 1\.0 GB of memory$", worked.stderr, re.MULTILINE)
+    assert re.search(r"^worker \S+, 3 scans$", worked.stderr, re.MULTILINE)
     assert "2 done, 1 unusable" in worked.stdout
     assert (tmp_path / "elsewhere" / "out" / "index.html").is_file()
 
