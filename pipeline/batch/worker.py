@@ -112,7 +112,7 @@ class Worker:
     def _work(self) -> None:
         while True:
             for slot in self._slots:
-                if slot.job is None and (claim := self._supply.next()) is not None:
+                while slot.job is None and (claim := self._supply.next()) is not None:
                     self._begin(slot, claim)
             for record in self._supply.given_up():
                 self._end(record)
