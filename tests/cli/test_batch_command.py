@@ -270,8 +270,11 @@ def test_the_page_opens_from_the_disk_and_shows_every_scan(scanloom: Run, scans:
         assert page.locator("tbody tr").count() == 3
         assert page.locator("tbody strong").all_inner_texts() == [name, "more/broken", "scan-0001"]
         assert "not valid JSON" in page.locator("tbody tr", has_text="more/broken").inner_text()
-        widths = page.locator("tbody img").evaluate_all("all => all.map(one => one.naturalWidth)")
-        assert widths == [64, 64]
+        # Pictures come when they are about to be seen.
+        page.wait_for_function(
+            "() => [...document.querySelectorAll('tbody img')].every(one => one.naturalWidth === 64)"
+        )
+        assert page.locator("tbody img").count() == 2
         page.get_by_label("state").select_option("unusable")
         assert page.locator("tbody strong").all_inner_texts() == ["more/broken"]
         page.get_by_label("state").select_option("")
