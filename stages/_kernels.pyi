@@ -31,6 +31,7 @@ __all__ = [
     "SurfacePoints",
     "TexturedSurface",
     "View",
+    "Volume",
     "WeldedSheets",
     "agreeing",
     "assemble_front",
@@ -62,6 +63,7 @@ __all__ = [
     "strip_order",
     "sweep_planes",
     "texels",
+    "touched_blocks",
     "weighted_medians",
     "weld_sheets",
     "zbuffer",
@@ -384,6 +386,48 @@ def zbuffer(
     """Return depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen."""
 
 @final
+class Volume:
+    """A field of signed distances in blocks of 8³ voxels; lengths in metres."""
+
+    def __new__(
+        cls, voxel_size: float, truncation: float, *, color: bool, most_blocks: int
+    ) -> Volume: ...
+    @property
+    def blocks(self) -> int:
+        """Blocks in use."""
+    @property
+    def bytes(self) -> int:
+        """Memory of the voxels."""
+    def integrate(
+        self,
+        keys: NDArray[np.uint64],
+        camera: _Camera,
+        depth: NDArray[np.float32],
+        obliqueness: NDArray[np.float32],
+        color: NDArray[np.uint8] | None,
+        *,
+        weighing: tuple[float, float, float],
+        wanted_threads: int,
+    ) -> None:
+        """Add a frame to the blocks with some keys; raises LimitError where there would be too many blocks."""
+    def typical_frames(self) -> float:
+        """How many frames saw the median voxel near the surface."""
+    def surface(
+        self, least: int, *, wanted_threads: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+        """Vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) 0 to 255, mean frames (n,)."""
+    def voxels(
+        self,
+    ) -> tuple[
+        NDArray[np.int32],
+        NDArray[np.float32],
+        NDArray[np.uint16],
+        NDArray[np.uint8],
+        NDArray[np.float32] | None,
+    ]:
+        """Blocks (n, 3), distances (n, 512) in truncations, weights, frames, colours (n, 512, 3) or None."""
+
+@final
 class Photo:
     """The colours that a camera took; `warp` holds shifts of the photo at the corners of a grid."""
 
@@ -572,6 +616,19 @@ def first_inside(
     -------
     (h, w), 0 where there is none.
     """
+
+def touched_blocks(
+    camera: _Camera,
+    depth: NDArray[np.float32],
+    normal: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    obliqueness: NDArray[np.float32],
+    wanted: NDArray[np.bool_],
+    *,
+    voxel_size: float,
+    truncation: float,
+    within: tuple[Sequence[int], Sequence[int]] | None,
+) -> NDArray[np.uint64]:
+    """Keys of the blocks that a frame touches, sorted."""
 
 def weighted_medians(
     image: NDArray[np.uint8],

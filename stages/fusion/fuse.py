@@ -19,7 +19,7 @@ from stages.fusion.relief import evened_alone, read_whole, relief
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise
 from stages.fusion.upsampling import upsampled_alone, upsampled_frame
-from stages.fusion.voxels import Layer, Volume
+from stages.fusion.voxels import Field, Volume
 from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
@@ -30,7 +30,7 @@ from stages.surface.mesh import Mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,7 +127,7 @@ class _Prepared:
 
     view: PosedDepth
     used: int
-    parts: list[Layer]
+    parts: Any
     color: ColorImage | None
 
 
@@ -169,7 +169,7 @@ def fuse(
     Curless and Levoy 1996; the volume is Open3D's VoxelBlockGrid (see stages.fusion.voxels).
     """
     params = resolve(FuseParams, params, changes)
-    device = _device(params.device)
+    device = _device(params)
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
     _require_usable(frames, where)
@@ -184,15 +184,7 @@ def fuse(
         fused = _alone(frames[0], plan, factor, color=color)
         progress(1, 1)
         return fused
-    volume = Volume(
-        plan.voxel_size,
-        plan.truncation,
-        plan.limits.max_depth,
-        color=color,
-        blocks=plan.blocks,
-        max_bytes=params.memory * 1e6,
-        device=device,
-    )
+    volume = _volume(plan, params, device, threads, color=color)
 
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
@@ -204,7 +196,7 @@ def fuse(
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
         used = int(np.count_nonzero(here))
-        return _Prepared(view, used, plan.layers(view, here), image)
+        return _Prepared(view, used, volume.prepared(view, here, plan.local(view.pose)), image)
 
     skipped: list[SkippedFrame] = []
     pixels = valid = used = outside = 0
@@ -215,14 +207,14 @@ def fuse(
         else:
             view = item.view
             # Without parts, nothing is added.
-            volume.integrate(item.parts, view.camera, plan.local(view.pose), item.color)
+            volume.integrate(view, item.parts, plan.local(view.pose), item.color)
             outside += item.used == 0
             pixels += view.surface.depth.size
             valid += view.valid
             used += item.used
         progress(done, len(frames))
 
-    min_weight = params.min_weight or _least_weight(volume.typical_weight(), frames)
+    min_weight = params.min_weight or _least_weight(volume.typical_frames(), frames)
     mesh = volume.mesh(min_weight)
     mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
     used_frames = len(frames) - len(skipped) - outside
@@ -251,6 +243,30 @@ def fuse(
         outside=outside,
         warnings=plan.warnings,
         upsampled=factor,
+    )
+
+
+def _volume(plan: Plan, params: FuseParams, device: str, threads: int, *, color: bool) -> Field:
+    max_bytes = params.memory * 1e6
+    if params.backend == "open3d" or device != "CPU:0":
+        from stages.fusion.open3d_voxels import Open3DVolume
+
+        return Open3DVolume(
+            plan.voxel_size,
+            plan.truncation,
+            plan.limits.max_depth,
+            color=color,
+            blocks=plan.blocks,
+            max_bytes=max_bytes,
+            device=device,
+        )
+    return Volume(
+        plan.voxel_size,
+        plan.truncation,
+        plan.weighing,
+        color=color,
+        max_bytes=max_bytes,
+        threads=threads,
     )
 
 
@@ -291,7 +307,12 @@ def _of(crop: Crop, points: int) -> str:
     return f" inside {crop}, from {points:,} points there" if crop else ""
 
 
-def _device(wanted: str) -> str:
+def _device(params: FuseParams) -> str:
+    wanted = params.device
+    if params.backend == "own":
+        if wanted == "cuda":
+            raise UsageError("device is 'cuda', which backend 'own' knows nothing of; choose open3d or auto.")
+        return "CPU:0"
     if wanted != "cpu" and open3d().core.cuda.is_available():
         return "CUDA:0"
     if wanted == "cuda":

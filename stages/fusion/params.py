@@ -119,6 +119,12 @@ class FuseParams:
     memory: float = param(
         4000.0, "The volume may not outgrow this; fusion then stops.", unit="MB", low=1, invalidates=False
     )
+    backend: str = param(
+        "auto",
+        "Whose voxels: own, or those of Open3D, which are slower and larger, and alone work on a CUDA device. "
+        "auto takes Open3D's there, and its own elsewhere.",
+        choices=("auto", "own", "open3d"),
+    )
     device: str = param(
         "cpu",
         "Where to fuse: auto takes a CUDA device when Open3D finds one, cuda insists on it.",
@@ -155,4 +161,5 @@ class FuseKeywords(TypedDict, total=False):
     color: bool
     max_bad_share: float
     memory: float
+    backend: str
     device: str

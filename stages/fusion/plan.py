@@ -19,7 +19,7 @@ from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.scene import Scene, scene_of
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise, measured_noise, survey
-from stages.fusion.voxels import BLOCK, Layer, block_keys, layers
+from stages.fusion.voxels import BLOCK, Weighing, touched_blocks
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Pose
 
@@ -29,6 +29,9 @@ _PLACES = 8
 _PIXELS = 8_000_000
 # With a crop, depth tells of the space before it up to so many times as far as it is fused.
 _FREE = 2.0
+# Blocks from one place that may be a volume's origin to the next: far enough that a frame more moves it hardly ever,
+# near enough for float32.
+_ORIGINS = 1024
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
 # Degrees. What is seen more obliquely, other frames see better, if there are any.
@@ -47,6 +50,7 @@ class Plan:
         before it alone.
     noise : as measured; see Noise.
     origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
+    weighing : of depth in the volume; what is typical weighs 1.
     blocks : how many blocks of voxels are expected.
     triangles : how many triangles are expected, roughly.
     scene : where the scan lies, before anything is left out of it.
@@ -67,6 +71,7 @@ class Plan:
     reach: float
     support: Support | None
     warnings: tuple[str, ...]
+    weighing: Weighing = Weighing()
     blocks: int = 0
     triangles: int = 0
 
@@ -74,16 +79,6 @@ class Plan:
         """Return which pixels (h, w) of a view show surface that is to be in the volume."""
         near = view.surface.depth <= np.float32(self.max_depth)
         return np.asarray(near & shown(view, self.crop, self.reach))
-
-    def layers(self, view: PosedDepth, here: NDArray[np.bool_]) -> list[Layer]:
-        """Split a view's depth map for the volume, which is to hold the surface at some pixels."""
-        return layers(
-            view,
-            here,
-            voxel_size=self.voxel_size,
-            truncation=self.truncation,
-            max_depth=self.limits.max_depth,
-        )
 
     def local(self, pose: Pose) -> Pose:
         """Return a pose relative to the origin, so that float32 is exact enough wherever the world's is."""
@@ -129,14 +124,14 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     # What is left out, and too far to be fused, still tells that beside the thing there is nothing.
     read_to = _FREE * max_depth if crop and not params.max_depth else max_depth
     centers = np.stack([view.pose[:3, 3] for view in looked_at])
-    block = BLOCK * voxel_size
+    grid = _ORIGINS * BLOCK * voxel_size
     plan = Plan(
         voxel_size=voxel_size,
         truncation=truncation,
         max_depth=max_depth,
         limits=replace(limits, max_depth=read_to),
         noise=noise,
-        origin=np.rint(np.median(centers, axis=0) / block) * block,
+        origin=np.rint(np.median(centers, axis=0) / grid) * grid,
         scene=scene,
         crop=crop,
         reach=truncation + voxel_size,
@@ -200,12 +195,17 @@ def _expected_blocks(views: Sequence[PosedDepth], plan: Plan, frames: int) -> in
     The first-order jackknife (Burnham and Overton 1978): what only one view of the sample saw tells how much
     more the unseen frames will bring.
     """
-    touched = []
-    for view in views:
-        parts = plan.layers(view, plan.fused(view))
-        if parts:
-            touched.append(block_keys(parts, plan.voxel_size, plan.local(view.pose)))
-    if not touched:
+    touched = [
+        touched_blocks(
+            view,
+            plan.fused(view),
+            plan.local(view.pose),
+            voxel_size=plan.voxel_size,
+            truncation=plan.truncation,
+        )
+        for view in views
+    ]
+    if not any(map(len, touched)):
         return 1
     _, times = np.unique(np.concatenate(touched), return_counts=True)
     unseen = 0 if frames == len(views) else int((times == 1).sum()) * (len(views) - 1) // len(views)
