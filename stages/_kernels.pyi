@@ -216,6 +216,8 @@ def weld_sheets(sets: NDArray[np.int32], triangles: NDArray[np.int32]) -> Welded
 # (n, k): levels of colour, or numbers.
 _Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]
 # fx, fy, cx, cy, width and height; and the (4, 4) matrix that takes the world to the camera.
+# The first block of a box along each axis, and the one after its last.
+_Blocks: TypeAlias = tuple[Sequence[int], Sequence[int]]
 _Camera: TypeAlias = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
 _Soup: TypeAlias = tuple[NDArray[np.float64], _Attributes, NDArray[np.int32]]
 
@@ -389,9 +391,7 @@ def zbuffer(
 class Volume:
     """A field of signed distances in blocks of 8³ voxels; lengths in metres."""
 
-    def __new__(
-        cls, voxel_size: float, truncation: float, *, color: bool, most_blocks: int
-    ) -> Volume: ...
+    def __new__(cls, voxel_size: float, truncation: float, *, color: bool, most_blocks: int) -> Volume: ...
     @property
     def blocks(self) -> int:
         """Blocks in use."""
@@ -410,12 +410,19 @@ class Volume:
         wanted_threads: int,
     ) -> None:
         """Add a frame to the blocks with some keys; raises LimitError where there would be too many blocks."""
-    def typical_frames(self) -> float:
-        """How many frames saw the median voxel near the surface."""
+    def frame_counts(self, *, within: _Blocks | None) -> NDArray[np.uint64]:
+        """Of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
     def surface(
-        self, least: int, *, wanted_threads: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-        """Vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) 0 to 255, mean frames (n,)."""
+        self, least: int, *, within: _Blocks | None, wanted_threads: int
+    ) -> tuple[
+        tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]],
+        list[NDArray[np.uint64]],
+    ]:
+        """Vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) 0 to 255, mean frames (n,).
+
+        With a box of blocks, of these alone; triangles name vertices of others from n upward. Then, of these the
+        blocks, and codes of their edges; and of those that others may name the blocks, codes and numbers.
+        """
     def voxels(
         self,
     ) -> tuple[
@@ -626,7 +633,7 @@ def touched_blocks(
     *,
     voxel_size: float,
     truncation: float,
-    within: tuple[Sequence[int], Sequence[int]] | None,
+    within: _Blocks | None,
 ) -> NDArray[np.uint64]:
     """Keys of the blocks that a frame touches, sorted."""
 

@@ -27,7 +27,10 @@ BLOCK = 8
 # Distance, weight, count of frames and colour, or without the colour.
 _VOXEL_BYTES = {True: 12, False: 7}
 
+# Places of blocks in Z-order.
 Keys = NDArray[np.uint64]
+# The first block of a box along each axis, and the one after its last.
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 
 def block_bytes(*, color: bool) -> int:
@@ -73,7 +76,13 @@ class Field(Protocol):
 
 
 def touched_blocks(
-    view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose, *, voxel_size: float, truncation: float
+    view: PosedDepth,
+    wanted: NDArray[np.bool_],
+    pose: Pose,
+    *,
+    voxel_size: float,
+    truncation: float,
+    within: Box | None = None,
 ) -> Keys:
     """Return sorted keys of the blocks that a frame touches.
 
@@ -82,6 +91,7 @@ def touched_blocks(
     wanted : (h, w), at which pixels the surface has to be in the field; what others show tells that nothing
         is before it.
     pose : (4, 4), camera to the field's axes.
+    within : no others than the blocks of a box.
 
     Raises
     ------
@@ -98,7 +108,7 @@ def touched_blocks(
             wanted,
             voxel_size=voxel_size,
             truncation=truncation,
-            within=None,
+            within=within,
         )
     except _kernels.LimitError as error:
         reach = (1 << 20) * BLOCK * voxel_size
@@ -118,6 +128,7 @@ class Volume:
     color : whether voxels have a colour.
     max_bytes : the field may not grow past this.
     threads : to compute with.
+    within : no others than the blocks of a box; None for all.
     """
 
     def __init__(
@@ -129,7 +140,9 @@ class Volume:
         color: bool,
         max_bytes: float,
         threads: int,
+        within: Box | None = None,
     ) -> None:
+        self._within = within
         self._voxel_size = voxel_size
         self._truncation = truncation
         self._weighing = weighing
@@ -146,7 +159,12 @@ class Volume:
     def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> Keys:
         """Return the blocks that a frame touches; see `touched_blocks`."""
         return touched_blocks(
-            view, wanted, pose, voxel_size=self._voxel_size, truncation=self._truncation
+            view,
+            wanted,
+            pose,
+            voxel_size=self._voxel_size,
+            truncation=self._truncation,
+            within=self._within,
         )
 
     def integrate(self, view: PosedDepth, parts: Keys, pose: Pose, color: ColorImage | None) -> None:
@@ -180,13 +198,39 @@ class Volume:
 
     def typical_frames(self) -> float:
         """Return how many frames saw the median voxel near the surface."""
-        return self._field.typical_frames()
+        return median_of(self.frame_counts(None))
+
+    def frame_counts(self, within: Box | None) -> NDArray[np.int64]:
+        """Return of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
+        return self._field.frame_counts(within=within).astype(np.int64)
 
     def mesh(self, min_weight: int) -> Mesh:
         """Return the surface through voxels seen by at least `min_weight` frames, blocks in Z-order."""
-        places, triangles, levels, _ = self._field.surface(min_weight, wanted_threads=self._threads)
+        mesh, _ = self.surface(min_weight, None)
+        return mesh
+
+    def surface(self, min_weight: int, within: Box | None) -> tuple[Mesh, list[Keys]]:
+        """Return the surface in a box of blocks, and how it is joined to that of others.
+
+        Returns
+        -------
+        The mesh, whose triangles name vertices of others by numbers from that of its own upward; and of these
+        the blocks (k,) and the codes of their edges (k,); and of those that others may name blocks, codes and
+        numbers (j,).
+        """
+        found, joints = self._field.surface(min_weight, within=within, wanted_threads=self._threads)
+        places, triangles, levels, _ = found
         colors = np.rint(levels).astype(np.uint8) if self._color else None
-        return Mesh(places * self._voxel_size, triangles, colors)
+        return Mesh(places * self._voxel_size, triangles, colors), joints
+
+
+def median_of(counts: NDArray[np.int64]) -> float:
+    """Return the median of numbers of which it is known how often each is there; 0 of none."""
+    passed = np.cumsum(counts)
+    if not passed[-1]:
+        return 0.0
+    middle = (passed[-1] - 1) // 2, passed[-1] // 2
+    return float(np.searchsorted(passed, middle, side="right").mean())
 
 
 def _posed(

@@ -1,0 +1,314 @@
+"""Fuse brick by brick: as much of space at a time as fits into memory, the mesh on disk.
+
+All frames are looked through once for the blocks they touch. Then space is cut in cubes that fit, and each is fused from
+the frames that touch it, with a rim of blocks around it. The surface of each brick inside is kept as a file: where such a file is
+there already, nothing is fused again. How often a voxel must have been seen may be known only at the end, so that
+each possible surface is kept. Joined they are, to the byte, what `fuse` gives in one piece.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from stages.errors import UsageError
+from stages.fusion.adding import (
+    MOST_LEAST_WEIGHT,
+    Added,
+    Prepared,
+    Work,
+    add_frames,
+    begun,
+    device_of,
+    facts_of,
+    least_weight,
+    look_through,
+    nothing_fused,
+    own_volume,
+    require_share,
+)
+from stages.fusion.bricks import Cube, Seen, bricks_of, level_of, passes, touched_bricks
+from stages.fusion.crop import cut
+from stages.fusion.facts import Facts, MeshFigures
+from stages.fusion.joining import Brick, Joined, Piece, write_piece
+from stages.fusion.params import FuseParams
+from stages.fusion.scene import point_of
+from stages.fusion.voxels import BLOCK, Box, Keys, Volume, block_bytes, median_of
+from stages.printing import by_figures, table
+from stages.progress import Progress, silent
+from stages.scans.scan import Scan, SkippedFrame
+from stages.surface.pieces import Extent, Written, write_pieces
+
+# Metres; of a brick, where nothing else is said.
+BRICK_SIZE = 4.0
+_COUNTS = "frame_counts.npy"
+
+
+class Kept(Protocol):
+    """Where bricks are kept that were fused before."""
+
+    def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
+        """Return the folder of a brick that was made of some frames, by their numbers, and of what else decided."""
+
+    def store(
+        self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
+    ) -> Path:
+        """Have a brick's files written into a folder, and return it."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FusedInBricks(Facts):
+    """A fused mesh in a file, and how it came about.
+
+    Attributes
+    ----------
+    path : of a PLY file, with its table of pieces beside it; see stages.surface.pieces.
+    mesh_figures : how large it is.
+    bricks, fused_bricks : how many there are, and how many of them had to be fused.
+    """
+
+    path: Path
+    mesh_figures: MeshFigures
+    bricks: int
+    fused_bricks: int
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures for a report, JSON-able, units in the names."""
+        return self.figures_of(self.mesh_figures) | {"bricks": self.bricks, "bricks_fused": self.fused_bricks}
+
+
+def fuse_in_bricks(
+    scan: Scan, params: FuseParams, result: Path, *, kept: Kept | None = None, progress: Progress = silent
+) -> FusedInBricks:
+    """Fuse frames with depth and poses into a mesh that is written piece by piece.
+
+    Parameters
+    ----------
+    result : the PLY file to write.
+    kept : where bricks are kept for the next time; None for nowhere.
+    progress : called after each frame that was looked through, and for the frames of each cube.
+
+    Raises
+    ------
+    InputError, UsageError, StageError
+        As `fuse`.
+    """
+    if params.backend == "open3d" or device_of(params) != "CPU:0":
+        raise UsageError("brick_size is for the CPU and scanloom's own voxels; leave out device and backend.")
+    work = begun(scan, params)
+    if len(work.frames) == 1:
+        raise UsageError("brick_size is for scans of several frames; this one has a single frame.")
+    level = level_of(params.brick_size or BRICK_SIZE, work.plan.voxel_size)
+    index = _index(work, level, progress)
+    added = index.added
+    with _somewhere(kept, result.parent) as kept:
+        made = _make(work, index, level, kept, progress)
+        counts = sum((np.load(folder / _COUNTS) for folder in made.folders), np.zeros(256, np.int64))
+        min_weight = params.min_weight or least_weight(median_of(counts), work.frames)
+        added.skipped = _all_skipped(work, added, made.skipped)
+        joined = Joined(
+            [
+                Brick(b, folder / _file(min_weight))
+                for b, folder in zip(made.bricks, made.folders, strict=True)
+            ]
+        )
+        if not joined.triangle_count:
+            raise nothing_fused(work, added, min_weight)
+        figures = _write(work, joined, result)
+    return FusedInBricks(
+        path=result,
+        mesh_figures=figures,
+        bricks=len(made.bricks),
+        fused_bricks=made.fused,
+        **facts_of(work, added, min_weight, made.volume_bytes, "CPU:0"),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Index:
+    """What a look through all frames tells.
+
+    Attributes
+    ----------
+    added : what became of them.
+    blocks : keys of all blocks that are touched, in their order.
+    frames : by brick, the numbers of the frames that its surface may depend on.
+    """
+
+    added: Added
+    blocks: Keys
+    frames: Mapping[int, list[int]]
+
+
+def _index(work: Work, level: int, progress: Progress) -> _Index:
+    seen, frames = Seen(), defaultdict(list)
+    numbers = {id(frame): i for i, frame in enumerate(work.frames)}
+
+    def note(item: Prepared) -> None:
+        seen.add(item.parts)
+        for brick in touched_bricks(item.parts, level):
+            frames[brick].append(numbers[id(item.frame)])
+
+    added = look_through(work, note, progress)
+    return _Index(added, seen.keys(), frames)
+
+
+@dataclass
+class _Made:
+    """The bricks and their folders, in order; what had to be done for them."""
+
+    bricks: list[Cube]
+    folders: list[Path]
+    fused: int
+    volume_bytes: int
+    skipped: list[SkippedFrame]
+
+
+def _make(work: Work, index: _Index, level: int, kept: Kept, progress: Progress) -> _Made:
+    """Fuse the bricks that are not kept, as many at a time as fit."""
+    most_blocks = int(work.params.memory * 1e6 / block_bytes(color=work.color))
+    with_blocks = {int(number) for number in np.unique(index.blocks >> np.uint64(3 * level))}
+    decided = _decided(work)
+    made = _Made([], [], 0, 0, [])
+    for cube in passes(index.blocks, level, most_blocks):
+        bricks = bricks_of(cube, with_blocks, level)
+        folders = {brick: kept.get(brick, index.frames[brick.number], decided) for brick in bricks}
+        missing = [brick for brick, folder in folders.items() if folder is None]
+        if missing:
+            numbers = sorted({frame for brick in missing for frame in index.frames[brick.number]})
+            volume = own_volume(work, _around(missing))
+            added = add_frames(work, volume, [work.frames[i] for i in numbers], progress)
+            made.skipped += added.skipped
+            made.volume_bytes = max(made.volume_bytes, volume.bytes)
+            made.fused += len(missing)
+            for brick in missing:
+                write = partial(_write_brick, volume, work.params, brick)
+                folders[brick] = kept.store(brick, index.frames[brick.number], decided, write)
+        made.bricks += bricks
+        made.folders += [folder for folder in folders.values() if folder is not None]
+    return made
+
+
+def _decided(work: Work) -> dict[str, Any]:
+    """Return all that decides a brick beside its frames, JSON-able."""
+    plan, params = work.plan, work.params
+    return {
+        "voxel_size": plan.voxel_size,
+        "truncation": plan.truncation,
+        "max_depth": plan.max_depth,
+        "limits": asdict(plan.limits),
+        "weighing": asdict(plan.weighing),
+        "origin": plan.origin.tolist(),
+        "crop": asdict(plan.crop),
+        "reach": plan.reach,
+        "color": work.color,
+        "upsample": [params.upsample, work.factor],
+        "min_weights": list(_min_weights(params)),
+    }
+
+
+def _min_weights(params: FuseParams) -> Sequence[int]:
+    """Return how many frames must have seen a voxel, or all that this may turn out to be."""
+    return [params.min_weight] if params.min_weight else range(1, MOST_LEAST_WEIGHT + 1)
+
+
+def _around(bricks: Sequence[Cube]) -> Box:
+    """Return the box of some bricks with a rim of one block."""
+    x, y, z = np.min([brick.low for brick in bricks], axis=0) - 1
+    right, top, back = np.max([brick.high for brick in bricks], axis=0) + 1
+    return (int(x), int(y), int(z)), (int(right), int(top), int(back))
+
+
+def _file(min_weight: int) -> str:
+    return f"seen-{min_weight}.npz"
+
+
+def _write_brick(volume: Volume, params: FuseParams, brick: Cube, folder: Path) -> None:
+    """Write a brick's surfaces, and how often its voxels were seen."""
+    within = brick.low, brick.high
+    np.save(folder / _COUNTS, volume.frame_counts(within))
+    for min_weight in _min_weights(params):
+        mesh, joints = volume.surface(min_weight, within)
+        write_piece(folder / _file(min_weight), Piece(mesh.vertices, mesh.triangles, mesh.colors, joints))
+
+
+def _all_skipped(work: Work, added: Added, later: Sequence[SkippedFrame]) -> list[SkippedFrame]:
+    """Return all frames that were skipped, once, in their order: colours are read only where they are used."""
+    reasons = {one.name: one for one in [*added.skipped, *later]}
+    skipped = [reasons[frame.name] for frame in work.frames if frame.name in reasons]
+    require_share(skipped, work)
+    return skipped
+
+
+def _write(work: Work, joined: Joined, result: Path) -> MeshFigures:
+    """Write the whole, in pieces; cut at the crop it is one piece, which then has room in memory."""
+    plan = work.plan
+    block = BLOCK * plan.voxel_size
+    if plan.crop:
+        mesh = joined.mesh()
+        mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
+        lowest, highest = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        size = Extent((0, len(mesh.vertices)), (0, len(mesh.triangles)), point_of(lowest), point_of(highest))
+        write_pieces(
+            result, [size], [Written(mesh.vertices, mesh.colors, mesh.triangles)], has_colors=work.color
+        )
+        return MeshFigures(lowest, highest, len(mesh.vertices), len(mesh.triangles))
+    lowest, highest = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def pieces() -> Iterator[Written]:
+        for piece, triangles in zip(joined.pieces(), joined.triangles(), strict=True):
+            places = piece.vertices + plan.origin
+            if len(places):
+                np.minimum(lowest, places.min(axis=0), out=lowest)
+                np.maximum(highest, places.max(axis=0), out=highest)
+            yield Written(places, piece.colors, triangles)
+
+    sizes = [
+        Extent(
+            vertices,
+            triangles,
+            *(point_of(np.array(c) * block + plan.origin) for c in (brick.low, brick.high)),
+        )
+        for brick, vertices, triangles in joined.sizes()
+    ]
+    write_pieces(result, sizes, pieces(), has_colors=work.color)
+    return MeshFigures(lowest, highest, joined.vertex_count, joined.triangle_count)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scratch:
+    """Bricks of one fusion, which are found by nobody later."""
+
+    folder: Path
+
+    def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> None:
+        """Find nothing."""
+
+    def store(
+        self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
+    ) -> Path:
+        """Have a brick's files written."""
+        folder = self.folder / str(brick.number)
+        folder.mkdir()
+        make(folder)
+        return folder
+
+
+@contextmanager
+def _somewhere(kept: Kept | None, beside: Path) -> Iterator[Kept]:
+    if kept is not None:
+        yield kept
+        return
+    with tempfile.TemporaryDirectory(dir=beside, prefix=".bricks-") as folder:
+        yield _Scratch(Path(folder))
