@@ -165,10 +165,11 @@ fn project(frame: &Frame<'_>, first: [f32; 3], to: &mut Projected) {
     let camera = &frame.view.camera;
     let (last_x, last_y) = ((camera.width - 1) as f32, (camera.height - 1) as f32);
     let stride = frame.view.stride() as u32;
+    let [within_u, within_v, within_z] = &frame.within;
     for i in 0..SLICE {
-        let [across, down, z] = [0, 1, 2].map(|k| first[k] + frame.within[k][i]);
+        let z = first[2] + within_z[i];
         let inverse = 1.0 / z;
-        let (u, v) = (across * inverse, down * inverse);
+        let (u, v) = ((first[0] + within_u[i]) * inverse, (first[1] + within_v[i]) * inverse);
         // To the outer edges of the pixels; false for what is not a number.
         let is_inside = (z > 0.0) & (u >= -0.5) & (u < last_x + 0.5) & (v >= -0.5) & (v < last_y + 0.5);
         let (u, v) = (clamped(u, last_x), clamped(v, last_y));
