@@ -51,6 +51,7 @@ __all__ = [
     "match_descriptors",
     "match_pair",
     "not_before",
+    "oriented_depth",
     "planar_patches",
     "remesh",
     "side_lengths",
@@ -623,6 +624,19 @@ def first_inside(
     -------
     (h, w), 0 where there is none.
     """
+
+def oriented_depth(
+    depth: NDArray[np.float32],
+    pinhole: tuple[float, float, float, float, int, int],
+    *,
+    limits: tuple[float, float, float, float],
+    wanted_threads: int,
+) -> tuple[
+    NDArray[np.float32],
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    NDArray[np.float32],
+]:
+    """A filtered depth map, the normals of its surface and their lengths."""
 
 def touched_blocks(
     camera: _Camera,

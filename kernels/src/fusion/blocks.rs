@@ -155,14 +155,14 @@ mod tests {
         assert_eq!((blocks.count(), blocks.bytes()), (200, 256 * 6144));
         let wanted = [0, 3, 63, 64, 191, 199];
         for written in blocks.written(&wanted) {
-            written.distances.sum[0] += 1.0;
-            written.colors.unwrap().levels[0][0] = 7;
+            written.distances.sum[0][0] += 1.0;
+            written.colors.unwrap().levels[0][0][0] = 7;
             assert_eq!(written.block[1], -written.block[0]);
         }
         for slot in 0..200 {
             let is_wanted = wanted.contains(&(slot as u32));
-            assert_eq!(blocks.distances(slot).sum[0] > 0.0, is_wanted);
-            assert_eq!(blocks.colors(slot).unwrap().levels[0][0] == 7, is_wanted);
+            assert_eq!(blocks.distances(slot).sum[0][0] > 0.0, is_wanted);
+            assert_eq!(blocks.colors(slot).unwrap().levels[0][0][0] == 7, is_wanted);
             assert_eq!(blocks.key(slot), keys[slot]);
         }
     }

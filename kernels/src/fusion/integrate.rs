@@ -12,71 +12,47 @@
 use super::blocks::Written;
 use super::field::SIDE;
 use super::view::View;
-use super::voxel::{COLOR_FRAMES, COLORED, Colors, Distances, FRACTIONS, UNIT};
+use super::voxel::{COLOR_FRAMES, COLORED, Colors, FRACTIONS, SLICE, UNIT};
 use crate::base::parallel::each;
 
-/// Voxels of a slice.
-const SLICE: usize = SIDE * SIDE;
 /// Blocks that a thread takes at once.
 const AT_ONCE: usize = 16;
 
-/// How voxels are projected: the frame's homogeneous pixel of a voxel is an affine function of its coordinates.
-#[derive(Clone, Copy, Debug)]
-struct Projection {
+/// A frame and how voxels are projected into it: the homogeneous pixel (u z, v z, z) of a voxel is an affine function of its
+/// coordinates.
+#[derive(Debug)]
+pub struct Frame<'a> {
+    view: &'a View,
     /// Of the voxel at the origin.
     origin: [f64; 3],
     /// From one voxel to the next along x, y and z.
     step: [[f64; 3]; 3],
-}
-
-impl Projection {
-    fn new(view: &View, voxel_size: f64) -> Self {
-        let camera = &view.camera;
-        // Rows of the matrix that takes places to (u z, v z, z).
-        let rows: [[f64; 4]; 3] = [0, 1, 2].map(|i| {
-            [0, 1, 2, 3].map(|k| {
-                let [own, depth] = [camera.inverse[i][k], camera.inverse[2][k]];
-                if i < 2 { camera.focal[i] * own + camera.centre[i] * depth } else { depth }
-            })
-        });
-        Self {
-            origin: rows.map(|row| row[3]),
-            step: [0, 1, 2].map(|axis| rows.map(|row| row[axis] * voxel_size)),
-        }
-    }
-
-    /// Homogeneous pixel of a block's first voxel.
-    fn first(&self, block: [i32; 3]) -> [f32; 3] {
-        let at = block.map(|c| f64::from(c) * SIDE as f64);
-        [0, 1, 2].map(|i| {
-            let along = self.step[0][i] * at[0] + self.step[1][i] * at[1] + self.step[2][i] * at[2];
-            (self.origin[i] + along) as f32
-        })
-    }
-}
-
-/// What all blocks of a frame share.
-#[derive(Debug)]
-pub struct Frame<'a> {
-    view: &'a View,
-    projection: Projection,
-    /// Of the voxels of a row, from its first.
-    along_x: [[f32; SIDE]; 3],
-    step_y: [f32; 3],
-    step_z: [f32; 3],
+    /// Of the voxels of a slice, from its first.
+    within: [[f32; SLICE]; 3],
 }
 
 impl<'a> Frame<'a> {
     pub fn new(view: &'a View, voxel_size: f64) -> Self {
-        let projection = Projection::new(view, voxel_size);
-        let [x, y, z] = projection.step;
-        Self {
-            view,
-            projection,
-            along_x: x.map(|step| std::array::from_fn(|k| (step * k as f64) as f32)),
-            step_y: y.map(|step| step as f32),
-            step_z: z.map(|step| step as f32),
-        }
+        let camera = &view.camera;
+        let row = |i: usize, k: usize| {
+            let [own, depth] = [camera.inverse[i][k], camera.inverse[2][k]];
+            if i < 2 { camera.focal[i] * own + camera.centre[i] * depth } else { depth }
+        };
+        let step = [0, 1, 2].map(|axis| [0, 1, 2].map(|i| row(i, axis) * voxel_size));
+        let within = [0, 1, 2].map(|i| {
+            std::array::from_fn(|k| (step[0][i] * (k % SIDE) as f64 + step[1][i] * (k / SIDE) as f64) as f32)
+        });
+        Self { view, origin: [0, 1, 2].map(|i| row(i, 3)), step, within }
+    }
+
+    /// Homogeneous pixel of the first voxel of a block's slice.
+    fn first(&self, block: [i32; 3], slice: usize) -> [f32; 3] {
+        let at = block.map(|c| f64::from(c) * SIDE as f64);
+        let at = [at[0], at[1], at[2] + slice as f64];
+        [0, 1, 2].map(|i| {
+            let along = self.step[0][i] * at[0] + self.step[1][i] * at[1] + self.step[2][i] * at[2];
+            (self.origin[i] + along) as f32
+        })
     }
 }
 
@@ -127,78 +103,83 @@ pub fn integrate(frame: &Frame<'_>, mut blocks: Vec<Written<'_>>, add: Add, thre
     });
 }
 
+/// A number for each voxel of a slice.
+type Slice<T> = [T; SLICE];
+
 /// Where the voxels of a slice are in the image.
 struct Projected {
     /// Depth; not above 0 for what is not in the image.
-    z: [f32; SLICE],
+    z: Slice<f32>,
     /// The pixel to the upper left, and how far right and below of it.
-    upper_left: [u32; SLICE],
-    right: [f32; SLICE],
-    below: [f32; SLICE],
-    nearest: [u32; SLICE],
+    upper_left: Slice<u32>,
+    right: Slice<f32>,
+    below: Slice<f32>,
+    nearest: Slice<u32>,
 }
 
 #[inline(always)]
 fn add(frame: &Frame<'_>, block: &mut Written<'_>) {
-    let first = frame.projection.first(block.block);
-    let mut projected = Projected {
+    let mut at = Projected {
         z: [0.0; SLICE],
         upper_left: [0; SLICE],
         right: [0.0; SLICE],
         below: [0.0; SLICE],
         nearest: [0; SLICE],
     };
-    let mut distance = [0.0; SLICE];
+    let (mut distance, mut total, mut looks) = ([0.0; SLICE], [0.0; SLICE], [0; SLICE]);
     for slice in 0..SIDE {
-        let origin = std::array::from_fn(|i| first[i] + slice as f32 * frame.step_z[i]);
-        project(frame, origin, &mut projected);
-        if !projected.z.iter().fold(false, |any, &z| any | (z > 0.0)) {
+        project(frame, frame.first(block.block, slice), &mut at);
+        if !any(&at.z, |z| z > 0.0) {
             continue;
         }
-        measure(frame.view, &projected, &mut distance);
-        if !distance.iter().fold(false, |any, &d| any | (d > -1.0)) {
+        measure(frame.view, &at, &mut distance);
+        if !any(&distance, |d| d > -1.0) {
             continue;
         }
-        let mut looks = [0; SLICE];
-        for (look, &pixel) in looks.iter_mut().zip(&projected.nearest) {
-            // SAFETY: `project` names pixels of the image alone.
-            *look = unsafe { *frame.view.looks.get_unchecked(pixel as usize) };
-        }
-        let here = slice * SLICE..(slice + 1) * SLICE;
-        let total = weigh(block.distances, here.clone(), &distance, &looks);
+        fetch(&frame.view.looks, &at.nearest, &mut looks);
+        let to = &mut *block.distances;
+        weigh(
+            &mut to.sum[slice],
+            &mut to.weight[slice],
+            &mut to.frames[slice],
+            &distance,
+            &looks,
+            &mut total,
+        );
         if let Some(colors) = &mut block.colors
-            && distance.iter().fold(false, |any, &d| any | (d.abs() < 1.0))
+            && any(&distance, |d| d.abs() < 1.0)
         {
-            paint(colors, here, &distance, &looks, &total);
+            paint(colors, slice, &distance, &looks, &total);
         }
     }
 }
 
+#[inline(always)]
+fn any(values: &Slice<f32>, is_one: impl Fn(f32) -> bool) -> bool {
+    values.iter().fold(false, |any, &value| any | is_one(value))
+}
+
 /// Project a slice whose first voxel has a homogeneous pixel.
 #[inline(always)]
-fn project(frame: &Frame<'_>, origin: [f32; 3], to: &mut Projected) {
+fn project(frame: &Frame<'_>, first: [f32; 3], to: &mut Projected) {
     let camera = &frame.view.camera;
     let (last_x, last_y) = ((camera.width - 1) as f32, (camera.height - 1) as f32);
     let stride = frame.view.stride() as u32;
-    let [along_u, along_v, along_z] = &frame.along_x;
-    for y in 0..SIDE {
-        let row: [f32; 3] = std::array::from_fn(|i| origin[i] + y as f32 * frame.step_y[i]);
-        for x in 0..SIDE {
-            let z = row[2] + along_z[x];
-            let inverse = 1.0 / z;
-            let (u, v) = ((row[0] + along_u[x]) * inverse, (row[1] + along_v[x]) * inverse);
-            // To the outer edges of the pixels; false for what is not a number.
-            let is_inside = (z > 0.0) & (u >= -0.5) & (u < last_x + 0.5) & (v >= -0.5) & (v < last_y + 0.5);
-            let (u, v) = (clamped(u, last_x), clamped(v, last_y));
-            // SAFETY: both are numbers from 0 to below 2³¹.
-            let (left, above, column, line) = unsafe { (whole(u), whole(v), whole(u + 0.5), whole(v + 0.5)) };
-            let i = y * SIDE + x;
-            to.z[i] = if is_inside { z } else { 0.0 };
-            to.upper_left[i] = above * stride + left;
-            to.right[i] = u - left as f32;
-            to.below[i] = v - above as f32;
-            to.nearest[i] = line * stride + column;
-        }
+    let [within_u, within_v, within_z] = &frame.within;
+    for i in 0..SLICE {
+        let z = first[2] + within_z[i];
+        let inverse = 1.0 / z;
+        let (u, v) = ((first[0] + within_u[i]) * inverse, (first[1] + within_v[i]) * inverse);
+        // To the outer edges of the pixels; false for what is not a number.
+        let is_inside = (z > 0.0) & (u >= -0.5) & (u < last_x + 0.5) & (v >= -0.5) & (v < last_y + 0.5);
+        let (u, v) = (clamped(u, last_x), clamped(v, last_y));
+        // SAFETY: both are numbers from 0 to below 2³⁰.
+        let (left, above, column, row) = unsafe { (whole(u), whole(v), whole(u + 0.5), whole(v + 0.5)) };
+        to.z[i] = if is_inside { z } else { 0.0 };
+        to.upper_left[i] = above as u32 * stride + left as u32;
+        to.right[i] = u - left as f32;
+        to.below[i] = v - above as f32;
+        to.nearest[i] = row as u32 * stride + column as u32;
     }
 }
 
@@ -212,117 +193,134 @@ fn clamped(x: f32, last: f32) -> f32 {
 /// Cut the fraction off.
 ///
 /// # Safety
-/// It must be a number from 0 to below 2³¹.
+/// It must be a number of a size below 2³¹.
 #[inline(always)]
-unsafe fn whole(x: f32) -> u32 {
+unsafe fn whole(x: f32) -> i32 {
     // SAFETY: as promised by the caller.
-    unsafe { x.to_int_unchecked::<i32>() as u32 }
+    unsafe { x.to_int_unchecked() }
 }
 
 /// How far in front of the surface voxels are along its normal, in truncations; −∞ where there is none.
 #[inline(always)]
-fn measure(view: &View, at: &Projected, distance: &mut [f32; SLICE]) {
-    let stride = view.stride();
-    let mut sides = [[0f32; 4]; SLICE];
-    for i in 0..SLICE {
-        let pixel = at.upper_left[i] as usize;
-        // SAFETY: `project` names pixels of the image alone, and there are one more row and column than it has.
-        let (above, below) = unsafe {
-            (
-                *view.measures.as_ptr().add(pixel).cast::<[f32; 4]>(),
-                *view.measures.as_ptr().add(pixel + stride).cast::<[f32; 4]>(),
-            )
-        };
-        let down = at.below[i];
-        sides[i] = std::array::from_fn(|k| above[k] + down * (below[k] - above[k]));
-    }
+fn measure(view: &View, at: &Projected, distance: &mut Slice<f32>) {
+    let mut sides = [[0.0; 4]; SLICE];
+    fetch_sides(view, &at.upper_left, &at.below, &mut sides);
     let mut is_missing = false;
     for i in 0..SLICE {
         let [left, left_scale, right, right_scale] = sides[i];
         let inverse = left + at.right[i] * (right - left);
         let scale = left_scale + at.right[i] * (right_scale - left_scale);
-        let is_inside = at.z[i] > 0.0;
-        let is_known = inverse > 0.0;
+        let (is_inside, is_known) = (at.z[i] > 0.0, inverse > 0.0);
         let found = (1.0 / inverse - at.z[i]) * scale;
         distance[i] = if is_inside & is_known { found } else { f32::NEG_INFINITY };
         is_missing |= is_inside & !is_known;
     }
     if is_missing {
+        let mut nearest = [[0.0; 2]; SLICE];
+        fetch(&view.measures, &at.nearest, &mut nearest);
         for i in 0..SLICE {
-            if at.z[i] > 0.0 && distance[i] == f32::NEG_INFINITY {
-                let [inverse, scale] = view.measures[at.nearest[i] as usize];
-                if inverse > 0.0 {
-                    distance[i] = (1.0 / inverse - at.z[i]) * scale;
-                }
-            }
+            let [inverse, scale] = nearest[i];
+            let is_open = (at.z[i] > 0.0) & (distance[i] == f32::NEG_INFINITY) & (inverse > 0.0);
+            let found = (1.0 / inverse - at.z[i]) * scale;
+            distance[i] = if is_open { found } else { distance[i] };
         }
     }
 }
 
-/// Add distances to those of a block; the sums of weights are returned.
+// What is fetched from the image, is so in functions of their own, which are compiled for all processors alike: compilers
+// would take the instructions that gather, which are slower than loads one by one.
+
+/// Measures to the left and right of voxels, interpolated between the rows.
+#[inline(never)]
+fn fetch_sides(view: &View, upper_left: &Slice<u32>, below: &Slice<f32>, to: &mut Slice<[f32; 4]>) {
+    let stride = view.stride();
+    for i in 0..SLICE {
+        let pixel = upper_left[i] as usize;
+        // SAFETY: `project` names pixels of the image alone, and there are one more row and column than it has.
+        let [above, under] = unsafe {
+            let first = view.measures.as_ptr().add(pixel);
+            [*first.cast::<[f32; 4]>(), *first.add(stride).cast::<[f32; 4]>()]
+        };
+        for k in 0..4 {
+            to[i][k] = above[k] + below[i] * (under[k] - above[k]);
+        }
+    }
+}
+
+/// What the nearest pixels have, of images with as many as the measures.
+#[inline(never)]
+fn fetch<T: Copy>(image: &[T], pixels: &Slice<u32>, to: &mut Slice<T>) {
+    for i in 0..SLICE {
+        // SAFETY: `project` names pixels of the image alone.
+        to[i] = unsafe { *image.get_unchecked(pixels[i] as usize) };
+    }
+}
+
+/// Add distances to those of a slice, and tell the sums of weights.
 #[inline(always)]
 fn weigh(
-    to: &mut Distances,
-    here: std::ops::Range<usize>,
-    distance: &[f32; SLICE],
-    looks: &[u32; SLICE],
-) -> [f32; SLICE] {
-    let (sums, weights, frames) =
-        (&mut to.sum[here.clone()], &mut to.weight[here.clone()], &mut to.frames[here]);
-    let mut total = [0.0; SLICE];
+    sums: &mut Slice<f32>,
+    weights: &mut Slice<u16>,
+    frames: &mut Slice<u8>,
+    distance: &Slice<f32>,
+    looks: &Slice<u32>,
+    total: &mut Slice<f32>,
+) {
+    let (mut new, mut seen) = ([0u32; SLICE], [0u32; SLICE]);
     for i in 0..SLICE {
         let d = distance[i];
         let is_seen = d > -1.0;
         let cut = if d < 1.0 { d } else { 1.0 };
-        let weight = looks[i] >> 24;
-        let old = u32::from(weights[i]);
+        let (old, weight) = (u32::from(weights[i]), looks[i] >> 24);
         let is_full = old + weight > u32::from(u16::MAX);
-        let (old, sum) = if is_full { (old >> 1, sums[i] * 0.5) } else { (old, sums[i]) };
-        let new = old + weight;
+        let kept = if is_full { old >> 1 } else { old };
+        let sum = if is_full { sums[i] * 0.5 } else { sums[i] };
         let added = sum + weight as i32 as f32 * cut;
-        total[i] = new as i32 as f32;
+        total[i] = (kept + weight) as i32 as f32;
         sums[i] = if is_seen { added } else { sums[i] };
-        weights[i] = if is_seen { new as u16 } else { weights[i] };
-        frames[i] = frames[i].saturating_add(is_seen.into());
+        new[i] = if is_seen { kept + weight } else { old };
+        seen[i] = u32::from(is_seen);
     }
-    total
+    for i in 0..SLICE {
+        weights[i] = new[i] as u16;
+    }
+    for i in 0..SLICE {
+        frames[i] = frames[i].saturating_add(seen[i] as u8);
+    }
 }
 
 /// Mix the colours of pixels with those of voxels within one truncation of the surface.
 #[inline(always)]
-fn paint(
-    to: &mut Colors,
-    here: std::ops::Range<usize>,
-    distance: &[f32; SLICE],
-    looks: &[u32; SLICE],
-    total: &[f32; SLICE],
-) {
-    let [reds, greens, blues] = &mut to.levels;
-    let (reds, greens, blues) =
-        (&mut reds[here.clone()], &mut greens[here.clone()], &mut blues[here.clone()]);
-    let fractions = &mut to.fractions[here];
+fn paint(to: &mut Colors, slice: usize, distance: &Slice<f32>, looks: &Slice<u32>, total: &Slice<f32>) {
+    let fractions = &mut to.fractions[slice];
+    let (mut share, mut near) = ([0f32; SLICE], [0u32; SLICE]);
     for i in 0..SLICE {
-        let d = distance[i];
-        let is_near = (d > -1.0) & (d < 1.0);
-        let known = fractions[i];
-        let most = COLOR_FRAMES * UNIT;
+        let (d, most) = (distance[i], COLOR_FRAMES * UNIT);
+        near[i] = if (d > -1.0) & (d < 1.0) { u32::MAX } else { 0 };
         let of = if total[i] < most { total[i] } else { most };
-        let share = (looks[i] >> 24) as i32 as f32 / of;
+        let own = (looks[i] >> 24) as i32 as f32 / of;
         // The first colour is taken as it is, whatever the weight of the space that was seen empty before.
-        let share = if known & COLORED == 0 { 1.0 } else { share };
-        let mixed = |level: u8, fraction: u16, look: u32| {
-            let old = (i32::from(level) << 5 | i32::from(fraction & 31)) as f32;
-            let new = (look & 255) as i32 as f32 * FRACTIONS;
+        share[i] = if fractions[i] & COLORED == 0 { 1.0 } else { own };
+    }
+    let mut parts = [u32::from(COLORED); SLICE];
+    for (channel, levels) in to.levels.iter_mut().enumerate() {
+        let levels = &mut levels[slice];
+        let mut mixed = [0u32; SLICE];
+        for i in 0..SLICE {
+            let fraction = u32::from(fractions[i]) >> (5 * channel) & 31;
+            let old = (u32::from(levels[i]) << 5 | fraction) as i32 as f32;
+            let seen = (looks[i] >> (8 * channel) & 255) as i32 as f32 * FRACTIONS;
             // SAFETY: it lies between both, which are numbers from 0 to 2¹³.
-            unsafe { (old + share * (new - old) + 0.5).to_int_unchecked::<i32>() as u32 }
-        };
-        let red = mixed(reds[i], known, looks[i]);
-        let green = mixed(greens[i], known >> 5, looks[i] >> 8);
-        let blue = mixed(blues[i], known >> 10, looks[i] >> 16);
-        let parts = (red & 31 | (green & 31) << 5 | (blue & 31) << 10) as u16 | COLORED;
-        reds[i] = if is_near { (red >> 5) as u8 } else { reds[i] };
-        greens[i] = if is_near { (green >> 5) as u8 } else { greens[i] };
-        blues[i] = if is_near { (blue >> 5) as u8 } else { blues[i] };
-        fractions[i] = if is_near { parts } else { known };
+            mixed[i] = unsafe { whole(old + share[i] * (seen - old) + 0.5) } as u32;
+        }
+        for i in 0..SLICE {
+            parts[i] |= (mixed[i] & 31) << (5 * channel);
+        }
+        for i in 0..SLICE {
+            levels[i] = (mixed[i] >> 5 & near[i] | u32::from(levels[i]) & !near[i]) as u8;
+        }
+    }
+    for i in 0..SLICE {
+        fractions[i] = (parts[i] & near[i] | u32::from(fractions[i]) & !near[i]) as u16;
     }
 }

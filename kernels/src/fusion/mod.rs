@@ -6,6 +6,7 @@
 //! | [`order`] | blocks of voxels in Z-order |
 //! | [`voxel`] | what is kept of a voxel, in 12 bytes |
 //! | [`blocks`] | all blocks of a field, each in a slot |
+//! | [`filter`] | how obliquely a depth map sees its surface, and where it is torn |
 //! | [`view`] | a depth map as it goes into a field |
 //! | [`touch`] | the blocks that a frame has something to say of |
 //! | [`integrate`] | adding a frame to them |
@@ -19,6 +20,7 @@
 pub mod blocks;
 pub mod cubes;
 pub mod field;
+pub mod filter;
 pub mod integrate;
 pub mod order;
 pub mod surface;

@@ -30,6 +30,9 @@ impl Volume {
         }
     }
 
+    pub fn set(&mut self, add: Add) {
+        self.add = add;
+    }
     pub fn blocks(&self) -> &Blocks {
         &self.blocks
     }
@@ -62,7 +65,7 @@ impl Volume {
             let distances = self.blocks.distances(slot);
             for voxel in (0..VOXELS).step_by(7) {
                 if distances.of(voxel, 1).abs() < 0.5 {
-                    counts[usize::from(distances.frames[voxel])] += 1;
+                    counts[usize::from(distances.frames(voxel))] += 1;
                 }
             }
         }
@@ -99,7 +102,7 @@ impl Field for Volume {
     fn sample(&self, slot: usize, voxel: usize) -> Sample {
         Sample {
             color: self.blocks.colors(slot).map_or([0.0; 3], |colors| colors.of(voxel)),
-            frames: self.blocks.distances(slot).frames[voxel].into(),
+            frames: self.blocks.distances(slot).frames(voxel).into(),
             cosine: 0.0,
         }
     }

@@ -12,6 +12,9 @@
 
 use super::field::{SIDE, VOXELS};
 
+/// Voxels of a slice: of one z.
+pub const SLICE: usize = SIDE * SIDE;
+
 /// The weight of a frame that weighs 1.
 pub const UNIT: f32 = 32.0;
 /// The heaviest a frame can be.
@@ -23,42 +26,51 @@ pub const FRACTIONS: f32 = 32.0;
 /// Of a voxel that has a colour, in `fractions`.
 pub const COLORED: u16 = 1 << 15;
 
-/// Distances of a block, x fastest, then y.
+/// Distances of a block, slice by slice, x fastest.
 #[derive(Clone, Debug)]
 pub struct Distances {
-    pub sum: [f32; VOXELS],
-    pub weight: [u16; VOXELS],
-    pub frames: [u8; VOXELS],
+    pub sum: [[f32; SLICE]; SIDE],
+    pub weight: [[u16; SLICE]; SIDE],
+    pub frames: [[u8; SLICE]; SIDE],
 }
 
 /// Colours of a block.
 #[derive(Clone, Debug)]
 pub struct Colors {
     /// Fractions of red, green and blue in five bits each, from below, and [`COLORED`].
-    pub fractions: [u16; VOXELS],
-    pub levels: [[u8; VOXELS]; 3],
+    pub fractions: [[u16; SLICE]; SIDE],
+    pub levels: [[[u8; SLICE]; SIDE]; 3],
 }
 
 impl Distances {
-    pub const NONE: Self = Self { sum: [0.0; VOXELS], weight: [0; VOXELS], frames: [0; VOXELS] };
+    pub const NONE: Self =
+        Self { sum: [[0.0; SLICE]; SIDE], weight: [[0; SLICE]; SIDE], frames: [[0; SLICE]; SIDE] };
 
     /// Distance of a voxel in truncations, NaN where too few frames have seen it.
     #[inline]
     pub fn of(&self, voxel: usize, least: u8) -> f32 {
-        let seen = self.frames[voxel] >= least && self.weight[voxel] > 0;
-        if seen { self.sum[voxel] / f32::from(self.weight[voxel]) } else { f32::NAN }
+        let weight = self.weight.as_flattened()[voxel];
+        let is_known = weight > 0 && self.frames(voxel) >= least;
+        if is_known { self.sum.as_flattened()[voxel] / f32::from(weight) } else { f32::NAN }
+    }
+
+    /// How many frames saw a voxel, 255 for more.
+    #[inline]
+    pub fn frames(&self, voxel: usize) -> u8 {
+        self.frames.as_flattened()[voxel]
     }
 }
 
 impl Colors {
-    pub const NONE: Self = Self { fractions: [0; VOXELS], levels: [[0; VOXELS]; 3] };
+    pub const NONE: Self = Self { fractions: [[0; SLICE]; SIDE], levels: [[[0; SLICE]; SIDE]; 3] };
 
     /// Levels of a voxel, 0 to 255; black where none was seen.
     #[inline]
     pub fn of(&self, voxel: usize) -> [f32; 3] {
+        let fractions = self.fractions.as_flattened()[voxel];
         std::array::from_fn(|c| {
-            let fraction = self.fractions[voxel] >> (5 * c) & 31;
-            f32::from(self.levels[c][voxel]) + f32::from(fraction) / FRACTIONS
+            let fraction = fractions >> (5 * c) & 31;
+            f32::from(self.levels[c].as_flattened()[voxel]) + f32::from(fraction) / FRACTIONS
         })
     }
 }

@@ -1,4 +1,4 @@
-//! `stages._kernels.Volume` and `touched_blocks`.
+//! `stages._kernels.oriented_depth`, `touched_blocks` and `Volume`.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -15,14 +15,18 @@ use super::detached::detached;
 use super::guarded::guarded;
 use crate::base::parallel::threads;
 use crate::fusion::field::VOXELS;
+use crate::fusion::filter::{Limits, oriented};
 use crate::fusion::order::block;
 use crate::fusion::surface::{BlockBox, surface};
 use crate::fusion::touch::{Surface, touched};
-use crate::fusion::view::{Camera, Images, View, Weighing};
+use crate::fusion::view::{Affine, Camera, Images, View, Weighing};
 
-/// fx, fy, cx, cy, width, height; and the (4, 4) matrix that takes the camera to the field.
-type Posed<'py> = ((f64, f64, f64, f64, usize, usize), PyReadonlyArray2<'py, f64>);
+/// fx, fy, cx, cy, width, height.
+type Pinhole = (f64, f64, f64, f64, usize, usize);
+/// With the (4, 4) matrix that takes the camera to the field.
+type Posed<'py> = (Pinhole, PyReadonlyArray2<'py, f64>);
 type Map<'py> = PyReadonlyArray2<'py, f32>;
+type NewMap = Py<PyArray2<f32>>;
 /// Blocks (n, 3), distances (n, 512) in truncations, weights, frames, and colours (n, 512, 3) if there are any.
 type Voxels =
     (Py<PyArray2<i32>>, Py<PyArray2<f32>>, Py<PyArray2<u16>>, Py<PyArray2<u8>>, Option<Py<PyArray3<f32>>>);
@@ -44,16 +48,23 @@ fn boxed((low, high): Corners) -> BlockBox {
 const MOST_PIXELS: usize = 1 << 30;
 
 fn camera(posed: &Posed<'_>) -> PyResult<Camera> {
-    let ((fx, fy, cx, cy, width, height), ref pose) = *posed;
+    let (pinhole, ref pose) = *posed;
     let pose = pose.as_array();
-    let is_sound = pose.iter().chain(&[fx, fy, cx, cy]).all(|x| x.is_finite());
-    if pose.shape() != [4, 4] || !is_sound || fx <= 0.0 || fy <= 0.0 {
-        return Err(PyValueError::new_err("a camera needs a finite 4 × 4 pose and focal lengths above 0"));
+    if pose.shape() != [4, 4] || !pose.iter().all(|x| x.is_finite()) {
+        return Err(PyValueError::new_err("a camera needs a finite 4 × 4 pose"));
+    }
+    at(pinhole, [0, 1, 2].map(|i| [0, 1, 2, 3].map(|k| pose[[i, k]])))
+}
+
+fn at((fx, fy, cx, cy, width, height): Pinhole, pose: Affine) -> PyResult<Camera> {
+    if ![fx, fy, cx, cy].iter().all(|x| x.is_finite()) || fx <= 0.0 || fy <= 0.0 {
+        return Err(PyValueError::new_err(
+            "a camera needs finite focal lengths above 0, and a finite centre",
+        ));
     }
     if width == 0 || height == 0 || (width + 1).saturating_mul(height + 1) > MOST_PIXELS {
         return Err(PyValueError::new_err("a camera needs an image of a pixel at least, and fewer than 2³⁰"));
     }
-    let pose = [0, 1, 2].map(|i| [0, 1, 2, 3].map(|k| pose[[i, k]]));
     Ok(Camera::new((width, height), [fx, fy], [cx, cy], pose))
 }
 
@@ -63,6 +74,32 @@ fn pixels<'a, T: Element>(image: &'a PyReadonlyArray2<'_, T>, camera: &Camera) -
         Ok(pixels) if image.as_array().shape() == [camera.height, camera.width] => Ok(pixels),
         _ => Err(PyValueError::new_err("an image is not contiguous, or of another size than its camera")),
     }
+}
+
+/// A depth map without gaps of one pixel and without what is torn or too oblique; normals of its surface, an image for each
+/// axis, and their lengths. `limits` holds the least and greatest depth, the jump, and the least cosine.
+#[pyfunction]
+#[pyo3(signature = (depth, pinhole, *, limits, wanted_threads))]
+pub fn oriented_depth(
+    py: Python<'_>,
+    depth: Map<'_>,
+    pinhole: Pinhole,
+    limits: (f32, f32, f32, f32),
+    wanted_threads: usize,
+) -> PyResult<(NewMap, (NewMap, NewMap, NewMap), NewMap)> {
+    let camera = at(pinhole, [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])?;
+    guarded(camera.width * camera.height, || {
+        let depth = pixels(&depth, &camera)?.to_vec();
+        let (nearest, farthest, jump, cosine) = limits;
+        let limits = Limits { nearest, farthest, jump, cosine };
+        let found = py.detach(|| oriented(depth, &camera, limits, threads(wanted_threads)));
+        let map = |values| {
+            let map = Array2::from_shape_vec((camera.height, camera.width), values).map_err(shape)?;
+            PyResult::Ok(map.into_pyarray(py).unbind())
+        };
+        let [x, y, z] = found.normal;
+        Ok((map(found.depth)?, (map(x)?, map(y)?, map(z)?), map(found.obliqueness)?))
+    })
 }
 
 /// Keys of the blocks that a frame touches, sorted; with `within`, of those from its first to before its second block alone.
@@ -218,8 +255,8 @@ impl Volume {
             let all = (0..count).map(|slot| blocks.distances(slot));
             let places = (0..count).flat_map(|slot| block(blocks.key(slot))).collect();
             let distances = all.clone().flat_map(|one| (0..VOXELS).map(|v| one.of(v, 1))).collect();
-            let weights = all.clone().flat_map(|one| one.weight).collect();
-            let frames = all.flat_map(|one| one.frames).collect();
+            let weights = all.clone().flat_map(|one| one.weight.as_flattened().iter().copied()).collect();
+            let frames = all.flat_map(|one| one.frames.as_flattened().iter().copied()).collect();
             let colors = blocks.is_colored().then(|| {
                 let colors = (0..count).filter_map(|slot| blocks.colors(slot));
                 colors.flat_map(|one| (0..VOXELS).flat_map(|v| one.of(v))).collect()

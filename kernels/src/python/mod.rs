@@ -113,6 +113,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(planar::simplify_planar, module)?)?;
     module.add_function(wrap_pyfunction!(planar::planar_patches, module)?)?;
     module.add_class::<fusion::Volume>()?;
+    module.add_function(wrap_pyfunction!(fusion::oriented_depth, module)?)?;
     module.add_function(wrap_pyfunction!(fusion::touched_blocks, module)?)?;
     module.add_class::<lod::Levels>()?;
     module.add_class::<lod::Front>()?;

@@ -109,11 +109,11 @@ fn bits(volume: &Volume) -> HashMap<u64, (Vec<u32>, Vec<u16>, Vec<u8>, Vec<u16>,
     let of = |slot| {
         let (distances, colors) = (blocks.distances(slot), blocks.colors(slot).unwrap());
         (
-            distances.sum.map(f32::to_bits).to_vec(),
-            distances.weight.to_vec(),
-            distances.frames.to_vec(),
-            colors.fractions.to_vec(),
-            colors.levels.concat(),
+            distances.sum.as_flattened().iter().map(|sum| sum.to_bits()).collect(),
+            distances.weight.concat(),
+            distances.frames.concat(),
+            colors.fractions.concat(),
+            colors.levels.concat().concat(),
         )
     };
     (0..blocks.count()).map(|slot| (blocks.key(slot), of(slot))).collect()
@@ -217,7 +217,7 @@ fn voxels_hold_what_double_precision_and_no_tricks_say() {
                 }
             }
             assert_eq!(
-                (f64::from(distances.weight[voxel]), i32::from(distances.frames[voxel])),
+                (f64::from(distances.weight.as_flattened()[voxel]), i32::from(distances.frames(voxel))),
                 (weight, frames)
             );
             if frames > 0 {
@@ -288,7 +288,7 @@ fn thousands_of_frames_leave_no_bias() {
     let expected = (1.0 - z as f64 * VOXEL) / TRUNCATION;
     let found = f64::from(volume.blocks.distances(slot).of(voxel, 1));
     assert!((found - expected).abs() < 2e-3, "{found} {expected}");
-    assert_eq!(volume.blocks.distances(slot).frames[voxel], 255);
+    assert_eq!(volume.blocks.distances(slot).frames(voxel), 255);
     let color = volume.blocks.colors(slot).unwrap().of(voxel)[0];
     assert!((color - 99.5).abs() < 12.0, "{color}");
 }
