@@ -40,18 +40,20 @@ from pipeline import (
     upright,
     versions,
 )
+from pipeline.bricks import KeptBricks
 from pipeline.depth_maps import measure_of, write_depth_maps
 from pipeline.engine import Job, Stage
 from pipeline.expectation import Cost
+from pipeline.large import is_large, some_of, whole
 from pipeline.own_paths import from_folder
 from pipeline.skipped import said_of_skipped
 from pipeline.standing import Up, read_up
 from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
+from stages.cleaning.clean_in_pieces import clean_in_pieces
 from stages.comparing.compare import compare_surfaces
 from stages.comparing.left_out import left_out as left_out_of_all
 from stages.exporting.export import export
-from stages.fusion.fuse import fuse
 from stages.inspecting.libraries import installed
 from stages.inspecting.sanity import require_poses
 from stages.lod.slod import read_slod
@@ -60,7 +62,9 @@ from stages.normal_meshes.unmet import unmet as not_close
 from stages.registration.register import register
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Scan
+from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
+from stages.simplification.simplify_in_pieces import InPieces, simplify_in_pieces
 from stages.simplification.unmet import unmet as not_simplified
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh_files import read_mesh
@@ -112,8 +116,8 @@ def _fuse(job: Job) -> Mapping[str, Any]:
     unplaced = _scan(job)
     scan = _placed(unplaced, job)
     doubts = require_poses(scan) if job.config.scan.check_poses else []
-    fused = fuse(scan, job.config.fuse, progress=job.progress)
-    fusing.write(job.folder, fused)
+    kept = KeptBricks(job, scan, versions.of_fuse({}, job.config), installed("opencv"))
+    fused = fusing.make(job.folder, scan, job.config.fuse, kept, job.progress)
     figures = fused.figures()
     if "posed" in job.inputs:
         doubts += fusing.fuse_apart(job.folder, unplaced, job.inputs["posed"], job.config.fuse)
@@ -122,14 +126,17 @@ def _fuse(job: Job) -> Mapping[str, Any]:
 
 
 def _clean(job: Job) -> Mapping[str, Any]:
-    cleaned = clean(read_ply(job.inputs["fused"] / "fused.ply"), job.config.clean)
-    write_ply(job.folder / "clean.ply", cleaned.mesh)
+    fused, result = job.inputs["fused"] / "fused.ply", job.folder / "clean.ply"
+    if is_large(fused):
+        return clean_in_pieces(fused, result, job.config.clean, progress=job.progress)
+    cleaned = clean(read_ply(fused), job.config.clean)
+    write_ply(result, cleaned.mesh)
     told = {} if cleaned.repaired is None else {"warnings": list(cleaned.repaired.mesh.notes)}
     return {**cleaned.figures(), **told}
 
 
 def _upright(job: Job) -> Mapping[str, Any]:
-    mesh = read_ply(job.inputs["clean"] / "clean.ply")
+    mesh = some_of(job.inputs["clean"] / "clean.ply")
     plane = fusing.up_from_plane(job.inputs["fused"])
     return upright.make(job.folder, mesh, _frames(job), plane, job.config.upright)
 
@@ -139,8 +146,12 @@ def _up(job: Job) -> Up | None:
 
 
 def _simplify(job: Job) -> Mapping[str, Any]:
-    mesh = read_ply(job.inputs["clean"] / "clean.ply")
-    simplified = simplify(mesh, job.config.simplify, progress=job.progress)
+    path = job.inputs["clean"] / "clean.ply"
+    simplified: Simplified[Any] | InPieces
+    if is_large(path):
+        simplified = simplify_in_pieces(path, job.config.simplify, progress=job.progress)
+    else:
+        simplified = simplify(read_ply(path), job.config.simplify, progress=job.progress)
     write_ply(job.folder / "simplified.ply", simplified.mesh)
     return simplified.figures()
 
@@ -153,7 +164,8 @@ def _texture(job: Job) -> Mapping[str, Any]:
 
 
 def _bake(job: Job) -> Mapping[str, Any]:
-    light, original = (read_ply(job.inputs[name] / f"{name}.ply") for name in ("simplified", "clean"))
+    light = read_ply(job.inputs["simplified"] / "simplified.ply")
+    original = whole(job.inputs["clean"] / "clean.ply", "bake")
     return baking.make(job.folder, light, original, _up(job), job.config.bake, job.progress)
 
 
@@ -163,7 +175,7 @@ def _remesh(job: Job) -> Mapping[str, Any]:
 
 
 def _lod(job: Job) -> Mapping[str, Any]:
-    mesh = read_ply(job.inputs["clean"] / "clean.ply").with_(up=_up(job))
+    mesh = whole(job.inputs["clean"] / "clean.ply", "lod").with_(up=_up(job))
     return levels.make(job.folder, mesh, _frames(job).frames, job.config.lod, job.progress)
 
 

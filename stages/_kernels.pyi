@@ -410,7 +410,7 @@ class Volume:
         weighing: tuple[float, float, float],
         wanted_threads: int,
     ) -> None:
-        """Add a frame to the blocks with some keys; raises LimitError where there would be too many blocks."""
+        """Add a frame to the blocks with some keys; raises LimitError where there would be too many."""
     def frame_counts(self, *, within: _Blocks | None) -> NDArray[np.uint64]:
         """Of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
     def surface(
@@ -421,8 +421,8 @@ class Volume:
     ]:
         """Vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) 0 to 255, mean frames (n,).
 
-        With a box of blocks, of these alone; triangles name vertices of others from n upward. Then, of these the
-        blocks, and codes of their edges; and of those that others may name the blocks, codes and numbers.
+        With a box of blocks, of these alone; triangles name vertices of others from n upward. Then of these
+        the blocks, and codes of edges; and of those that others may name blocks, codes and numbers.
         """
     def voxels(
         self,

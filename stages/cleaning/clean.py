@@ -274,7 +274,7 @@ def _without_islands(traced: Traced, params: CleanParams, counts: dict[str, int]
     tails, heads = triangles[:, :2].reshape(-1), triangles[:, 1:].reshape(-1)
     _, labels = components(len(traced.mesh.vertices), tails, heads)
     piece = labels[triangles[:, 0]]
-    area = np.bincount(piece, areas(traced.mesh.vertices, triangles))
+    area = np.bincount(piece, areas(traced.mesh.vertices, triangles)).astype(np.float64)
     kept, min_area = is_large(area, params)
     counts["islands"] = int(np.count_nonzero(~kept & (np.bincount(piece) > 0)))
     counts["island_triangles"] = int(np.count_nonzero(~kept[piece]))

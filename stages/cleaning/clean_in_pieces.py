@@ -1,7 +1,7 @@
 """Clean a mesh in pieces: islands are joined over all pieces before any is judged small.
 
-What fusion leaves is an oriented manifold whose triangles have areas, so that islands are all there is to remove: the result
-is, to the byte, that of `clean` on the whole.
+What fusion leaves is an oriented manifold whose triangles have areas, so that islands are all there is to
+remove: the result is, to the byte, that of `clean` on the whole.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import CleanParams, is_large
-from stages.errors import MeshError
+from stages.errors import MeshError, UsageError
 from stages.progress import Progress, silent
 from stages.surface.edges import components
 from stages.surface.pieces import Extent, Pieces, Written, write_pieces
@@ -67,7 +67,15 @@ def clean_in_pieces(
         If nothing is left.
     StageError
         If the system refuses to write.
+    UsageError
+        For what cannot be done piece by piece.
     """
+    whole_only = [name for name in ("repair", "fill_holes", "weld_distance") if getattr(params, name)]
+    if whole_only:
+        raise UsageError(
+            f"{' and '.join(whole_only)} of clean needs the whole mesh at once, which is too large for that; "
+            "leave it out, or give a larger fuse.voxel_size."
+        )
     pieces = Pieces(fused)
     steps = 3 * len(pieces)
     with tempfile.TemporaryDirectory(dir=result.parent) as scratch:
@@ -91,7 +99,7 @@ def clean_in_pieces(
                 yield Written(part.mesh.vertices[: part.own][own], colors, triangles)
                 progress(2 * len(pieces) + number + 1, steps)
 
-        write_pieces(result, sizes, kept(), has_colors=pieces.has_colors)
+        write_pieces(result, sizes, kept(), has_colors=pieces.has_colors, spacing=pieces.spacing)
     vertices, triangles = sizes[-1].vertices[1], sizes[-1].triangles[1]
     return {
         "vertices": vertices,
@@ -125,8 +133,8 @@ def _islands(pieces: Pieces, labels: Ids, told: Any) -> _Islands:
     return _Islands(
         labels,
         first,
-        island,
-        np.bincount(island, np.concatenate(area), islands),
+        island.astype(np.int64),
+        np.bincount(island, np.concatenate(area), islands).astype(np.float64),
         np.bincount(island, np.concatenate(count), islands).astype(np.int64),
     )
 

@@ -48,7 +48,7 @@ class Work:
 
 @dataclass
 class Added:
-    """What became of frames: those that could not be used, and of the others how many pixels had depth, were used.
+    """What became of frames: which could not be used; of all others how many pixels had depth, and were used.
 
     Attributes
     ----------

@@ -1,8 +1,9 @@
 """Space in bricks: which frames touch which, and how many of them fit into memory at a time.
 
-A brick is a cube of blocks whose side is a power of two, at a multiple of it. In the Z-order of blocks its own follow each
-other without another's between, and so do those of eight bricks that make a cube: what is computed apart is joined by
-appending. To know its surface a brick needs the blocks next to it as well (see kernels/src/fusion/surface.rs).
+A brick is a cube of blocks whose side is a power of two, at a multiple of it. In the Z-order of blocks its
+own follow each other without another's between, and so do those of eight bricks that make a cube: what is
+computed apart is joined by appending. To know its surface a brick needs the blocks next to it as well (see
+kernels/src/fusion/surface.rs).
 """
 
 from __future__ import annotations
@@ -56,13 +57,14 @@ class Cube:
 
 
 def level_of(brick_size: float, voxel_size: float) -> int:
-    """Return how large bricks are, as a cube's level: as near to `brick_size`, metres, as powers of two are."""
+    """Return how large bricks are, as a cube's level: as near to `brick_size`, metres, as there is one."""
     return min(max(round(math.log2(brick_size / (BLOCK * voxel_size))), 1), _BITS - 1)
 
 
 def coordinates(keys: Keys) -> NDArray[np.int32]:
     """Return the coordinates (n, 3) of blocks, in blocks, from their places in Z-order."""
-    return np.stack([_gathered(keys >> np.uint64(axis)) for axis in range(3)], axis=1) - np.int32(_REACH)
+    places = np.stack([_gathered(keys >> np.uint64(axis)) for axis in range(3)], axis=1)
+    return np.asarray(places - np.int32(_REACH), np.int32)
 
 
 def _gathered(bits: Keys) -> NDArray[np.int32]:
@@ -100,7 +102,7 @@ def numbers_of(cubes: NDArray[np.int64], level: int) -> Keys:
 
 
 def touched_bricks(keys: Keys, level: int) -> list[int]:
-    """Return the bricks whose surface may depend on blocks: those that they are in, and those next to them."""
+    """Return the bricks whose surface may depend on blocks: those they are in, and those next to them."""
     places = coordinates(keys).astype(np.int64)
     ends = (places - 1) >> level, (places + 1) >> level
     found = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,10 @@ class Facts:
     outside: int
     warnings: tuple[str, ...]
     upsampled: int = 1
+
+    def facts(self) -> dict[str, Any]:
+        """Return the fields of this class, which others have more than."""
+        return {one.name: getattr(self, one.name) for one in fields(Facts)}
 
     def figures_of(self, mesh: MeshFigures) -> dict[str, Any]:
         """Return the figures for a report, JSON-able, units in the names."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stages.errors import InputError
+from stages.errors import InputError, UsageError
 from stages.fusion.adding import (
     Work,
     add_frames,
@@ -20,14 +22,16 @@ from stages.fusion.adding import (
 )
 from stages.fusion.crop import cut
 from stages.fusion.facts import Facts, MeshFigures
+from stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
 from stages.fusion.params import FuseKeywords, FuseParams
 from stages.fusion.posed_depth import read_matching_color
 from stages.fusion.relief import read_whole, relief
-from stages.fusion.voxels import Field
+from stages.fusion.voxels import Field, OutgrownError, block_bytes
 from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.scan import Frame, Scan
+from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -74,7 +78,7 @@ def fuse(
     wide as the field is cut off at; depth outside tells that nothing is before it. The mesh is cut at the
     border: there it is as without a crop. Of a frame alone the pixels are joined instead (see
     stages.fusion.relief). Equal input gives a bit-identical mesh on one machine, whatever the
-    number of threads.
+    number of threads, and whether space was cut in bricks (see stages.fusion.in_bricks).
 
     Parameters
     ----------
@@ -89,7 +93,7 @@ def fuse(
     UsageError
         For a parameter out of its range, a crop that leaves nothing, or a CUDA device that is not there.
     StageError
-        If the volume outgrows its memory.
+        If the volume outgrows its memory, and so does each brick of space, or they are not to be had.
 
     References
     ----------
@@ -98,13 +102,67 @@ def fuse(
     params = resolve(FuseParams, params, changes)
     device = device_of(params)
     work = begun(scan, params)
+    if not _is_in_bricks(work, device):
+        try:
+            return _in_one_piece(work, device, progress)
+        except OutgrownError:
+            if not _has_bricks(work, device):
+                raise
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "fused.ply"
+        fused = fuse_in_bricks(work, path, progress=progress)
+        return Fused(mesh=read_ply(path), **fused.facts())
+
+
+def fuse_to_file(
+    scan: Scan, params: FuseParams, path: Path, *, kept: Kept | None = None, progress: Progress = silent
+) -> Fused | FusedInBricks:
+    """Fuse frames as `fuse` does, and write the mesh to a PLY file; in pieces, if space was cut in bricks.
+
+    Parameters
+    ----------
+    kept : where bricks are kept for the next time; None for nowhere.
+
+    Raises
+    ------
+    InputError, UsageError, StageError
+        As `fuse`.
+    """
+    device = device_of(params)
+    work = begun(scan, params)
+    if not _is_in_bricks(work, device):
+        try:
+            fused = _in_one_piece(work, device, progress)
+            write_ply(path, fused.mesh)
+            return fused
+        except OutgrownError:
+            if not _has_bricks(work, device):
+                raise
+    return fuse_in_bricks(work, path, kept=kept, progress=progress)
+
+
+def _is_in_bricks(work: Work, device: str) -> bool:
+    """Whether space is to be cut in bricks from the start: if that is asked for, or is likely to be needed."""
+    if work.params.brick_size is not None and not _has_bricks(work, device):
+        raise UsageError("brick_size is for scanloom's own voxels; leave out device and backend.")
+    if len(work.frames) == 1 or not _has_bricks(work, device):
+        return False
+    expected = work.plan.blocks * work.plan.spread * block_bytes(color=work.color)
+    return work.params.brick_size is not None or expected > work.params.memory * 1e6
+
+
+def _has_bricks(work: Work, device: str) -> bool:
+    return device == "CPU:0" and work.params.backend != "open3d"
+
+
+def _in_one_piece(work: Work, device: str, progress: Progress) -> Fused:
     if len(work.frames) == 1:
         fused = _alone(work)
         progress(1, 1)
         return fused
     volume = _volume(work, device)
     added = add_frames(work, volume, work.frames, progress)
-    min_weight = params.min_weight or least_weight(volume.typical_frames(), work.frames)
+    min_weight = work.params.min_weight or least_weight(volume.typical_frames(), work.frames)
     mesh = volume.mesh(min_weight)
     plan = work.plan
     mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)

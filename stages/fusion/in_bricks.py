@@ -1,9 +1,10 @@
 """Fuse brick by brick: as much of space at a time as fits into memory, the mesh on disk.
 
-All frames are looked through once for the blocks they touch. Then space is cut in cubes that fit, and each is fused from
-the frames that touch it, with a rim of blocks around it. The surface of each brick inside is kept as a file: where such a file is
-there already, nothing is fused again. How often a voxel must have been seen may be known only at the end, so that
-each possible surface is kept. Joined they are, to the byte, what `fuse` gives in one piece.
+All frames are looked through once for the blocks they touch. Then space is cut in cubes that fit, and each is
+fused from the frames that touch it, with a rim of blocks around it. The surface of each brick inside is kept
+as a file: where there is one already, nothing is fused again. How often a voxel must have been seen may be
+known only at the end, so that each possible surface is kept. Joined they are, to the byte, what `fuse` gives
+in one piece.
 """
 
 from __future__ import annotations
@@ -19,15 +20,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from stages.errors import UsageError
 from stages.fusion.adding import (
     MOST_LEAST_WEIGHT,
     Added,
     Prepared,
     Work,
     add_frames,
-    begun,
-    device_of,
     facts_of,
     least_weight,
     look_through,
@@ -44,7 +42,7 @@ from stages.fusion.scene import point_of
 from stages.fusion.voxels import BLOCK, Box, Keys, Volume, block_bytes, median_of
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.scans.scan import Scan, SkippedFrame
+from stages.scans.scan import SkippedFrame
 from stages.surface.pieces import Extent, Written, write_pieces
 
 # Metres; of a brick, where nothing else is said.
@@ -56,7 +54,7 @@ class Kept(Protocol):
     """Where bricks are kept that were fused before."""
 
     def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
-        """Return the folder of a brick that was made of some frames, by their numbers, and of what else decided."""
+        """Return the folder of a brick that was made of these frames, by their numbers; None of none."""
 
     def store(
         self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
@@ -89,40 +87,32 @@ class FusedInBricks(Facts):
 
 
 def fuse_in_bricks(
-    scan: Scan, params: FuseParams, result: Path, *, kept: Kept | None = None, progress: Progress = silent
+    work: Work, result: Path, *, kept: Kept | None = None, progress: Progress = silent
 ) -> FusedInBricks:
     """Fuse frames with depth and poses into a mesh that is written piece by piece.
 
     Parameters
     ----------
+    work : of several frames.
     result : the PLY file to write.
     kept : where bricks are kept for the next time; None for nowhere.
     progress : called after each frame that was looked through, and for the frames of each cube.
 
     Raises
     ------
-    InputError, UsageError, StageError
-        As `fuse`.
+    InputError, StageError
+        As `fuse`; a single brick may outgrow the memory, too.
     """
-    if params.backend == "open3d" or device_of(params) != "CPU:0":
-        raise UsageError("brick_size is for the CPU and scanloom's own voxels; leave out device and backend.")
-    work = begun(scan, params)
-    if len(work.frames) == 1:
-        raise UsageError("brick_size is for scans of several frames; this one has a single frame.")
-    level = level_of(params.brick_size or BRICK_SIZE, work.plan.voxel_size)
+    level = level_of(work.params.brick_size or BRICK_SIZE, work.plan.voxel_size)
     index = _index(work, level, progress)
     added = index.added
     with _somewhere(kept, result.parent) as kept:
         made = _make(work, index, level, kept, progress)
         counts = sum((np.load(folder / _COUNTS) for folder in made.folders), np.zeros(256, np.int64))
-        min_weight = params.min_weight or least_weight(median_of(counts), work.frames)
+        min_weight = work.params.min_weight or least_weight(median_of(counts), work.frames)
         added.skipped = _all_skipped(work, added, made.skipped)
-        joined = Joined(
-            [
-                Brick(b, folder / _file(min_weight))
-                for b, folder in zip(made.bricks, made.folders, strict=True)
-            ]
-        )
+        paths = (folder / _file(min_weight) for folder in made.folders)
+        joined = Joined([Brick(cube, path) for cube, path in zip(made.bricks, paths, strict=True)])
         if not joined.triangle_count:
             raise nothing_fused(work, added, min_weight)
         figures = _write(work, joined, result)
@@ -244,7 +234,7 @@ def _write_brick(volume: Volume, params: FuseParams, brick: Cube, folder: Path) 
 
 
 def _all_skipped(work: Work, added: Added, later: Sequence[SkippedFrame]) -> list[SkippedFrame]:
-    """Return all frames that were skipped, once, in their order: colours are read only where they are used."""
+    """Return all frames that were skipped, once, in order: colours are read only where they are used."""
     reasons = {one.name: one for one in [*added.skipped, *later]}
     skipped = [reasons[frame.name] for frame in work.frames if frame.name in reasons]
     require_share(skipped, work)
@@ -260,9 +250,8 @@ def _write(work: Work, joined: Joined, result: Path) -> MeshFigures:
         mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
         lowest, highest = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         size = Extent((0, len(mesh.vertices)), (0, len(mesh.triangles)), point_of(lowest), point_of(highest))
-        write_pieces(
-            result, [size], [Written(mesh.vertices, mesh.colors, mesh.triangles)], has_colors=work.color
-        )
+        whole = Written(mesh.vertices, mesh.colors, mesh.triangles)
+        write_pieces(result, [size], [whole], has_colors=work.color, spacing=plan.voxel_size)
         return MeshFigures(lowest, highest, len(mesh.vertices), len(mesh.triangles))
     lowest, highest = np.full(3, np.inf), np.full(3, -np.inf)
 
@@ -282,7 +271,7 @@ def _write(work: Work, joined: Joined, result: Path) -> MeshFigures:
         )
         for brick, vertices, triangles in joined.sizes()
     ]
-    write_pieces(result, sizes, pieces(), has_colors=work.color)
+    write_pieces(result, sizes, pieces(), has_colors=work.color, spacing=plan.voxel_size)
     return MeshFigures(lowest, highest, joined.vertex_count, joined.triangle_count)
 
 
@@ -296,7 +285,11 @@ class _Scratch:
         """Find nothing."""
 
     def store(
-        self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
+        self,
+        brick: Cube,
+        frames: Sequence[int],  # noqa: ARG002
+        decided: Mapping[str, Any],  # noqa: ARG002
+        make: Callable[[Path], None],
     ) -> Path:
         """Have a brick's files written."""
         folder = self.folder / str(brick.number)

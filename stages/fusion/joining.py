@@ -1,8 +1,8 @@
 """Pieces of a surface, each of one brick, and the whole they make.
 
-A piece has the vertices of its own blocks, and refers to those of its neighbours by the edges they lie on. Joined in the order
-of the bricks they are the surface of a single piece, bit for bit. Pieces are files, so that no more than one has to be in
-memory.
+A piece has the vertices of its own blocks, and names those of its neighbours by the edges they lie on. Joined
+in the order of the bricks they are the surface of a single piece, bit for bit. Pieces are files, so that no
+more than one has to be in memory.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +32,10 @@ class Piece:
     Attributes
     ----------
     vertices : (n, 3) float64 metres, in the field's axes.
-    triangles : (m, 3) int32; numbers from n upward are those of `foreign`.
+    triangles : (m, 3) int32; numbers from n upward are those of vertices that neighbours have.
     colors : (n, 3) uint8, or None.
-    joints : uint64; blocks (k,) in Z-order and codes of edges (k,) of the vertices that neighbours have; the same
-        (j,) of the vertices on lower faces, which neighbours may name, and their numbers.
+    joints : uint64; blocks (k,) in Z-order and codes of edges (k,) of the vertices that neighbours have; the
+        same (j,) of the vertices on lower faces, which neighbours may name, and their numbers.
     """
 
     vertices: NDArray[np.float64]
@@ -45,9 +46,10 @@ class Piece:
 
 def write_piece(path: Path, piece: Piece) -> None:
     """Write a piece as an uncompressed .npz file."""
-    colors = {} if piece.colors is None else {"colors": piece.colors}
-    joints = {name: joint for name, joint in zip(_JOINTS, piece.joints, strict=True)}
-    np.savez(path, vertices=piece.vertices, triangles=piece.triangles, **joints, **colors)
+    arrays: dict[str, NDArray[Any]] = dict(zip(_JOINTS, piece.joints, strict=True))
+    if piece.colors is not None:
+        arrays["colors"] = piece.colors
+    np.savez(path, allow_pickle=False, vertices=piece.vertices, triangles=piece.triangles, **arrays)
 
 
 def read_piece(path: Path) -> Piece:
@@ -56,7 +58,7 @@ def read_piece(path: Path) -> Piece:
         return Piece(
             kept["vertices"],
             kept["triangles"],
-            kept["colors"] if "colors" in kept else None,
+            kept.get("colors"),
             [kept[name] for name in _JOINTS],
         )
 
@@ -97,8 +99,8 @@ class Joined:
         self.vertex_count, self.triangle_count = int(self._vertices[-1]), int(self._triangles[-1])
         if max(self.vertex_count, self.triangle_count) > np.iinfo(np.int32).max:
             raise StageError(
-                f"the surface has {self.triangle_count:,} triangles, more than can be numbered. Give a larger "
-                "voxel_size, or fuse a part of the scan (box)."
+                f"the surface has {self.triangle_count:,} triangles, more than can be numbered. Give a "
+                "larger voxel_size, or fuse a part of the scan (box)."
             )
 
     def sizes(self) -> Iterator[tuple[Cube, tuple[int, int], tuple[int, int]]]:
@@ -141,10 +143,16 @@ class Joined:
         for brick in np.unique(bricks):
             here = bricks == brick
             place = self._place.get(int(brick))
-            known, its_numbers = ([], []) if place is None else self._shared[place]
+            if place is None:
+                raise _do_not_fit()
+            known, its_numbers = self._shared[place]
             wanted = self._local(int(brick), blocks[here], codes[here])
             at = np.searchsorted(known, wanted)
-            if place is None or (at == len(known)).any() or (known[at] != wanted).any():
-                raise StageError("pieces of the surface do not fit each other; run again with --force fuse.")
+            if (at == len(known)).any() or (known[at] != wanted).any():
+                raise _do_not_fit()
             numbers[here] = self._vertices[place] + its_numbers[at]
         return numbers
+
+
+def _do_not_fit() -> StageError:
+    return StageError("pieces of the surface do not fit each other; fuse again, with --force fuse.")

@@ -119,13 +119,15 @@ class FuseParams:
     memory: float = param(
         4000.0,
         "The volume may not outgrow this: space is cut in bricks that do not.",
-        unit="MB", low=1, invalidates=False
+        unit="MB",
+        low=1,
+        invalidates=False,
     )
     brick_size: float | None = param(
         None,
-        "Space is cut in cubes of about this size, as many of which are fused at a time as fit into `memory`, "
-        "and each is kept. The mesh is the same. Derived: 4, where the field does not fit; else space is one "
-        "piece.",
+        "Space is cut in cubes of about this size, of which as many are fused at a time as fit into "
+        "`memory`, and each is kept. The mesh is the same. Derived: 4, where the field does not fit; else "
+        "space is one piece.",
         unit="m",
         low=0,
         low_open=True,

@@ -38,9 +38,13 @@ def block_bytes(*, color: bool) -> int:
     return BLOCK**3 * _VOXEL_BYTES[color]
 
 
-def outgrown(allowed_bytes: int, voxel_size: float) -> StageError:
+class OutgrownError(StageError):
+    """The volume would take more memory than it may."""
+
+
+def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
     """Return the error of a volume that may not grow further."""
-    return StageError(
+    return OutgrownError(
         f"the volume outgrows its memory of {allowed_bytes / 1e6:.0f} MB at voxels of {voxel_size:g} m. Give "
         "a larger voxel_size, a smaller max_depth or more memory."
     )

@@ -1,10 +1,11 @@
 """Simplify a mesh in pieces: their insides, the strips along the faces where they meet, and then the whole.
 
-While a part is simplified, the vertices that other parts name stay as they are, and so do those next to them, so that parts
-always fit: nothing cracks, and no edge comes to have more than two triangles. The insides come one after the other; the strips along
-all faces, a few voxels wide, are then one mesh. What they leave has room in memory and is simplified once more, which
-makes the surface as light where parts were joined as elsewhere. Both rounds share out the bounds: they add up, so that what is
-proven for each is proven for the whole (the distance of surfaces obeys the triangle inequality).
+While a part is simplified, the vertices that other parts name stay as they are, and so do those next to them,
+so that parts always fit: nothing cracks, and no edge comes to have more than two triangles. The insides come
+one after the other; the strips along all faces, a few voxels wide, are then one mesh. What they leave has
+room in memory and is simplified once more, which makes the surface as light where parts were joined as
+elsewhere. Both rounds share out the bounds, which add up: what is proven for each is proven for both
+together, since the distance of surfaces obeys the triangle inequality.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from stages.surface.pieces import Extent, Part, Pieces
 
 Numbers = NDArray[np.int64]
 
-# Edges of a piece's triangles are shorter than two voxels: what is farther inside than three names no vertex that another
-# piece's triangles name.
-_RIM_VOXELS = 4.0
+# Times the spacing: a vertex farther inside than this is named by no other piece's triangles, nor are those
+# it is joined to.
+_RIM = 4.0
 # Of bounds, the share that is for the parts; the rest is for the whole.
 _FOR_PARTS = 0.6
 # Of a number of triangles, how many times as many parts keep for the whole to choose from.
@@ -88,16 +89,13 @@ class InPieces:
         }
 
 
-def simplify_in_pieces(
-    path: Path, params: SimplifyParams, voxel_size: float, *, progress: Progress = silent
-) -> InPieces:
+def simplify_in_pieces(path: Path, params: SimplifyParams, *, progress: Progress = silent) -> InPieces:
     """Make a PLY file in pieces light; the result has room in memory.
 
     Parameters
     ----------
     path : of the file, with its table of pieces beside it: what fusion and cleaning left.
     params : see SimplifyParams. A number of triangles is shared out by the triangles each part has.
-    voxel_size : metres, of the fusion.
     progress : called with the triangles that are done and all.
 
     Raises
@@ -113,24 +111,24 @@ def simplify_in_pieces(
     strips: list[_Cut] = []
     # The whole counts as much as a tenth.
     steps = total + total // 10
-    done = 0
+    passed = 0
 
     def add(cut: _Cut) -> None:
-        nonlocal done
-        start, count = done, len(cut.mesh.triangles)
+        nonlocal passed
+        start, count = passed, len(cut.mesh.triangles)
         lock = _with_neighbours(cut.mesh.triangles, cut.is_of_both)
 
-        def told(part: int, of: int) -> object:
-            return progress(start + count * part // max(of, 1), steps)
+        def told(done: int, total: int) -> object:
+            return progress(start + count * done // max(total, 1), steps)
 
         light: Simplified[Any] = simplify(cut.mesh, of_parts, lock=lock, progress=told)
         found.append((light.mesh, _numbers(cut, light)))
         figures.append(light.figures())
-        done = start + count
-        progress(done, steps)
+        passed = start + count
+        progress(passed, steps)
 
     for number, extent in enumerate(pieces.extents):
-        inside, strip = _halves(pieces.part(number), extent, _RIM_VOXELS * voxel_size)
+        inside, strip = _halves(pieces.part(number), extent, _RIM * pieces.spacing)
         strips.append(strip)
         if len(inside.mesh.triangles):
             add(inside)
@@ -167,12 +165,12 @@ def _with_neighbours(triangles: Triangles, chosen: NDArray[np.bool_]) -> NDArray
     """Return the chosen vertices and all that an edge joins to one."""
     near = chosen.copy()
     near[triangles[chosen[triangles].any(axis=1)]] = True
-    return near
+    return np.asarray(near)
 
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """Some triangles as a mesh: numbers (n,) of its vertices in all, and which (n,) other triangles name, too."""
+    """Some triangles as a mesh: numbers (n,) of its vertices in all, and which (n,) others name, too."""
 
     mesh: Mesh
     numbers: Numbers
@@ -183,9 +181,9 @@ def _halves(part: Part, extent: Extent, rim: float) -> tuple[_Cut, _Cut]:
     """Cut a piece in its inside and the strip along its faces."""
     mesh = part.mesh
     low, high = np.array(extent.low) + rim, np.array(extent.high) - rim
-    near = ((mesh.vertices < low) | (mesh.vertices > high)).any(axis=1)
-    is_strip = near[mesh.triangles].all(axis=1)
-    of_strip, of_inside = np.zeros(len(near), bool), np.zeros(len(near), bool)
+    near = np.asarray(((mesh.vertices < low) | (mesh.vertices > high)).any(axis=1), np.bool_)
+    is_strip = np.asarray(near[mesh.triangles].all(axis=1))
+    of_strip, of_inside = np.zeros(len(near), np.bool_), np.zeros(len(near), np.bool_)
     of_strip[mesh.triangles[is_strip]] = True
     of_inside[mesh.triangles[~is_strip]] = True
     if of_inside[part.own :].any():

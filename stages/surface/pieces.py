@@ -1,10 +1,10 @@
-"""Meshes that no memory holds at once: a PLY file in pieces, each a range of its vertices and of its triangles.
+"""Meshes that no memory holds at once: a PLY file in pieces, each a range of its vertices and triangles.
 
 mesh.ply           as any program reads it
 mesh.pieces.json   which vertices and triangles belong to which piece, and the box of each
 
-A piece's triangles name vertices of other pieces where they join them. Whatever works piece by piece reads a piece with
-those, as a mesh of its own, and the numbers its vertices have in all.
+A piece's triangles name vertices of other pieces where they join them. Whatever works piece by piece reads a
+piece with those, as a mesh of its own, and the numbers its vertices have in all.
 """
 
 from __future__ import annotations
@@ -68,6 +68,14 @@ def table_of(path: Path) -> Path:
 class Pieces:
     """A PLY file in pieces, open for reading.
 
+    Attributes
+    ----------
+    path : of the file.
+    extents : of the pieces.
+    spacing : metres; no edge of a triangle is longer than twice this.
+    vertex_count, triangle_count : of all pieces.
+    has_colors : whether vertices have colours.
+
     Raises
     ------
     InputError
@@ -82,8 +90,8 @@ class Pieces:
                 Extent(*(tuple(one[name]) for name in ("vertices", "triangles", "low", "high")))
                 for one in document["pieces"]
             )
-            has_colors = bool(document["has_colors"])
-        except (KeyError, TypeError) as error:
+            has_colors, self.spacing = bool(document["has_colors"]), float(document["spacing_m"])
+        except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"this is no table of pieces: {error} is missing or wrong.", table_of(path)
             ) from error
@@ -141,20 +149,23 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """A piece to be written: own vertices, their colours, and triangles by numbers that count through all pieces."""
+    """A piece to be written: its own vertices, and triangles by numbers that count through all pieces."""
 
     vertices: NDArray[np.float64]
     colors: NDArray[np.uint8] | None
     triangles: NDArray[np.integer[Any]]
 
 
-def write_pieces(path: Path, sizes: Sequence[Extent], pieces: Iterable[Written], *, has_colors: bool) -> None:
+def write_pieces(
+    path: Path, sizes: Sequence[Extent], pieces: Iterable[Written], *, has_colors: bool, spacing: float
+) -> None:
     """Write a PLY file and the table of its pieces.
 
     Parameters
     ----------
     sizes : of the pieces, which follow each other.
     pieces : as many, read once.
+    spacing : metres; no edge of a triangle is longer than twice this.
 
     Raises
     ------
@@ -181,7 +192,7 @@ def write_pieces(path: Path, sizes: Sequence[Extent], pieces: Iterable[Written],
                 file.seek(ends[which])
                 file.write(table.data)
                 ends[which] += table.nbytes
-    document = {"has_colors": has_colors, "pieces": [asdict(one) for one in sizes]}
+    document = {"has_colors": has_colors, "spacing_m": spacing, "pieces": [asdict(one) for one in sizes]}
     with replacing(table_of(path)) as part:
         part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
 
