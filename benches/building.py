@@ -1,15 +1,19 @@
-"""Make a scan of a building: python benches/building.py FOLDER [--rooms 50] [--frames 10000] [--workers 2]
+"""Make a scan of a building.
 
-Rooms in rows with doors between them, each with tables, cupboards and boxes, walked through with an RGB-D camera
-(320×240, depth noise of a structured-light sensor, poses known). Every number is drawn from a fixed seed, and a frame's
-from its own: a building of fewer frames has the first rooms of the larger one. `scan.json` beside `color/` and `depth/`.
+    python benches/building.py FOLDER [--rooms 50] [--frames 10000] [--workers 2]
+
+Rooms in rows with doors between them, each with tables, cupboards and boxes, walked through with an RGB-D
+camera (320×240, depth noise of a structured-light sensor, poses known). Every number is drawn from a fixed
+seed, and a frame's from its own: fewer frames are the first of more. `scan.json` beside `color/` and `depth/`.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -104,11 +108,8 @@ def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np
     cosine = np.abs(np.einsum("kx,kx->k", normal, rays)) / length
     points = pose[:3, 3] + rays * z[:, None]
     part = np.where(is_hit, hits["primitive_ids"].numpy(), 0) // 12
-    paint = (
-        colors[part]
-        * _pattern(points, part)[:, None]
-        * (0.55 + 0.45 * np.abs(normal @ (0.36, 0.48, 0.8)))[:, None]
-    )
+    light = 0.55 + 0.45 * np.abs(normal @ (0.36, 0.48, 0.8))
+    paint = colors[part] * (_pattern(points, part) * light)[:, None]
     color = np.where(is_hit[:, None], paint, 0.3) + 0.012 * draw.standard_normal((len(z), 3))
     # Nguyen, Izadi and Lovell 2012, roughly: the noise of a structured-light sensor.
     measured = z + (0.0012 + 0.0019 * (z - 0.4) ** 2) * draw.standard_normal(len(z))
@@ -191,23 +192,26 @@ def _wall(low: Floats, high: Floats, axis: int, *, upper: bool, is_open: bool) -
 
 def _furniture(low: Floats, draw: np.random.Generator) -> list[tuple[Floats, Floats]]:
     """Return what stands in a room's corners: cupboards, boxes and tables."""
-    found = []
+    found: list[tuple[Floats, Floats]] = []
+
+    def add(base: Floats, low: Sequence[float], high: Sequence[float]) -> None:
+        found.append((base + np.array(low), base + np.array(high)))
+
     for corner in range(4):
         size = draw.uniform((0.35, 0.3, 0.4), (0.9, 0.7, 1.9))
         gap = draw.uniform(0.02, 0.2, 2)
         x = gap[0] if corner & 1 == 0 else ROOM[0] - size[0] - gap[0]
         y = gap[1] if corner & 2 == 0 else ROOM[1] - size[1] - gap[1]
-        a = low + (x, y, 0)
-        if draw.random() < 0.4:
-            top = min(size[2], 0.8)
-            found.append((a + (0, 0, top - 0.04), a + (size[0], size[1], top)))
-            for dx in (0.0, size[0] - 0.06):
-                for dy in (0.0, size[1] - 0.06):
-                    found.append((a + (dx, dy, 0), a + (dx + 0.06, dy + 0.06, top - 0.04)))
-            thing = draw.uniform(0.08, 0.25, 3)
-            found.append((a + (0.1, 0.1, top), a + (0.1, 0.1, top) + thing))
-        else:
-            found.append((a, a + size))
+        base = low + np.array((x, y, 0))
+        if draw.random() >= 0.4:
+            add(base, (0, 0, 0), size)
+            continue
+        top = min(size[2], 0.8)
+        add(base, (0, 0, top - 0.04), (size[0], size[1], top))
+        for dx, dy in product((0.0, size[0] - 0.06), (0.0, size[1] - 0.06)):
+            add(base, (dx, dy, 0), (dx + 0.06, dy + 0.06, top - 0.04))
+        thing = draw.uniform(0.08, 0.25, 3)
+        add(base, (0.1, 0.1, top), thing + np.array((0.1, 0.1, top)))
     return found
 
 

@@ -12,11 +12,9 @@ from stages.scans.read import read_scan
 _SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 
 
-def sample_in_bricks(
-    path: Path, *, voxel_size: float = 0.015, brick_size: float = 0.3, every: int = 4
-) -> Path:
-    """Fuse some frames of the sample into a PLY file in pieces, and return its path."""
+def sample_in_bricks(path: Path) -> Path:
+    """Fuse every fourth frame of the sample into a PLY file in pieces, and return its path."""
     scan = read_scan(_SAMPLE)
-    params = FuseParams(voxel_size=voxel_size, brick_size=brick_size)
-    fuse_to_file(replace(scan, frames=scan.frames[::every]), params, path)
+    params = FuseParams(voxel_size=0.015, brick_size=0.3)
+    fuse_to_file(replace(scan, frames=scan.frames[::4]), params, path)
     return path

@@ -1,4 +1,4 @@
-"""Simplification piece by piece: no crack, no other topology, the number that was asked for, and bounds that hold."""
+"""Simplification piece by piece: no crack, the topology, the number asked for, and bounds that hold."""
 
 from __future__ import annotations
 
