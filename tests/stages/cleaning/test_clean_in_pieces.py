@@ -38,7 +38,7 @@ def test_islands_go_as_from_the_whole(fused: Path, params: dict[str, Any], tmp_p
 
 
 def test_nothing_left_is_an_error(fused: Path, tmp_path: Path) -> None:
-    with pytest.raises(MeshError, match="nothing of it is left"):
+    with pytest.raises(MeshError, match="nothing is left of it"):
         clean_in_pieces(fused, tmp_path / "clean.ply", CleanParams(min_island_area=1e6))
     assert not list(tmp_path.iterdir())
 
