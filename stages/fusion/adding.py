@@ -211,14 +211,10 @@ def facts_of(work: Work, added: Added, min_weight: int, volume_bytes: int, devic
 
 def least_weight(typical: float, frames: Sequence[Frame]) -> int:
     """Return how many frames must have seen a surface, from how many saw the median voxel."""
-    least = int(np.clip(round(typical / 2), 1, MOST_LEAST_WEIGHT))
+    least = int(np.clip(round(typical / 2), 1, 3))
     # A masked thing is seen from all around, each side by a few frames, and the plate below it by all.
     is_masked = all(frame.mask is not None for frame in frames)
     return min(least, max(len(frames) // 4, 1)) if is_masked else least
-
-
-# What `least_weight` returns at most.
-MOST_LEAST_WEIGHT = 3
 
 
 def nothing_fused(work: Work, added: Added, min_weight: int) -> InputError:

@@ -117,6 +117,7 @@ class Seen:
 
     def __init__(self) -> None:
         self._known: Keys = np.zeros(0, np.uint64)
+        self._times: NDArray[np.int64] = np.zeros(0, np.int64)
         self._waiting: list[Keys] = []
         self._count = 0
 
@@ -128,13 +129,17 @@ class Seen:
             self._merge()
 
     def _merge(self) -> None:
-        self._known = np.unique(np.concatenate([self._known, *self._waiting]))
+        keys = np.concatenate([self._known, *self._waiting])
+        times = np.ones(len(keys), np.int64)
+        times[: len(self._times)] = self._times
+        self._known, place = np.unique(keys, return_inverse=True)
+        self._times = np.bincount(place, times, len(self._known)).astype(np.int64)
         self._waiting, self._count = [], 0
 
-    def keys(self) -> Keys:
-        """Return all of them once, in their order."""
+    def all(self) -> tuple[Keys, NDArray[np.int64]]:
+        """Return all of them once, in their order, and how many frames touch each."""
         self._merge()
-        return self._known
+        return self._known, self._times
 
 
 def passes(keys: Keys, level: int, most_blocks: int) -> list[Cube]:

@@ -2,9 +2,9 @@
 
 All frames are looked through once for the blocks they touch. Then space is cut in cubes that fit, and each is
 fused from the frames that touch it, with a rim of blocks around it. The surface of each brick inside is kept
-as a file: where there is one already, nothing is fused again. How often a voxel must have been seen may be
-known only at the end, so that each possible surface is kept. Joined they are, to the byte, what `fuse` gives
-in one piece.
+as a file: where there is one already, nothing is fused again. How often a voxel must have been seen is known
+at the end, and is guessed before: if wrong, all is done once more. Joined they are, to the byte, what `fuse`
+gives in one piece.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from stages.fusion.adding import (
-    MOST_LEAST_WEIGHT,
     Added,
     Prepared,
     Work,
@@ -37,7 +36,6 @@ from stages.fusion.bricks import Cube, Seen, bricks_of, level_of, passes, touche
 from stages.fusion.crop import cut
 from stages.fusion.facts import Facts, MeshFigures
 from stages.fusion.joining import Brick, Joined, Piece, write_piece
-from stages.fusion.params import FuseParams
 from stages.fusion.scene import point_of
 from stages.fusion.voxels import BLOCK, Box, Keys, Volume, block_bytes, median_of
 from stages.printing import by_figures, table
@@ -47,7 +45,7 @@ from stages.surface.pieces import Extent, Written, write_pieces
 
 # Metres; of a brick, where nothing else is said.
 BRICK_SIZE = 4.0
-_COUNTS = "frame_counts.npy"
+_COUNTS, _PIECE = "frame_counts.npy", "surface.npz"
 
 
 class Kept(Protocol):
@@ -107,12 +105,17 @@ def fuse_in_bricks(
     index = _index(work, level, progress)
     added = index.added
     with _somewhere(kept, result.parent) as kept:
-        made = _make(work, index, level, kept, progress)
+        # A frame that touches a block measured some of its voxels: about half.
+        min_weight = work.params.min_weight or least_weight(index.typical / 2, work.frames)
+        made = _make(work, index, level, kept, min_weight, progress)
         counts = sum((np.load(folder / _COUNTS) for folder in made.folders), np.zeros(256, np.int64))
-        min_weight = work.params.min_weight or least_weight(median_of(counts), work.frames)
+        known = work.params.min_weight or least_weight(median_of(counts), work.frames)
+        if known != min_weight:
+            min_weight = known
+            made = _make(work, index, level, kept, min_weight, progress)
         added.skipped = _all_skipped(work, added, made.skipped)
-        paths = (folder / _file(min_weight) for folder in made.folders)
-        joined = Joined([Brick(cube, path) for cube, path in zip(made.bricks, paths, strict=True)])
+        pieces = (folder / _PIECE for folder in made.folders)
+        joined = Joined([Brick(cube, path) for cube, path in zip(made.bricks, pieces, strict=True)])
         if not joined.triangle_count:
             raise nothing_fused(work, added, min_weight)
         figures = _write(work, joined, result)
@@ -133,11 +136,13 @@ class _Index:
     ----------
     added : what became of them.
     blocks : keys of all blocks that are touched, in their order.
+    typical : how many frames touch the median one.
     frames : by brick, the numbers of the frames that its surface may depend on.
     """
 
     added: Added
     blocks: Keys
+    typical: float
     frames: Mapping[int, list[int]]
 
 
@@ -151,7 +156,8 @@ def _index(work: Work, level: int, progress: Progress) -> _Index:
             frames[brick].append(numbers[id(item.frame)])
 
     added = look_through(work, note, progress)
-    return _Index(added, seen.keys(), frames)
+    keys, times = seen.all()
+    return _Index(added, keys, float(np.median(times)) if len(times) else 0.0, frames)
 
 
 @dataclass
@@ -165,11 +171,11 @@ class _Made:
     skipped: list[SkippedFrame]
 
 
-def _make(work: Work, index: _Index, level: int, kept: Kept, progress: Progress) -> _Made:
+def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, progress: Progress) -> _Made:
     """Fuse the bricks that are not kept, as many at a time as fit."""
     most_blocks = int(work.params.memory * 1e6 / block_bytes(color=work.color))
     with_blocks = {int(number) for number in np.unique(index.blocks >> np.uint64(3 * level))}
-    decided = _decided(work)
+    decided = _decided(work, min_weight)
     made = _Made([], [], 0, 0, [])
     for cube in passes(index.blocks, level, most_blocks):
         bricks = bricks_of(cube, with_blocks, level)
@@ -183,14 +189,14 @@ def _make(work: Work, index: _Index, level: int, kept: Kept, progress: Progress)
             made.volume_bytes = max(made.volume_bytes, volume.bytes)
             made.fused += len(missing)
             for brick in missing:
-                write = partial(_write_brick, volume, work.params, brick)
+                write = partial(_write_brick, volume, min_weight, brick)
                 folders[brick] = kept.store(brick, index.frames[brick.number], decided, write)
         made.bricks += bricks
         made.folders += [folder for folder in folders.values() if folder is not None]
     return made
 
 
-def _decided(work: Work) -> dict[str, Any]:
+def _decided(work: Work, min_weight: int) -> dict[str, Any]:
     """Return all that decides a brick beside its frames, JSON-able."""
     plan, params = work.plan, work.params
     return {
@@ -204,13 +210,8 @@ def _decided(work: Work) -> dict[str, Any]:
         "reach": plan.reach,
         "color": work.color,
         "upsample": [params.upsample, work.factor],
-        "min_weights": list(_min_weights(params)),
+        "min_weight": min_weight,
     }
-
-
-def _min_weights(params: FuseParams) -> Sequence[int]:
-    """Return how many frames must have seen a voxel, or all that this may turn out to be."""
-    return [params.min_weight] if params.min_weight else range(1, MOST_LEAST_WEIGHT + 1)
 
 
 def _around(bricks: Sequence[Cube]) -> Box:
@@ -220,17 +221,12 @@ def _around(bricks: Sequence[Cube]) -> Box:
     return (int(x), int(y), int(z)), (int(right), int(top), int(back))
 
 
-def _file(min_weight: int) -> str:
-    return f"seen-{min_weight}.npz"
-
-
-def _write_brick(volume: Volume, params: FuseParams, brick: Cube, folder: Path) -> None:
-    """Write a brick's surfaces, and how often its voxels were seen."""
+def _write_brick(volume: Volume, min_weight: int, brick: Cube, folder: Path) -> None:
+    """Write a brick's surface, and how often its voxels were seen."""
     within = brick.low, brick.high
     np.save(folder / _COUNTS, volume.frame_counts(within))
-    for min_weight in _min_weights(params):
-        mesh, joints = volume.surface(min_weight, within)
-        write_piece(folder / _file(min_weight), Piece(mesh.vertices, mesh.triangles, mesh.colors, joints))
+    mesh, joints = volume.surface(min_weight, within)
+    write_piece(folder / _PIECE, Piece(mesh.vertices, mesh.triangles, mesh.colors, joints))
 
 
 def _all_skipped(work: Work, added: Added, later: Sequence[SkippedFrame]) -> list[SkippedFrame]:
@@ -293,7 +289,7 @@ class _Scratch:
     ) -> Path:
         """Have a brick's files written."""
         folder = self.folder / str(brick.number)
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         make(folder)
         return folder
 

@@ -78,7 +78,7 @@ pub fn surface<F: Field>(
     threads: usize,
     progress: &Progress<'_>,
 ) -> Result<Surface, KernelError> {
-    let blocks = Blocks::new(field, least, threads);
+    let blocks = Blocks::new(field, least, own, threads);
     progress.check()?;
     let is_own = |slot: usize| own.is_none_or(|own| own.contains(field.block(slot)));
 

@@ -13,6 +13,7 @@ use super::arrays::triangle_array;
 use super::atlas::shape;
 use super::detached::detached;
 use super::guarded::guarded;
+use crate::base::memory::give_back;
 use crate::base::parallel::threads;
 use crate::fusion::field::VOXELS;
 use crate::fusion::filter::{Limits, oriented};
@@ -273,6 +274,14 @@ impl Volume {
                     .map(|colors| colors.into_pyarray(py).unbind()),
             ))
         })
+    }
+}
+
+impl Drop for Volume {
+    /// Fields come one after the other where space is cut in bricks: none is to leave its memory to the allocator.
+    fn drop(&mut self) {
+        *self.locked() = crate::fusion::volume::Volume::new(1.0, 1.0, false, 0);
+        give_back();
     }
 }
 

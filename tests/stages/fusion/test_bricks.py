@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError, StageError, UsageError
 from stages.fusion.adding import begun
-from stages.fusion.bricks import Cube, coordinates, level_of, numbers_of, passes, touched_bricks
+from stages.fusion.bricks import Cube, Seen, coordinates, level_of, numbers_of, passes, touched_bricks
 from stages.fusion.fuse import fuse, fuse_to_file
 from stages.fusion.in_bricks import FusedInBricks, fuse_in_bricks
 from stages.fusion.params import FuseParams
@@ -132,6 +132,17 @@ def test_a_frame_that_cannot_be_read_is_skipped_alike(scan: Scan, tmp_path: Path
     assert whole.frames == joined.frames
     with pytest.raises(InputError, match="at most 0% may be bad"):
         fuse(broken, voxel_size=0.02, brick_size=0.3, max_bad_share=0)
+
+
+def test_a_wrong_guess_of_how_often_voxels_were_seen_is_put_right(
+    scan: Scan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = fuse(scan, voxel_size=0.02)
+    assert whole.min_weight > 1
+    monkeypatch.setattr(Seen, "all", lambda seen, look=Seen.all: (look(seen)[0], look(seen)[1] * 0 + 1))
+    joined = fuse(scan, voxel_size=0.02, brick_size=0.6)
+    assert joined.min_weight == whole.min_weight
+    assert (whole.mesh.vertices == joined.mesh.vertices).all()
 
 
 class Shelf:
