@@ -32,6 +32,8 @@ _FREE = 2.0
 # Blocks from one place that may be a volume's origin to the next: far enough that a frame more moves it hardly ever,
 # near enough for float32.
 _ORIGINS = 1024
+# Of so many pixels one tells the median depth. Noise that is a smaller share of voxels than this does not show.
+_EVERY, _SHOWN = 16, 1 / 6
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
 # Degrees. What is seen more obliquely, other frames see better, if there are any.
@@ -50,7 +52,7 @@ class Plan:
         before it alone.
     noise : as measured; see Noise.
     origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
-    weighing : of depth in the volume; what is typical weighs 1.
+    weighing : of depth in the volume; at median depth it weighs 1.
     blocks : how many blocks of voxels are expected.
     spread : how many times as far as the frames looked at all frames may be spread.
     triangles : how many triangles are expected, roughly.
@@ -139,6 +141,7 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         reach=truncation + voxel_size,
         support=kept.support,
         warnings=kept.warnings,
+        weighing=_weighing(noise, looked_at, voxel_size),
     )
     # Two triangles for each voxel that the surface passes through.
     triangles = round(2 * found.area / voxel_size**2)
@@ -148,6 +151,19 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         spread=_spread(frames, centers, found.median),
         triangles=triangles,
     )
+
+
+def _weighing(noise: Noise, views: Sequence[PosedDepth], voxel_size: float) -> Weighing:
+    """Weigh by the noise where voxels are small enough to show it.
+
+    In few steps, so that a frame more, or one that cannot be used, leaves the weights of all others as they
+    were.
+    """
+    depth = np.concatenate([view.surface.depth[view.surface.depth > 0][::_EVERY] for view in views])
+    median = 2 ** (round(2 * math.log2(float(np.median(depth)))) / 2)
+    if noise.at(median) < _SHOWN * voxel_size:
+        return Weighing()
+    return Weighing(median, round(4 * noise.quadratic * median**2 / noise.at(median)) / 4)
 
 
 def limits_of(params: FuseParams, *, alone: bool = False) -> DepthLimits:

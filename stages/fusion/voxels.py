@@ -52,11 +52,16 @@ def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
 
 @dataclass(frozen=True)
 class Weighing:
-    """How much a depth z counts that is seen at an angle: scale · cos² / (constant + quadratic z²)²."""
+    """How much a measurement at depth z counts: 1 / (1 − growth + growth (z / depth)²)².
 
-    scale: float = 1.0
-    constant: float = 1.0
-    quadratic: float = 0.0
+    Attributes
+    ----------
+    depth : metres; what is measured there weighs 1.
+    growth : from 0, where all depth is equally exact, to 1, where its noise grows with its square.
+    """
+
+    depth: float = 1.0
+    growth: float = 0.0
 
 
 class Field(Protocol):
@@ -194,7 +199,7 @@ class Volume:
                 view.surface.depth,
                 view.surface.obliqueness,
                 color,
-                weighing=(weighing.scale, weighing.constant, weighing.quadratic),
+                weighing=(1.0, 1 - weighing.growth, weighing.growth / weighing.depth**2),
                 wanted_threads=self._threads,
             )
         except _kernels.LimitError as error:

@@ -18,6 +18,10 @@ use crate::base::parallel::each;
 /// Blocks that a thread takes at once.
 const AT_ONCE: usize = 16;
 
+/// A surface that is so many truncations behind a voxel is another one than that which the voxel may be at. Then the frame does
+/// not count as one that saw the voxel, or the field would be closed beside silhouettes, where no frame saw the other side.
+const OTHER: f32 = 8.0;
+
 /// A frame and how voxels are projected into it: the homogeneous pixel (u z, v z, z) of a voxel is an affine function of its
 /// coordinates.
 #[derive(Debug)]
@@ -266,7 +270,7 @@ fn weigh(
     looks: &Slice<u32>,
     total: &mut Slice<f32>,
 ) {
-    let (mut new, mut seen) = ([0u32; SLICE], [0u32; SLICE]);
+    let (mut new, mut near) = ([0u32; SLICE], [0u32; SLICE]);
     for i in 0..SLICE {
         let d = distance[i];
         let is_seen = d > -1.0;
@@ -279,13 +283,13 @@ fn weigh(
         total[i] = (kept + weight) as i32 as f32;
         sums[i] = if is_seen { added } else { sums[i] };
         new[i] = if is_seen { kept + weight } else { old };
-        seen[i] = u32::from(is_seen);
+        near[i] = u32::from(is_seen & (d < OTHER));
     }
     for i in 0..SLICE {
         weights[i] = new[i] as u16;
     }
     for i in 0..SLICE {
-        frames[i] = frames[i].saturating_add(seen[i] as u8);
+        frames[i] = frames[i].saturating_add(near[i] as u8);
     }
 }
 

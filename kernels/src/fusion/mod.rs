@@ -7,6 +7,7 @@
 //! | [`voxel`] | what is kept of a voxel, in 12 bytes |
 //! | [`blocks`] | all blocks of a field, each in a slot |
 //! | [`filter`] | how obliquely a depth map sees its surface, and where it is torn |
+//! | [`flatness`] | where it shows planes |
 //! | [`view`] | a depth map as it goes into a field |
 //! | [`touch`] | the blocks that a frame has something to say of |
 //! | [`integrate`] | adding a frame to them |
@@ -21,6 +22,7 @@ pub mod blocks;
 pub mod cubes;
 pub mod field;
 pub mod filter;
+pub mod flatness;
 pub mod integrate;
 pub mod order;
 pub mod surface;

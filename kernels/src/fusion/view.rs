@@ -1,5 +1,6 @@
 //! A depth map as it goes into a field: what each pixel measured, how exactly, and its colour.
 
+use super::flatness::Flatness;
 use super::voxel::{HEAVIEST, UNIT};
 use crate::base::by_processor::by_processor;
 use crate::base::geometry::{cross, dot};
@@ -36,11 +37,13 @@ fn inverse(pose: &Affine) -> Affine {
     rows.map(|row| [row[0], row[1], row[2], -dot(&row, &column(3))])
 }
 
-/// How much a measurement counts: `scale` cos² / (constant + quadratic z²)².
+/// How much a measurement at depth z counts: (typical / (constant + quadratic z²))², and where the surface is curved, times the
+/// square of the cosine that it is seen at.
 #[derive(Clone, Copy, Debug)]
 pub struct Weighing {
-    pub scale: f32,
-    /// Standard deviation of depth z along the normal, metres, and metres per metre squared.
+    /// Standard deviation of what weighs 1, along the normal, metres.
+    pub typical: f32,
+    /// Standard deviation of depth z, metres, and metres per metre squared.
     pub constant: f32,
     pub quadratic: f32,
 }
@@ -82,8 +85,7 @@ impl View {
         let stride = width + 1;
         let mut measures = vec![[f32::NAN, 1.0]; stride * (height + 1)];
         let mut looks = vec![0u32; stride * (height + 1)];
-        let across: Vec<f32> =
-            (0..width).map(|x| ((x as f64 - camera.centre[0]) / camera.focal[0]) as f32).collect();
+        let flatness = Flatness::new(images.depth, width, height);
         let rows = measures.chunks_mut(stride).zip(looks.chunks_mut(stride)).take(height).enumerate();
         // A thread takes many rows at once.
         let mut parts: Vec<Vec<_>> = (0..threads.max(1)).map(|_| vec![]).collect();
@@ -94,9 +96,8 @@ impl View {
                 let row = Row {
                     depth: &images.depth[own.clone()],
                     obliqueness: &images.obliqueness[own.clone()],
+                    flatness: flatness.row(y),
                     color: images.color.map(|color| &color[3 * own.start..3 * own.end]),
-                    across: &across,
-                    down: ((y as f64 - camera.centre[1]) / camera.focal[1]) as f32,
                 };
                 prepare_row(row, weighing, truncation, measures, looks);
                 measures[width] = measures[width - 1];
@@ -119,10 +120,8 @@ impl View {
 struct Row<'a> {
     depth: &'a [f32],
     obliqueness: &'a [f32],
+    flatness: &'a [f32],
     color: Option<&'a [u8]>,
-    /// Lines of sight x/z of the columns, and y/z of the row.
-    across: &'a [f32],
-    down: f32,
 }
 
 by_processor! {
@@ -131,7 +130,7 @@ by_processor! {
 
 #[inline(always)]
 fn prepare(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Measure], looks: &mut [u32]) {
-    let width = row.across.len();
+    let width = row.depth.len();
     let (depth, obliqueness) = (&row.depth[..width], &row.obliqueness[..width]);
     let (measures, looks) = (&mut measures[..width], &mut looks[..width]);
     for x in 0..width {
@@ -139,10 +138,10 @@ fn prepare(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Me
         let inverse = 1.0 / z;
         let is_there = z > 0.0 && inverse > 0.0 && inverse < f32::MAX && oblique > 0.0 && oblique < f32::MAX;
         measures[x] = [if is_there { inverse } else { f32::NAN }, 1.0 / (oblique * truncation)];
-        let sight = 1.0 + row.across[x] * row.across[x] + row.down * row.down;
-        let deviation = weighing.constant + weighing.quadratic * (z * z);
-        let weight = UNIT * weighing.scale / (oblique * oblique * sight * (deviation * deviation));
-        looks[x] = ((weight + 0.5).max(1.0).min(HEAVIEST) as u32) << 24;
+        let share = weighing.typical / (weighing.constant + weighing.quadratic * (z * z));
+        let flat = row.flatness[x / 4];
+        let worth = flat + (1.0 - flat) / (oblique * oblique);
+        looks[x] = ((UNIT * (share * share) * worth + 0.5).max(1.0).min(HEAVIEST) as u32) << 24;
     }
     if let Some(color) = row.color {
         for (look, color) in looks.iter_mut().zip(color.chunks_exact(3)) {

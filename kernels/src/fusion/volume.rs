@@ -30,9 +30,6 @@ impl Volume {
         }
     }
 
-    pub fn set(&mut self, add: Add) {
-        self.add = add;
-    }
     pub fn blocks(&self) -> &Blocks {
         &self.blocks
     }
@@ -89,9 +86,12 @@ impl Field for Volume {
 
     /// In voxels.
     fn distances(&self, slot: usize, least: u32, into: &mut [f32; VOXELS]) {
-        let (distances, least) = (self.blocks.distances(slot), bounded(least));
-        for (voxel, into) in into.iter_mut().enumerate() {
-            *into = distances.of(voxel, least) * self.truncation;
+        let (of, least) = (self.blocks.distances(slot), bounded(least));
+        let (sums, weights) = (of.sum.as_flattened(), of.weight.as_flattened());
+        let known = weights.iter().zip(of.frames.as_flattened());
+        for ((into, sum), (&weight, &frames)) in into.iter_mut().zip(sums).zip(known) {
+            let distance = sum / f32::from(weight) * self.truncation;
+            *into = if (weight > 0) & (frames >= least) { distance } else { f32::NAN };
         }
     }
 

@@ -173,7 +173,7 @@ impl Volume {
         PyArray1::from_slice(py, &self.locked().frame_counts(within.map(boxed))).unbind()
     }
 
-    /// Add a frame to the blocks with some keys; images are contiguous. `weighing` holds scale, constant and quadratic.
+    /// Add a frame to the blocks with some keys; images are contiguous. `weighing` holds typical, constant and quadratic.
     #[pyo3(signature = (keys, camera, depth, obliqueness, color, *, weighing, wanted_threads))]
     #[allow(clippy::too_many_arguments)]
     fn integrate(
@@ -189,7 +189,7 @@ impl Volume {
     ) -> PyResult<()> {
         let camera = self::camera(&camera)?;
         guarded(keys.as_array().len() + camera.width * camera.height, || {
-            let (scale, constant, quadratic) = weighing;
+            let (typical, constant, quadratic) = weighing;
             let threads = threads(wanted_threads);
             let color = color.as_ref().map(|color| levels(color, &camera)).transpose()?;
             if color.is_none() && self.locked().blocks().is_colored() {
@@ -200,7 +200,7 @@ impl Volume {
                 obliqueness: pixels(&obliqueness, &camera)?,
                 color,
             };
-            let weighing = Weighing { scale, constant, quadratic };
+            let weighing = Weighing { typical, constant, quadratic };
             // Copied while nobody else can write to them.
             let view = View::new(camera, images, weighing, self.truncation, threads);
             let keys = keys.as_array().to_vec();
@@ -255,7 +255,7 @@ impl Volume {
         guarded(count.saturating_mul(VOXELS), || {
             let all = (0..count).map(|slot| blocks.distances(slot));
             let places = (0..count).flat_map(|slot| block(blocks.key(slot))).collect();
-            let distances = all.clone().flat_map(|one| (0..VOXELS).map(|v| one.of(v, 1))).collect();
+            let distances = all.clone().flat_map(|one| (0..VOXELS).map(|v| one.of(v, 0))).collect();
             let weights = all.clone().flat_map(|one| one.weight.as_flattened().iter().copied()).collect();
             let frames = all.flat_map(|one| one.frames.as_flattened().iter().copied()).collect();
             let colors = blocks.is_colored().then(|| {

@@ -2,6 +2,7 @@ use std::collections::HashMap;
 
 use super::*;
 use crate::base::progress::Control;
+use crate::fusion::flatness::Flatness;
 use crate::fusion::order::key;
 use crate::fusion::surface::BlockBox;
 use crate::fusion::touch::{Surface, touched};
@@ -10,7 +11,7 @@ use crate::fusion::voxel::{HEAVIEST, UNIT};
 
 const VOXEL: f64 = 0.02;
 const TRUNCATION: f64 = 0.06;
-const WEIGHING: Weighing = Weighing { scale: 1e-4, constant: 0.008, quadratic: 0.002 };
+const WEIGHING: Weighing = Weighing { typical: 0.02, constant: 0.008, quadratic: 0.002 };
 
 /// Numbers from 0 to 1, always the same.
 struct Draw(u64);
@@ -30,6 +31,7 @@ struct Shot {
     obliqueness: Vec<f32>,
     wanted: Vec<bool>,
     color: Vec<u8>,
+    flatness: Flatness,
 }
 
 impl Shot {
@@ -51,6 +53,7 @@ impl Shot {
             obliqueness: vec![],
             wanted: vec![],
             color: vec![],
+            flatness: Flatness::new(&[], 0, 0),
         };
         for i in 0..width * height {
             let x = ((i % width) as f64 - 29.3) / 55.0;
@@ -67,6 +70,7 @@ impl Shot {
             shot.wanted.push(draw.next() < 0.9);
             (0..3).for_each(|_| shot.color.push((256.0 * draw.next()) as u8));
         }
+        shot.flatness = Flatness::new(&shot.depth, width, height);
         shot
     }
 
@@ -122,6 +126,7 @@ fn bits(volume: &Volume) -> HashMap<u64, (Vec<u32>, Vec<u16>, Vec<u8>, Vec<u16>,
 /// What a voxel is told of a shot, in double precision: distance, weight and colour; none where it cannot be told safely.
 enum Told {
     Nothing,
+    /// Distance, weight and colour.
     Seen(f64, f64, [f64; 3]),
     Unsure,
 }
@@ -168,23 +173,22 @@ fn told(shot: &Shot, place: [f64; 3]) -> Told {
         return Told::Nothing;
     };
     let distance = (1.0 / inverse - at[2]) * scale;
-    if (distance.abs() - 1.0).abs() < NEARLY {
+    if (distance.abs() - 1.0).abs() < NEARLY || (distance - 8.0).abs() < 10.0 * NEARLY {
         return Told::Unsure;
     }
     if distance < -1.0 {
         return Told::Nothing;
     }
-    let (z, oblique) = (f64::from(shot.depth[nearest]), f64::from(shot.obliqueness[nearest]));
-    let x = ((nearest % shot.camera.width) as f64 - shot.camera.centre[0]) / shot.camera.focal[0];
-    let y = ((nearest / shot.camera.width) as f64 - shot.camera.centre[1]) / shot.camera.focal[1];
+    let z = f64::from(shot.depth[nearest]);
     let deviation = f64::from(WEIGHING.constant) + f64::from(WEIGHING.quadratic) * z * z;
-    let cosine2 = 1.0 / (oblique * oblique * (1.0 + x * x + y * y));
-    let weight = f64::from(UNIT) * f64::from(WEIGHING.scale) * cosine2 / (deviation * deviation);
+    let flat = f64::from(shot.flatness.row(nearest / shot.camera.width)[nearest % shot.camera.width / 4]);
+    let worth = flat + (1.0 - flat) / f64::from(shot.obliqueness[nearest]).powi(2);
+    let weight = f64::from(UNIT) * (f64::from(WEIGHING.typical) / deviation).powi(2) * worth;
     if (weight - weight.floor() - 0.5).abs() < NEARLY {
         return Told::Unsure;
     }
     let color = [0, 1, 2].map(|c| f64::from(shot.color[3 * nearest + c]));
-    Told::Seen(distance.min(1.0), weight.round().clamp(1.0, HEAVIEST.into()), color)
+    Told::Seen(distance, weight.round().clamp(1.0, HEAVIEST.into()), color)
 }
 
 #[test]
@@ -206,7 +210,8 @@ fn voxels_hold_what_double_precision_and_no_tricks_say() {
                     Told::Unsure => continue 'voxels,
                     Told::Nothing => {}
                     Told::Seen(distance, own, seen) => {
-                        (sum, weight, frames) = (sum + own * distance, weight + own, frames + 1);
+                        (sum, weight) = (sum + own * distance.min(1.0), weight + own);
+                        frames += i32::from(distance < 8.0);
                         if distance < 1.0 {
                             let share = own / weight;
                             color = Some(color.map_or(seen, |color| {
@@ -220,8 +225,8 @@ fn voxels_hold_what_double_precision_and_no_tricks_say() {
                 (f64::from(distances.weight.as_flattened()[voxel]), i32::from(distances.frames(voxel))),
                 (weight, frames)
             );
-            if frames > 0 {
-                assert!((f64::from(distances.of(voxel, 1)) - sum / weight).abs() < 2e-4);
+            if weight > 0.0 {
+                assert!((f64::from(distances.of(voxel, 0)) - sum / weight).abs() < 2e-4);
                 compared += 1;
             }
             if let Some(color) = color {
@@ -271,7 +276,7 @@ fn wall(count: u32, noise: impl Fn(u32) -> f32, color: impl Fn(u32) -> u8) -> (V
     for k in 0..count {
         let (depth, color) = (vec![1.0 + noise(k); 1600], vec![color(k); 4800]);
         let images = Images { depth: &depth, obliqueness: &[1.0; 1600], color: Some(&color) };
-        let weighing = Weighing { scale: 1.0, constant: 1.0, quadratic: 0.0 };
+        let weighing = Weighing { typical: 1.0, constant: 1.0, quadratic: 0.0 };
         let view = View::new(camera, images, weighing, TRUNCATION as f32, 1);
         volume.integrate(&[block], &view, 1, &Progress::new(&control)).unwrap();
     }
