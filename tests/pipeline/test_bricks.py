@@ -25,6 +25,7 @@ QUICK = (
     "report.enabled=false",
     "fuse.voxel_size=0.015",
     "fuse.brick_size=0.3",
+    "fuse.min_weight=1",
 )
 
 
