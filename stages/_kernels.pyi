@@ -390,9 +390,7 @@ def zbuffer(
 class Volume:
     """A field of signed distances in blocks of 8³ voxels; lengths in metres."""
 
-    def __new__(
-        cls, voxel_size: float, truncation: float, *, color: bool, most_blocks: int
-    ) -> Volume: ...
+    def __new__(cls, voxel_size: float, truncation: float, *, color: bool, most_blocks: int) -> Volume: ...
     @property
     def blocks(self) -> int:
         """Blocks in use."""
@@ -410,7 +408,7 @@ class Volume:
         weighing: tuple[float, float, float],
         wanted_threads: int,
     ) -> None:
-        """Add a frame to the blocks with some keys; raises LimitError where there would be too many blocks."""
+        """Add a frame to the blocks with some keys; LimitError where there would be too many blocks."""
     def typical_frames(self) -> float:
         """How many frames saw the median voxel near the surface."""
     def surface(
@@ -629,7 +627,7 @@ def oriented_depth(
     tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     NDArray[np.float32],
 ]:
-    """A filtered depth map, the normals of its surface and their lengths."""
+    """Filter a depth map; also the normals of its surface, and their lengths."""
 
 def touched_blocks(
     camera: _Camera,
@@ -642,7 +640,7 @@ def touched_blocks(
     truncation: float,
     within: tuple[Sequence[int], Sequence[int]] | None,
 ) -> NDArray[np.uint64]:
-    """Keys of the blocks that a frame touches, sorted."""
+    """List the keys of the blocks that a frame touches, sorted."""
 
 def weighted_medians(
     image: NDArray[np.uint8],

@@ -20,6 +20,7 @@ from stages.scans.scan import Camera, DepthImage
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+
 @dataclass(frozen=True, eq=False)
 class Surface:
     """A depth map with the orientation of the surface at each pixel.

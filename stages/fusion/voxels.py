@@ -1,7 +1,7 @@
 """A truncated signed distance field in blocks of voxels along the surface.
 
-What adds up in a voxel is its distance along the surface's normal, which each pixel tells anew: measured along
-the optical axis, voxels just behind a road that is seen at a grazing angle would lie metres behind it.
+What adds up in a voxel is its distance along the surface's normal, which each pixel tells anew: measured
+along the optical axis, voxels just behind a road that is seen at a grazing angle would lie metres behind it.
 
 References
 ----------
@@ -150,9 +150,7 @@ class Volume:
 
     def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> Keys:
         """Return the blocks that a frame touches; see `touched_blocks`."""
-        return touched_blocks(
-            view, wanted, pose, voxel_size=self._voxel_size, truncation=self._truncation
-        )
+        return touched_blocks(view, wanted, pose, voxel_size=self._voxel_size, truncation=self._truncation)
 
     def integrate(self, view: PosedDepth, parts: Keys, pose: Pose, color: ColorImage | None) -> None:
         """Add one frame to the blocks it touches.
