@@ -298,7 +298,7 @@ STAGES: tuple[Stage, ...] = (
         sections=("fuse",),
         make=_fuse,
         versions=versions.of_fuse,
-        libraries=installed("opencv", "open3d"),
+        libraries=installed("scanloom", "opencv", "open3d", "scipy"),
         results=("fused.ply", "pieces/"),
         cost=Cost(seconds_per_megapixel=0.4),
     ),

@@ -636,7 +636,7 @@ def oriented_depth(
     tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     NDArray[np.float32],
 ]:
-    """A filtered depth map, the normals of its surface and their lengths."""
+    """Filter a depth map; also the normals of its surface, and their lengths."""
 
 def touched_blocks(
     camera: _Camera,
@@ -649,7 +649,7 @@ def touched_blocks(
     truncation: float,
     within: _Blocks | None,
 ) -> NDArray[np.uint64]:
-    """Keys of the blocks that a frame touches, sorted."""
+    """List the keys of the blocks that a frame touches, sorted."""
 
 def weighted_medians(
     image: NDArray[np.uint8],

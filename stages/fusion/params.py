@@ -135,8 +135,8 @@ class FuseParams:
     )
     backend: str = param(
         "auto",
-        "Whose voxels: own, or those of Open3D, which are slower and larger, and alone work on a CUDA device. "
-        "auto takes Open3D's there, and its own elsewhere.",
+        "Whose voxels: own, or those of Open3D, which are slower and larger, but work on a CUDA device. auto "
+        "takes Open3D's there, and its own elsewhere.",
         choices=("auto", "own", "open3d"),
     )
     device: str = param(

@@ -29,10 +29,11 @@ _PLACES = 8
 _PIXELS = 8_000_000
 # With a crop, depth tells of the space before it up to so many times as far as it is fused.
 _FREE = 2.0
-# Blocks from one place that may be a volume's origin to the next: far enough that a frame more moves it hardly ever,
-# near enough for float32.
+# Blocks from one place that may be a volume's origin to the next: far enough that a frame more hardly ever
+# moves it, near enough for float32.
 _ORIGINS = 1024
-# Of so many pixels one tells the median depth. Noise that is a smaller share of voxels than this does not show.
+# Of so many pixels one tells the median depth. Noise that is a smaller share of voxels than this does not
+# show.
 _EVERY, _SHOWN = 16, 1 / 6
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
@@ -74,7 +75,7 @@ class Plan:
     reach: float
     support: Support | None
     warnings: tuple[str, ...]
-    weighing: Weighing = Weighing()
+    weighing: Weighing
     blocks: int = 0
     spread: float = 1.0
     triangles: int = 0

@@ -1,7 +1,7 @@
 """A truncated signed distance field in blocks of voxels along the surface.
 
-What adds up in a voxel is its distance along the surface's normal, which each pixel tells anew: measured along
-the optical axis, voxels just behind a road that is seen at a grazing angle would lie metres behind it.
+What adds up in a voxel is its distance along the surface's normal, which each pixel tells anew: measured
+along the optical axis, voxels just behind a road that is seen at a grazing angle would lie metres behind it.
 
 References
 ----------

@@ -55,8 +55,8 @@ SIDES = {
     "oriented_depth": 1500,
     "touched_blocks": 1000,
 }
-# A kernel that goes another way for some of what it takes: a base mesh without levels is rounded. And what grows from
-# call to call.
+# A kernel that goes another way for some of what it takes: a base mesh without levels is rounded. And a field
+# that grows from call to call.
 OTHER_WAYS = {"remesh_alone": 60, "integrate": 700}
 
 

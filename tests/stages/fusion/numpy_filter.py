@@ -1,4 +1,4 @@
-"""The filter of depth maps in NumPy and OpenCV, for the kernel to be compared with: whole images, step by step."""
+"""The filter of depth maps in NumPy and OpenCV, step by step, for the kernel to be compared with."""
 
 from __future__ import annotations
 

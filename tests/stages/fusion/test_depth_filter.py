@@ -20,7 +20,7 @@ CAMERA = Camera(97, 71, 80.0, 82.0, 47.3, 36.1)
 
 
 def scene(seed: int) -> NDArray[np.float32]:
-    """A wall, a floor that is seen at a grazing angle, a ball before both; noise, holes, gaps of one pixel."""
+    """A wall, a floor at a grazing angle, a ball before both; noise, holes, gaps of one pixel."""
     draw = np.random.default_rng(seed)
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
     x, y = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from stages import _kernels
 from stages.errors import StageError, UsageError
 from stages.fusion.fuse import fuse
-from stages.fusion.plan import limits_of
 from stages.fusion.params import FuseParams
+from stages.fusion.plan import limits_of
 from stages.fusion.posed_depth import read_posed_depth
 from stages.fusion.voxels import Volume, Weighing, block_bytes, touched_blocks
 from stages.scans.read import read_scan
