@@ -4,7 +4,7 @@
 
 Rooms in rows with doors between them, each with tables, cupboards and boxes, walked through with an RGB-D
 camera (320×240, depth noise of a structured-light sensor, poses known). Every number is drawn from a fixed
-seed, and a frame's from its own: fewer frames are the first of more. `scan.json` beside `color/` and `depth/`.
+seed, and a frame's from its own: fewer frames are the first of more. `scan.json` stands beside the images.
 """
 
 from __future__ import annotations

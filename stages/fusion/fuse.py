@@ -142,7 +142,7 @@ def fuse_to_file(
 
 
 def _is_in_bricks(work: Work, device: str) -> bool:
-    """Whether space is to be cut in bricks from the start: if that is asked for, or is likely to be needed."""
+    """Whether space is to be cut in bricks from the start: as asked for, or likely to be needed."""
     if work.params.brick_size is not None and not _has_bricks(work, device):
         raise UsageError("brick_size is for scanloom's own voxels; leave out device and backend.")
     if len(work.frames) == 1 or not _has_bricks(work, device):
@@ -197,8 +197,8 @@ def _alone(work: Work) -> Fused:
     mesh = cut(relief(view, here, image, plan.voxel_size, plan.limits), plan.crop)
     if len(mesh.triangles) == 0:
         raise InputError(
-            f"no surface came out of the frame{inside(plan.crop, int(here.sum()))}. Check the depth scale and "
-            "the calibration.",
+            f"no surface came out of the frame{inside(plan.crop, int(here.sum()))}. Check the depth scale "
+            "and the calibration.",
             f"frame {frame.name}",
         )
     return Fused(
