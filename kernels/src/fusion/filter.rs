@@ -249,7 +249,7 @@ impl Band<'_> {
         let is_steep = |row: &[f32]| row.iter().fold(false, |any, &o| any | (o > STEEP));
         let mut steep = self.obliqueness.chunks(width).enumerate().filter(|(_, row)| is_steep(row));
         let Some((first, _)) = steep.next() else { return vec![] };
-        let last = steep.last().map_or(first, |(row, _)| row);
+        let last = steep.next_back().map_or(first, |(row, _)| row);
         let mut columns = Columns::new(width);
         let mut reached = (self.top + first).saturating_sub(reach)..(self.top + first).saturating_sub(reach);
         let mut dropped = vec![];
@@ -262,7 +262,7 @@ impl Band<'_> {
             for x in 0..width {
                 let i = row * width + x;
                 let narrow = self.obliqueness[i];
-                if !(narrow > STEEP) {
+                if narrow.is_nan() || narrow <= STEEP {
                     continue;
                 }
                 let slope = columns.mean(x.saturating_sub(reach)..(x + reach + 1).min(width));

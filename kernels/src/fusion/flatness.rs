@@ -4,8 +4,10 @@
 //! curved and seen obliquely, that is more or less than its distance to the surface, by the square of how far beside it
 //! the pixel looks.
 
+use crate::base::by_processor::by_processor;
+
 /// Pixels along the sides of a cell, and cells from one to the next of three that are compared.
-const CELL: usize = 4;
+pub const CELL: usize = 4;
 const APART: usize = 3;
 /// A plane's inverse depth is linear. From this change of its slope on, as a share of the slope, a surface counts as a little
 /// curved, and from that on as curved.
@@ -50,17 +52,27 @@ impl Flatness {
 fn means(depth: &[f32], width: usize, height: usize) -> Vec<f32> {
     let columns = width.div_ceil(CELL);
     let mut means = vec![0.0; columns * height.div_ceil(CELL)];
+    let mut inverse = vec![0.0; columns * CELL];
     for (y, row) in depth.chunks(width.max(1)).enumerate() {
-        let of_row = &mut means[y / CELL * columns..][..columns];
-        for (mean, pixels) in of_row.iter_mut().zip(row.chunks(CELL)) {
-            for &z in pixels {
-                *mean += if z > 0.0 { 1.0 / z } else { f32::NAN };
-            }
-        }
+        add_row(row, &mut inverse, &mut means[y / CELL * columns..][..columns]);
     }
     // Cells beyond the last whole one are smaller, but nothing is compared with them from both sides.
     means.iter_mut().for_each(|mean| *mean /= (CELL * CELL) as f32);
     means
+}
+
+by_processor! {
+    fn add_row(depth: &[f32], inverse: &mut [f32], sums: &mut [f32]) = add
+}
+
+#[inline(always)]
+fn add(depth: &[f32], inverse: &mut [f32], sums: &mut [f32]) {
+    for (inverse, &z) in inverse.iter_mut().zip(depth) {
+        *inverse = if z > 0.0 { 1.0 / z } else { f32::NAN };
+    }
+    for (sum, cell) in sums.iter_mut().zip(inverse.chunks_exact(CELL)) {
+        *sum += cell[0] + cell[1] + cell[2] + cell[3];
+    }
 }
 
 /// From three inverse depths across and three down.

@@ -66,7 +66,7 @@ pub fn touched(
             }
         }
         for (cell, &widest) in widest.iter().enumerate() {
-            if !(widest > 0.0) {
+            if widest <= 0.0 {
                 continue;
             }
             let step = step(finest / widest);
@@ -75,7 +75,7 @@ pub fn touched(
                 for x in columns.clone().step_by(step) {
                     let i = y * camera.width + x;
                     let z = surface.depth[i];
-                    if !surface.wanted[i] || !(z > 0.0) {
+                    if !surface.wanted[i] || z.is_nan() || z <= 0.0 {
                         continue;
                     }
                     let offset = truncation / 2.0 / surface.obliqueness[i];
@@ -151,8 +151,9 @@ impl Found {
             if !places_of(batch, to_blocks, way, &mut places) {
                 return Err(KernelError::BeyondReach { blocks: REACH as usize });
             }
-            for i in 0..batch.count {
-                let place = [places[0][i], places[1][i], places[2][i]];
+            let [x, y, z] = &places;
+            for ((&x, &y), &z) in x.iter().zip(y).zip(z).take(batch.count) {
+                let place = [x, y, z];
                 let recent = &mut self.recent[number(place)];
                 if *recent != place {
                     *recent = place;
@@ -177,7 +178,7 @@ by_processor! {
 fn blocks_of(batch: &Batch, to_blocks: &Affine, way: f32, places: &mut [[i32; BATCH]; 3]) -> bool {
     let mut is_near = true;
     for (row, places) in to_blocks.iter().zip(places) {
-        for i in 0..BATCH {
+        for (i, place) in places.iter_mut().enumerate() {
             let moved = |axis: usize| batch.on[axis][i] + way * batch.offset[axis][i];
             let at = row[0] * moved(0) + row[1] * moved(1) + row[2] * moved(2) + row[3];
             let most = REACH as f32 - 1.0;
@@ -188,7 +189,7 @@ fn blocks_of(batch: &Batch, to_blocks: &Affine, way: f32, places: &mut [[i32; BA
             // SAFETY: it is a number of a size below 2³¹.
             let cut: i32 = unsafe { if is_one { at } else { 0.0 }.to_int_unchecked() };
             // Down, where a fraction is cut off.
-            places[i] = cut - i32::from(at < cut as f32);
+            *place = cut - i32::from(at < cut as f32);
         }
     }
     is_near

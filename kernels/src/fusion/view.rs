@@ -1,6 +1,6 @@
 //! A depth map as it goes into a field: what each pixel measured, how exactly, and its colour.
 
-use super::flatness::Flatness;
+use super::flatness::{CELL, Flatness};
 use super::voxel::{HEAVIEST, UNIT};
 use crate::base::by_processor::by_processor;
 use crate::base::geometry::{cross, dot};
@@ -139,9 +139,9 @@ fn prepare(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Me
         let is_there = z > 0.0 && inverse > 0.0 && inverse < f32::MAX && oblique > 0.0 && oblique < f32::MAX;
         measures[x] = [if is_there { inverse } else { f32::NAN }, 1.0 / (oblique * truncation)];
         let share = weighing.typical / (weighing.constant + weighing.quadratic * (z * z));
-        let flat = row.flatness[x / 4];
+        let flat = row.flatness[x / CELL];
         let worth = flat + (1.0 - flat) / (oblique * oblique);
-        looks[x] = ((UNIT * (share * share) * worth + 0.5).max(1.0).min(HEAVIEST) as u32) << 24;
+        looks[x] = ((UNIT * (share * share) * worth + 0.5).clamp(1.0, HEAVIEST) as u32) << 24;
     }
     if let Some(color) = row.color {
         for (look, color) in looks.iter_mut().zip(color.chunks_exact(3)) {

@@ -107,8 +107,10 @@ fn fused(shots: &[Shot], within: Option<BlockBox>, add: Add, threads: usize) -> 
     volume
 }
 
-/// All that is kept, to the bit.
-fn bits(volume: &Volume) -> HashMap<u64, (Vec<u32>, Vec<u16>, Vec<u8>, Vec<u16>, Vec<u8>)> {
+/// All that is kept of a block, to the bit.
+type Bits = (Vec<u32>, Vec<u16>, Vec<u8>, Vec<u16>, Vec<u8>);
+
+fn bits(volume: &Volume) -> HashMap<u64, Bits> {
     let blocks = volume.blocks();
     let of = |slot| {
         let (distances, colors) = (blocks.distances(slot), blocks.colors(slot).unwrap());
