@@ -267,7 +267,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of_depth,
         libraries=installed("opencv"),
         results=("points.ply",),
-        cost=Cost(seconds_per_megapixel=0.5, bytes=500e6, bytes_per_megapixel=1e6),
+        cost=Cost(seconds_per_megapixel=0.5, bytes=500e6, bytes_per_megapixel=1e6, by_voxels=False),
     ),
     Stage(
         name="register",
@@ -278,7 +278,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(register),
         libraries=installed("opencv", "open3d"),
         results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
-        cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6),
+        cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6, by_voxels=False),
     ),
     Stage(
         name="adjust",
@@ -289,7 +289,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of_adjust,
         libraries=installed("opencv", "scipy"),
         results=(f"{_ADJUSTED}/",),
-        cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6),
+        cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6, by_voxels=False),
     ),
     Stage(
         name="fuse",
@@ -342,7 +342,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(texture),
         libraries=installed("scanloom", "opencv"),
         results=(texturing.FILE, f"{texturing.MAPS}/"),
-        cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=1e9, bytes_per_megapixel=3e6),
+        cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=1e9, bytes_per_megapixel=3e6, by_voxels=False),
     ),
     Stage(
         name="bake",
