@@ -1,0 +1,109 @@
+"""What is not there at all: holes within the surface, and space that no frame saw."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.coverage.directions import all_around
+from stages.coverage.patches import Patch, cut_up, total_area
+from stages.coverage.rims import Cap
+from stages.coverage.space import Frontier, Space
+from stages.coverage.views import Floats
+from stages.surface.raycasting import Surface
+
+# Cells that a frontier may lie before a hole that it belongs to.
+_BEFORE = 3.0
+# Faces that hang together: fewer are the noise of the grid.
+_LEAST_FACES = 6
+# Of what would go around a patch of that many faces if it were round, cells at the surface: space that is open all
+# around, such as the sky, is not missing.
+_RIM = 0.5
+# Share of the directions from which surface must be met: a scan ends where it is open to the other side, and where
+# surface is all around a part of it was left out.
+_ENCLOSED = 0.75
+_DIRECTIONS = 64
+_ASKED = 16
+
+
+def patches_of_holes(caps: list[Cap], space: Space, origin: Floats, size: float) -> list[Patch]:
+    """Return the holes that no frame looked through, cut up into patches of `size` metres at most."""
+    found = []
+    for cap in caps:
+        points, areas = _spread(cap, space.cell)
+        points = points - origin
+        # Frames have looked through an opening: there is nothing.
+        if areas[space.is_free(points)].sum() > 0.5 * areas.sum():
+            continue
+        normals = np.tile(cap.normal, (len(points), 1))
+        share = cap.area / areas.sum()
+        found += [
+            Patch("hole", points[rows], normals[rows], areas[rows], share * float(areas[rows].sum()))
+            for rows in cut_up(points, normals, areas, size)
+        ]
+    return found
+
+
+def patches_of_space(
+    frontier: Frontier, holes: list[Patch], space: Space, surface: Surface, origin: Floats, size: float
+) -> tuple[list[Patch], float]:
+    """Return where free space ends at space that no frame saw, cut up into patches of `size` metres at most.
+
+    Beside them the area in m² where the scan ends: nobody measured anything beyond, and it is open to the other side.
+
+    Parameters
+    ----------
+    holes : what is told already.
+    """
+    left = _away_from(frontier.points, holes, _BEFORE * space.cell)
+    counts = np.bincount(frontier.parts, left)
+    at_rim = np.bincount(frontier.parts, frontier.at_rim & left)
+    around = 2 * np.sqrt(np.pi * counts)
+    is_kept = (counts >= _LEAST_FACES) & (at_rim >= _RIM * around)
+    found, ends = [], 0.0
+    for part in np.flatnonzero(is_kept):
+        (members,) = np.nonzero((frontier.parts == part) & left)
+        points, normals = frontier.points[members], frontier.normals[members]
+        areas = np.full(len(members), frontier.face)
+        is_hidden = bool(frontier.hidden[members[0]])
+        for rows in cut_up(points, normals, areas, size):
+            area = total_area(normals[rows], areas[rows])
+            if is_hidden or _is_enclosed(points[rows], normals[rows], surface, origin):
+                kind = "hidden" if is_hidden else "unseen"
+                found.append(Patch(kind, points[rows], normals[rows], areas[rows], area))
+            else:
+                ends += area
+    return found, ends
+
+
+def _spread(cap: Cap, spacing: float) -> tuple[Floats, Floats]:
+    """Return points all over a cap, and the area of each, whose sum is that of its triangles."""
+    first, second, middle = cap.corners.transpose(1, 0, 2)
+    outer = (first + second) / 2
+    steps = max(1, int(np.ceil(np.linalg.norm(outer - middle, axis=1).max() / spacing)))
+    shares = (np.arange(steps) + 0.5) / steps
+    points = middle[:, None] + shares[None, :, None] * (outer - middle)[:, None]
+    whole = np.linalg.norm(np.cross(second - first, middle - first), axis=1) / 2
+    areas = whole[:, None] * (2 * np.arange(steps) + 1)[None] / steps**2
+    return points.reshape(-1, 3), np.maximum(areas.reshape(-1), np.finfo(np.float64).tiny)
+
+
+def _away_from(points: Floats, patches: list[Patch], reach: float) -> NDArray[np.bool_]:
+    """Return which points no patch is near to."""
+    from scipy.spatial import cKDTree
+
+    if not patches or not len(points):
+        return np.ones(len(points), bool)
+    tree = cKDTree(np.concatenate([patch.points for patch in patches]))
+    return np.asarray(tree.query(points, distance_upper_bound=reach)[0] > reach)
+
+
+def _is_enclosed(points: Floats, normals: Floats, surface: Surface, origin: Floats) -> bool:
+    """Return whether surface is nearly all around what one sees from a patch towards free space."""
+    rows = np.linspace(0, len(points) - 1, min(_ASKED, len(points))).round().astype(int)
+    directions = all_around(_DIRECTIONS)
+    towards = (directions @ normals[rows].T).T > 0
+    of, which = np.nonzero(towards)
+    hits = surface.cast(points[rows][of] + origin, directions[which])
+    return len(hits.rays) >= _ENCLOSED * len(of)
+
