@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.comparing.deviations import DeviationParams, Deviations, deviations
     from stages.comparing.tradeoff import Tradeoff, TradeoffParams, tradeoff
+    from stages.covering.coverage import coverage
+    from stages.covering.covered import Coverage
+    from stages.covering.params import CoverageParams
+    from stages.covering.place import Place
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
     from stages.exporting.export import Exported, ExportParams, export
     from stages.exporting.presets import preset
@@ -82,6 +86,10 @@ _NAMES_OF = {
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
     "comparing.tradeoff": ("Tradeoff", "TradeoffParams", "tradeoff"),
+    "covering.coverage": ("coverage",),
+    "covering.covered": ("Coverage",),
+    "covering.params": ("CoverageParams",),
+    "covering.place": ("Place",),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
     "exporting.export": ("ExportParams", "Exported", "export"),
     "exporting.presets": ("preset",),
@@ -146,6 +154,8 @@ __all__ = [
     "CollapseRecord",
     "CompareParams",
     "Comparison",
+    "Coverage",
+    "CoverageParams",
     "DepthMap",
     "DepthParams",
     "DeviationParams",
@@ -168,6 +178,7 @@ __all__ = [
     "Page",
     "PatchParams",
     "Patches",
+    "Place",
     "RegisterParams",
     "Registration",
     "RemeshParams",
@@ -204,6 +215,7 @@ __all__ = [
     "compare",
     "compare_views",
     "completed_scan",
+    "coverage",
     "decode",
     "depth",
     "depth_scan",

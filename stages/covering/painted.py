@@ -1,4 +1,4 @@
-"""A mesh in colours of what is missing: thin evidence on the surface, and what would close its holes beside it."""
+"""A mesh in colours of what is missing: what was hardly seen, and beside it what would close its holes."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.coverage.kinds import KINDS, THIN, WELL
-from stages.coverage.views import Floats
+from stages.covering.kinds import KINDS, THIN, WELL
+from stages.covering.views import Floats
 from stages.surface.mesh import Mesh
 
 # How dark it is where no light falls, and where that comes from: viewers may have none.
 _AMBIENT, _LIGHT = 0.6, np.array((0.35, 0.55, 0.75)) / np.linalg.norm((0.35, 0.55, 0.75))
 
 
-def painted(
-    mesh: Mesh, normals: Floats, kinds: NDArray[np.int8], caps: Sequence[tuple[str, Floats]]
-) -> Mesh:
+def painted(mesh: Mesh, normals: Floats, kinds: NDArray[np.int8], caps: Sequence[tuple[str, Floats]]) -> Mesh:
     """Return the mesh, and behind its triangles those of the caps, each in the colour of its kind.
 
     Parameters
@@ -44,16 +42,3 @@ def painted(
         np.rint(np.concatenate(colors)).astype(np.uint8),
         up=mesh.up,
     )
-
-
-def squares(points: Floats, normals: Floats, side: float) -> Floats:
-    """Return two triangles each, (2 k, 3, 3), for squares about points (k, 3) that face along an axis."""
-    first = np.roll(np.abs(normals), 1, axis=1) * side / 2
-    second = np.roll(np.abs(normals), 2, axis=1) * side / 2
-    sign = normals.sum(axis=1, keepdims=True)
-    corners = [points - first - second, points + first - second, points + first + second, points - first + second]
-    a, b, c, d = corners
-    ahead = np.stack([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)], axis=1).reshape(-1, 3, 3)
-    is_back = np.repeat(sign[:, 0] < 0, 2)
-    ahead[is_back] = ahead[is_back][:, ::-1]
-    return ahead

@@ -1,7 +1,7 @@
 """Patches of what is missing: points with the way they face and the area that each stands for.
 
-A patch that is too large for one look is cut in two across its longest way, again and again; which way it faces
-counts as a way, too, so that what goes around a corner, or around a thing, becomes several.
+A patch that is too large for one look is cut in two across its longest way, again and again; which way it
+faces counts as a way, too, so that what goes around a corner, or around a thing, becomes several.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.coverage.views import Floats
+from stages.covering.views import Floats
 
 # Facing the other way is as far apart as so many of the largest patches.
 _TURN = 0.7
@@ -24,11 +24,12 @@ class Patch:
 
     Attributes
     ----------
-    kind : of `stages.coverage.kinds`.
+    kind : of `stages.covering.kinds`.
     points : (k, 3) float64, metres, from the origin on.
     normals : (k, 3) float64, to where one looks at it from.
     areas : (k,) float64, m².
     area : m²; of steps of a grid less than the sum of their faces.
+    corners : (t, 3, 3) float64 of triangles that show what is not there, from the origin on; none of what is.
     """
 
     kind: str
@@ -36,6 +37,7 @@ class Patch:
     normals: Floats
     areas: Floats
     area: float
+    corners: Floats
 
     @property
     def middle(self) -> Floats:

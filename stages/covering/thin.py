@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.coverage.evidence import Evidence
-from stages.coverage.kinds import KINDS, THIN
-from stages.coverage.patches import Patch, cut_up
-from stages.coverage.views import Floats
+from stages.covering.evidence import Evidence
+from stages.covering.kinds import KINDS, THIN
+from stages.covering.patches import Patch, cut_up
+from stages.covering.views import Floats
 from stages.surface.edges import components
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas
@@ -41,7 +41,8 @@ def kinds_at(evidence: Evidence, limits: Limits) -> NDArray[np.int8]:
 def vertex_areas(mesh: Mesh) -> Floats:
     """Return the area around each vertex (n,), m²: a third of its triangles'."""
     thirds = np.repeat(areas(mesh.vertices, mesh.triangles) / 3, 3)
-    return np.bincount(mesh.triangles.reshape(-1), thirds, minlength=len(mesh.vertices))
+    around = np.bincount(mesh.triangles.reshape(-1), thirds, minlength=len(mesh.vertices))
+    return np.asarray(around, np.float64)
 
 
 def patches_of_thin(
@@ -77,5 +78,5 @@ def patches_of_thin(
             counts = np.bincount(kinds[own], around[own], minlength=len(THIN)) * _WEIGHTS
             area = float(around[own].sum())
             kind = THIN[int(counts.argmax())]
-            found.append(Patch(kind, vertices[own], normals[own], around[own], area))
+            found.append(Patch(kind, vertices[own], normals[own], around[own], area, np.zeros((0, 3, 3))))
     return found

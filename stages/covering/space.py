@@ -1,8 +1,8 @@
 """Space around a surface: what frames saw through, what they did not, and where the one ends at the other.
 
 A grid of cells, each unknown until a frame looks through its middle, as in space carving. Where free space
-ends at unknown space without a surface between them, something is missing: a frontier. What lies behind it was
-hidden from all frames, had no depth, or nobody looked there.
+ends at unknown space without a surface between them, something is missing: a frontier. What lies behind it
+was hidden from all frames, had no depth, or nobody looked there.
 
 References
 ----------
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.coverage.views import Floats, Singles, View
+from stages.covering.views import Floats, Singles, View
 
 _FREE, _HIDDEN, _MEASURED, _SURFACE = 1, 2, 4, 8
 # Cells of a block, along an axis: blocks out of a picture are not looked at one by one.
@@ -41,6 +41,7 @@ class Frontier:
     hidden : (k,) whether some frame has measured what is before it, and not only no depth.
     parts : (k,) int64, those of one number hang together, and are hidden or not alike.
     at_rim : (k,) whether the surface is near.
+    beside : (k,) how many of the 27 cells around its own are of the frontier: 3 along a line, 9 in a plane.
     face : m², of each.
     """
 
@@ -49,6 +50,7 @@ class Frontier:
     hidden: NDArray[np.bool_]
     parts: NDArray[np.int64]
     at_rim: NDArray[np.bool_]
+    beside: NDArray[np.int64]
     face: float
 
 
@@ -86,7 +88,7 @@ class Space:
             ],
             axis=1,
         )
-        numbers, _ = self._numbers((seen - view.shift) @ view.turn.astype(np.float64))
+        numbers, _ = self._numbers((seen - view.shift).astype(np.float64) @ view.turn.astype(np.float64))
         self._state[numbers] |= _MEASURED
 
     def is_free(self, points: Floats) -> NDArray[np.bool_]:
@@ -101,7 +103,7 @@ class Space:
 
     def frontier(self) -> Frontier:
         """Return where free space ends at unknown space."""
-        from scipy.ndimage import binary_dilation, label
+        from scipy.ndimage import binary_dilation, convolve, label
 
         state = self._state.reshape(self._shape)
         surface = (state & _SURFACE) > 0
@@ -117,12 +119,14 @@ class Space:
                 found.append((cells, np.tile(sign * np.eye(3, dtype=np.int64)[axis], (len(cells), 1))))
         cells, steps = (np.concatenate(rows) for rows in zip(*found, strict=True))
         hidden = (state[tuple((cells + steps).T)] & _HIDDEN) > 0
-        parts, count = np.zeros(len(cells), np.int64), 0
+        parts, beside, count = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.int64), 0
         for chosen in (hidden, ~hidden):
             is_frontier = np.zeros(state.shape, bool)
-            is_frontier[tuple(cells[chosen].T)] = True
+            at = tuple(cells[chosen].T)
+            is_frontier[at] = True
             labels, more = label(is_frontier, np.ones((3, 3, 3)))
-            parts[chosen] = count + labels[tuple(cells[chosen].T)]
+            parts[chosen] = count + labels[at]
+            beside[chosen] = convolve(is_frontier.astype(np.int8), np.ones((3, 3, 3), np.int8))[at]
             count += more
         near = binary_dilation(surface, np.ones((3, 3, 3)), iterations=2)
         return Frontier(
@@ -131,6 +135,7 @@ class Space:
             hidden=hidden,
             parts=parts,
             at_rim=near[tuple(cells.T)],
+            beside=beside,
             face=self.cell**2,
         )
 

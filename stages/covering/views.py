@@ -117,12 +117,15 @@ def _least(depth: DepthImage, step: int) -> DepthImage:
     padded = np.full((rows * step, columns * step), np.inf, np.float32)
     padded[: depth.shape[0], : depth.shape[1]] = np.where(depth > 0, depth, np.float32(np.inf))
     least = padded.reshape(rows, step, columns, step).min(axis=(1, 3))
-    return np.where(np.isfinite(least), least, np.float32(0))
+    return np.asarray(np.where(np.isfinite(least), least, 0), np.float32)
 
 
 def _filled(coarse: DepthImage) -> DepthImage:
-    """Return depth with gaps as deep as the nearest pixel: through glass and black things one looks as far as
-    what is around them. What lies beyond the edge of a thing is no gap: there may be nothing at all."""
+    """Return depth with gaps as deep as the nearest pixel.
+
+    Through glass and black things one looks as far as what is around them. What lies beyond the edge of a
+    thing is no gap: there may be nothing at all.
+    """
     import cv2
 
     known = coarse > 0
@@ -137,4 +140,4 @@ def _filled(coarse: DepthImage) -> DepthImage:
     depth = np.zeros(int(labels.max()) + 1, np.float32)
     depth[labels[known]] = coarse[known]
     is_gap = (away <= _FILLED * coarse.shape[1]) & (sides >= _SIDES)
-    return np.where(known | is_gap, depth[labels], np.float32(0)).astype(np.float32)
+    return np.asarray(np.where(known | is_gap, depth[labels], 0), np.float32)

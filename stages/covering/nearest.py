@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.coverage.views import Floats, Singles, View
+from stages.covering.views import Floats, Singles, View
 from stages.scans.scan import Camera
 
 # Points of a place that are looked up in each frame.
@@ -95,7 +95,9 @@ class Looks:
     in_picture: int
 
 
-def looks_at(points: Floats, normal: Floats, frames: Sequence[Remembered], origin: Floats, count: int) -> Looks:
+def looks_at(
+    points: Floats, normal: Floats, frames: Sequence[Remembered], origin: Floats, count: int
+) -> Looks:
     """Return how frames look at a place.
 
     Parameters
@@ -172,13 +174,11 @@ def _judged(share: float, outside: float, angle: float, states: _States) -> tupl
     if share == 0:
         where = f"it is {outside:.0f}° outside its picture"
         return 0.5 * _OUTSIDE / (_OUTSIDE + outside), where
-    agrees, missing, hidden = (
-        float(part.mean()) for part in (states.agrees, states.missing, states.hidden)
-    )
+    agrees, missing, hidden = (float(part.mean()) for part in (states.agrees, states.missing, states.hidden))
     if angle >= _EDGE_ON and not missing:
         why = "stands behind it" if angle > 180 - _EDGE_ON else "sees it edge-on"
     elif agrees >= max(missing, hidden, 1e-9):
-        why = f"measured what is there, at {angle:.0f}°"
+        why = f"sees something there, at {angle:.0f}°"
     elif hidden >= missing and hidden > 0:
         why = f"something {states.gap:.2g} m before it hides it"
     elif missing > 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.coverage.views import Floats
+from stages.covering.views import Floats
 
 
 def all_around(count: int) -> Floats:

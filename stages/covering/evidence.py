@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.coverage.views import Floats, Singles, View
+from stages.covering.views import Floats, Singles, View
 
 # Points that are looked up in each frame, about.
 _POINTS = 80_000
@@ -41,7 +41,14 @@ class Probes:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The probes that a frame measured, `rows`, and for each the cosine of its slope and its depth, metres."""
+    """The probes that a frame measured, and how.
+
+    Attributes
+    ----------
+    rows : (k,) their numbers.
+    cosines : (k,) float32, of the angle between their normals and the line to the camera.
+    depths : (k,) float32, metres.
+    """
 
     rows: NDArray[np.intp]
     cosines: Singles
@@ -57,7 +64,8 @@ class Evidence:
     frames : (n,) int32, how many measured it.
     cosine : (n,) float32, of the angle between its normal and the straightest look at it; 0 for none.
     distance : (n,) float32, metres, from which the nearest of them did; infinite for none.
-    pixel : (n,) float32, metres, the width of a pixel there in the frame that shows it best; infinite for none.
+    pixel : (n,) float32, metres, the width of a pixel there in the frame that shows it best; infinite for
+        none.
     """
 
     frames: NDArray[np.int32]

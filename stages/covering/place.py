@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from stages.coverage.kinds import KINDS
-from stages.coverage.nearest import Look
-from stages.coverage.standpoints import Standpoint
+from stages.covering.kinds import KINDS
+from stages.covering.nearest import Look, Looks
+from stages.covering.patches import Patch
+from stages.covering.standpoints import Standpoint
+from stages.covering.views import Floats
 from stages.printing import by_figures
 
 Point = tuple[float, float, float]
@@ -19,7 +21,7 @@ class Place:
 
     Attributes
     ----------
-    kind : of `stages.coverage.kinds`.
+    kind : of `stages.covering.kinds`.
     point : in the middle of it, in the scan's world, metres.
     normal : (3,) unit, to where one looks at it from.
     area : m².
@@ -62,3 +64,22 @@ class Place:
             "look_sees_share": self.stand.sees,
             "look_from_is_free": self.stand.is_free,
         }
+
+
+def place_of(patch: Patch, looks: Looks, stand: Standpoint, origin: Floats) -> Place:
+    """Return what is known of a patch as a place; its points are counted from `origin`."""
+    return Place(
+        kind=patch.kind,
+        point=_point(patch.middle + origin),
+        normal=_point(patch.normal),
+        area=patch.area,
+        extent=patch.extent,
+        looks=looks.nearest,
+        frames_towards=looks.in_picture,
+        stand=stand,
+    )
+
+
+def _point(values: Floats) -> Point:
+    x, y, z = (round(float(value), 4) for value in values)
+    return x, y, z

@@ -5,22 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.coverage.directions import all_around
-from stages.coverage.patches import Patch, cut_up, total_area
-from stages.coverage.rims import Cap
-from stages.coverage.space import Frontier, Space
-from stages.coverage.views import Floats
+from stages.covering.directions import all_around
+from stages.covering.patches import Patch, cut_up, total_area
+from stages.covering.rims import Cap
+from stages.covering.space import Frontier, Space
+from stages.covering.views import Floats
 from stages.surface.raycasting import Surface
 
 # Cells that a frontier may lie before a hole that it belongs to.
 _BEFORE = 3.0
 # Faces that hang together: fewer are the noise of the grid.
 _LEAST_FACES = 6
-# Of what would go around a patch of that many faces if it were round, cells at the surface: space that is open all
-# around, such as the sky, is not missing.
+# Cells of a patch around each of it, in the mean: strips of a cell's width have fewer.
+_LEAST_BESIDE = 5.0
+# Of what would go around a patch of that many faces if it were round, cells at the surface: space that is
+# open all around, such as the sky, is not missing.
 _RIM = 0.5
-# Share of the directions from which surface must be met: a scan ends where it is open to the other side, and where
-# surface is all around a part of it was left out.
+# Share of the directions from which surface must be met: a scan ends where it is open to the other side, and
+# where surface is all around a part of it was left out.
 _ENCLOSED = 0.75
 _DIRECTIONS = 64
 _ASKED = 16
@@ -36,11 +38,12 @@ def patches_of_holes(caps: list[Cap], space: Space, origin: Floats, size: float)
         if areas[space.is_free(points)].sum() > 0.5 * areas.sum():
             continue
         normals = np.tile(cap.normal, (len(points), 1))
-        share = cap.area / areas.sum()
-        found += [
-            Patch("hole", points[rows], normals[rows], areas[rows], share * float(areas[rows].sum()))
-            for rows in cut_up(points, normals, areas, size)
-        ]
+        share, corners = cap.area / areas.sum(), cap.corners - origin
+        steps = len(points) // len(corners)
+        for rows in cut_up(points, normals, areas, size):
+            area = share * float(areas[rows].sum())
+            shown = corners[np.unique(rows // steps)]
+            found.append(Patch("hole", points[rows], normals[rows], areas[rows], area, shown))
     return found
 
 
@@ -49,7 +52,8 @@ def patches_of_space(
 ) -> tuple[list[Patch], float]:
     """Return where free space ends at space that no frame saw, cut up into patches of `size` metres at most.
 
-    Beside them the area in m² where the scan ends: nobody measured anything beyond, and it is open to the other side.
+    Beside them the area in m² where the scan ends: nobody measured anything beyond, and it is open to the
+    other side.
 
     Parameters
     ----------
@@ -67,10 +71,13 @@ def patches_of_space(
         areas = np.full(len(members), frontier.face)
         is_hidden = bool(frontier.hidden[members[0]])
         for rows in cut_up(points, normals, areas, size):
+            if frontier.beside[members[rows]].mean() < _LEAST_BESIDE:
+                continue
             area = total_area(normals[rows], areas[rows])
             if is_hidden or _is_enclosed(points[rows], normals[rows], surface, origin):
                 kind = "hidden" if is_hidden else "unseen"
-                found.append(Patch(kind, points[rows], normals[rows], areas[rows], area))
+                corners = _squares(points[rows], normals[rows], space.cell)
+                found.append(Patch(kind, points[rows], normals[rows], areas[rows], area, corners))
             else:
                 ends += area
     return found, ends
@@ -107,3 +114,20 @@ def _is_enclosed(points: Floats, normals: Floats, surface: Surface, origin: Floa
     hits = surface.cast(points[rows][of] + origin, directions[which])
     return len(hits.rays) >= _ENCLOSED * len(of)
 
+
+def _squares(points: Floats, normals: Floats, side: float) -> Floats:
+    """Return two triangles each, (2 k, 3, 3), for squares about points (k, 3) that face along an axis."""
+    first = np.roll(np.abs(normals), 1, axis=1) * side / 2
+    second = np.roll(np.abs(normals), 2, axis=1) * side / 2
+    sign = normals.sum(axis=1, keepdims=True)
+    corners = [
+        points - first - second,
+        points + first - second,
+        points + first + second,
+        points - first + second,
+    ]
+    a, b, c, d = corners
+    ahead = np.stack([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)], axis=1).reshape(-1, 3, 3)
+    is_back = np.repeat(sign[:, 0] < 0, 2)
+    ahead[is_back] = ahead[is_back][:, ::-1]
+    return ahead

@@ -1,8 +1,8 @@
 """Holes within a surface: rims of its border, and what would close them.
 
 The outline of a piece is a closed border as well, and so is where a scan ends. A cap over a hole faces as the
-triangles around it do, one over an outline faces the other way; and a rim that winds through a whole scan has no
-cap that could be called one.
+triangles around it do, one over an outline faces the other way; and a rim that winds through a whole scan has
+no cap that could be called one.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.coverage.views import Floats
+from stages.covering.views import Floats
 from stages.surface.edges import edges_of, next_corner
 from stages.surface.mesh import Mesh
 
-# Of the angle between a cap and the triangles around it, the least cosine: at the open end of a tube they stand at
-# right angles.
+# Of the angle between a cap and the triangles around it, the least cosine: at the open end of a tube they
+# stand at right angles.
 _FACING = -0.5
 # Of the triangles of a cap, which share of their area does not cancel out: less has no side.
 _FLAT = 0.6
@@ -77,7 +77,8 @@ def _loops(mesh: Mesh) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     border = edges.halfedges[edges.start[edges.count == 1]]
     heads, tails = corners[next_corner(border)].tolist(), corners[border].tolist()
     follower = {
-        head: (tail, triangle) for head, tail, triangle in zip(heads, tails, (border // 3).tolist(), strict=True)
+        head: (tail, triangle)
+        for head, tail, triangle in zip(heads, tails, (border // 3).tolist(), strict=True)
     }
     loops = []
     while follower:
