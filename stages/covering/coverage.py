@@ -44,6 +44,8 @@ _FEW, _SHARE_OF_FRAMES = 3, 5
 _FAR = 2.5
 _LEAST_AREA = 1 / 2000
 _PLACE_SIZE = 0.75
+# Of the same distance: what is around a gap is as near.
+_REACH = 2.5
 # Frames that are told of each place.
 _NEAREST = 5
 # Of all looks of frames that have a place in their picture: where as many have no depth, that is what is
@@ -98,7 +100,7 @@ def coverage(
     least = _LEAST_AREA * float(ground.around.sum()) if params.least_area is None else params.least_area
     size = params.place_size or _PLACE_SIZE * usual
     surface = Surface(given)
-    missing, ends = _missing(given, ground, surface, size, least)
+    missing, ends = _missing(given, ground, surface, size, _REACH * usual, least)
     thin = patches_of_thin(
         ground.vertices, ground.normals, given.triangles, ground.around, kinds, size, least
     )
@@ -140,12 +142,12 @@ def _limits(frames: int, usual: float, params: CoverageParams) -> Limits:
 
 
 def _missing(
-    mesh: Mesh, ground: Ground, surface: Surface, size: float, least: float
+    mesh: Mesh, ground: Ground, surface: Surface, size: float, reach: float, least: float
 ) -> tuple[list[Patch], float]:
     """Return what is not there at all, and how much of the scan just ends, m²."""
     holes = patches_of_holes(caps(mesh, ground.edge, least), ground.space, ground.origin, size)
     frontier = ground.space.frontier()
-    space, ends = patches_of_space(frontier, holes, ground.space, surface, ground.origin, size)
+    space, ends = patches_of_space(frontier, holes, ground.space, surface, ground.origin, size, reach)
     return [patch for patch in (*holes, *space) if patch.area >= least], ends
 
 

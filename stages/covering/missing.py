@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.directions import all_around
 from stages.covering.patches import Patch, cut_up, total_area
 from stages.covering.rims import Cap
 from stages.covering.space import Frontier, Space
+from stages.covering.surroundings import is_gap
 from stages.covering.views import Floats
 from stages.surface.raycasting import Surface
 
@@ -21,11 +21,6 @@ _LEAST_BESIDE = 5.0
 # Of what would go around a patch of that many faces if it were round, cells at the surface: space that is
 # open all around, such as the sky, is not missing.
 _RIM = 0.5
-# Share of the directions from which surface must be met: a scan ends where it is open to the other side, and
-# where surface is all around a part of it was left out.
-_ENCLOSED = 0.75
-_DIRECTIONS = 64
-_ASKED = 16
 
 
 def patches_of_holes(caps: list[Cap], space: Space, origin: Floats, size: float) -> list[Patch]:
@@ -48,7 +43,13 @@ def patches_of_holes(caps: list[Cap], space: Space, origin: Floats, size: float)
 
 
 def patches_of_space(
-    frontier: Frontier, holes: list[Patch], space: Space, surface: Surface, origin: Floats, size: float
+    frontier: Frontier,
+    holes: list[Patch],
+    space: Space,
+    surface: Surface,
+    origin: Floats,
+    size: float,
+    reach: float,
 ) -> tuple[list[Patch], float]:
     """Return where free space ends at space that no frame saw, cut up into patches of `size` metres at most.
 
@@ -58,6 +59,7 @@ def patches_of_space(
     Parameters
     ----------
     holes : what is told already.
+    reach : metres, up to which surface counts that is around a gap.
     """
     left = _away_from(frontier.points, holes, _BEFORE * space.cell)
     counts = np.bincount(frontier.parts, left)
@@ -74,10 +76,11 @@ def patches_of_space(
             if frontier.beside[members[rows]].mean() < _LEAST_BESIDE:
                 continue
             area = total_area(normals[rows], areas[rows])
-            if is_hidden or _is_enclosed(points[rows], normals[rows], surface, origin):
-                kind = "hidden" if is_hidden else "unseen"
-                corners = _squares(points[rows], normals[rows], space.cell)
-                found.append(Patch(kind, points[rows], normals[rows], areas[rows], area, corners))
+            corners = _squares(points[rows], normals[rows], space.cell)
+            kind = "hidden" if is_hidden else "unseen"
+            patch = Patch(kind, points[rows], normals[rows], areas[rows], area, corners)
+            if is_hidden or is_gap(patch.middle + origin, patch.normal, surface, reach):
+                found.append(patch)
             else:
                 ends += area
     return found, ends
@@ -103,16 +106,6 @@ def _away_from(points: Floats, patches: list[Patch], reach: float) -> NDArray[np
         return np.ones(len(points), bool)
     tree = cKDTree(np.concatenate([patch.points for patch in patches]))
     return np.asarray(tree.query(points, distance_upper_bound=reach)[0] > reach)
-
-
-def _is_enclosed(points: Floats, normals: Floats, surface: Surface, origin: Floats) -> bool:
-    """Return whether surface is nearly all around what one sees from a patch towards free space."""
-    rows = np.linspace(0, len(points) - 1, min(_ASKED, len(points))).round().astype(int)
-    directions = all_around(_DIRECTIONS)
-    towards = (directions @ normals[rows].T).T > 0
-    of, which = np.nonzero(towards)
-    hits = surface.cast(points[rows][of] + origin, directions[which])
-    return len(hits.rays) >= _ENCLOSED * len(of)
 
 
 def _squares(points: Floats, normals: Floats, side: float) -> Floats:
