@@ -9,14 +9,14 @@ which frames came nearest to seeing it, what kept them from it, and from where o
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stages.covering.continued import continued
 from stages.covering.covered import Coverage
-from stages.covering.kinds import KINDS, THIN
-from stages.covering.missing import patches_of_holes, patches_of_space
+from stages.covering.kinds import KINDS, MISSING, THIN
+from stages.covering.missing import before, patches_of_holes, patches_of_space
 from stages.covering.nearest import looks_at
 from stages.covering.painted import painted
 from stages.covering.params import CoverageKeywords, CoverageParams
@@ -48,9 +48,6 @@ _PLACE_SIZE = 0.75
 _REACH = 2.5
 # Frames that are told of each place.
 _NEAREST = 5
-# Of all looks of frames that have a place in their picture: where as many have no depth, that is what is
-# wrong.
-_BLANK = 0.5
 
 
 def coverage(
@@ -129,8 +126,7 @@ def coverage(
         surface_area=float(ground.around.sum()),
         thin_areas={kind: float(ground.around[kinds == number].sum()) for number, kind in enumerate(THIN)},
         missing_areas={
-            kind: float(sum(patch.area for patch in missing if patch.kind == kind))
-            for kind in ("hole", "hidden", "unseen")
+            kind: float(sum(patch.area for patch in missing if patch.kind == kind)) for kind in MISSING
         },
         ends_area=ends,
     )
@@ -148,11 +144,11 @@ def _missing(
     holes = patches_of_holes(caps(mesh, ground.edge, least), ground.space, ground.origin, size)
     frontier = ground.space.frontier()
     space, ends = patches_of_space(frontier, holes, ground.space, surface, ground.origin, size, reach)
-    return [patch for patch in (*holes, *space) if patch.area >= least], ends
+    gaps = continued(mesh, ground.normals, ground.space, surface, ground.origin, reach, size)
+    space = before(space, gaps, ground.space.cell, reach)
+    return [patch for patch in (*holes, *gaps, *space) if patch.area >= least], ends
 
 
 def _told(patch: Patch, seen: Seen, standing: Standing) -> Place:
     looks = looks_at(patch.points, patch.normal, seen.frames, standing.origin, _NEAREST)
-    if patch.kind in ("hole", "unseen") and looks.blank_share > _BLANK:
-        patch = replace(patch, kind="blank")
     return place_of(patch, looks, standing.best(patch), standing.origin)

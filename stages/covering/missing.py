@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.patches import Patch, cut_up, total_area
+from stages.covering.patches import Patch, cut_up, squares, total_area
 from stages.covering.rims import Cap
-from stages.covering.space import Frontier, Space
+from stages.covering.space import BLANK, HIDDEN, NOTHING, Frontier, Space
 from stages.covering.surroundings import is_gap
 from stages.covering.views import Floats
 from stages.surface.raycasting import Surface
 
+# What is told of the sides of a frontier.
+_KINDS = {NOTHING: "unseen", BLANK: "blank", HIDDEN: "hidden"}
 # Cells that a frontier may lie before a hole that it belongs to.
 _BEFORE = 3.0
 # Faces that hang together: fewer are the noise of the grid.
@@ -21,6 +25,8 @@ _LEAST_BESIDE = 5.0
 # Of what would go around a patch of that many faces if it were round, cells at the surface: space that is
 # open all around, such as the sky, is not missing.
 _RIM = 0.5
+# Points of a patch that are asked whether a gap is behind them, and the share of them for which it is.
+_ASKED, _SHARE_BEFORE = 40, 0.3
 
 
 def patches_of_holes(caps: list[Cap], space: Space, origin: Floats, size: float) -> list[Patch]:
@@ -71,19 +77,46 @@ def patches_of_space(
         (members,) = np.nonzero((frontier.parts == part) & left)
         points, normals = frontier.points[members], frontier.normals[members]
         areas = np.full(len(members), frontier.face)
-        is_hidden = bool(frontier.hidden[members[0]])
+        behind = int(frontier.behind[members[0]])
         for rows in cut_up(points, normals, areas, size):
             if frontier.beside[members[rows]].mean() < _LEAST_BESIDE:
                 continue
             area = total_area(normals[rows], areas[rows])
-            corners = _squares(points[rows], normals[rows], space.cell)
-            kind = "hidden" if is_hidden else "unseen"
-            patch = Patch(kind, points[rows], normals[rows], areas[rows], area, corners)
-            if is_hidden or is_gap(patch.middle + origin, patch.normal, surface, reach):
-                found.append(patch)
-            else:
+            corners = squares(points[rows], normals[rows], space.cell)
+            patch = Patch(_KINDS[behind], points[rows], normals[rows], areas[rows], area, corners)
+            if behind != HIDDEN and not is_gap(patch.middle + origin, patch.normal, surface, reach):
                 ends += area
+                if behind == NOTHING:
+                    continue
+                patch = replace(patch, kind="end")
+            found.append(patch)
     return found, ends
+
+
+def before(patches: list[Patch], gaps: list[Patch], cell: float, reach: float) -> list[Patch]:
+    """Return patches without those that lie before a gap: it is told where the surface would be.
+
+    Parameters
+    ----------
+    patches, gaps : from the origin on.
+    cell, reach : metres, how finely one looks behind a patch, and how far.
+    """
+    from scipy.spatial import cKDTree
+
+    if not gaps:
+        return patches
+    tree = cKDTree(np.concatenate([gap.points for gap in gaps]))
+    depths = np.arange(0.0, reach, cell)
+    kept = []
+    for patch in patches:
+        if patch.kind in ("unseen", "blank", "end"):
+            rows = np.linspace(0, len(patch.points) - 1, min(_ASKED, len(patch.points))).round().astype(int)
+            behind = patch.points[rows, None] - depths[:, None] * patch.normal
+            is_near = tree.query(behind, distance_upper_bound=2 * cell)[0] <= 2 * cell
+            if is_near.any(axis=1).mean() >= _SHARE_BEFORE:
+                continue
+        kept.append(patch)
+    return kept
 
 
 def _spread(cap: Cap, spacing: float) -> tuple[Floats, Floats]:
@@ -106,21 +139,3 @@ def _away_from(points: Floats, patches: list[Patch], reach: float) -> NDArray[np
         return np.ones(len(points), bool)
     tree = cKDTree(np.concatenate([patch.points for patch in patches]))
     return np.asarray(tree.query(points, distance_upper_bound=reach)[0] > reach)
-
-
-def _squares(points: Floats, normals: Floats, side: float) -> Floats:
-    """Return two triangles each, (2 k, 3, 3), for squares about points (k, 3) that face along an axis."""
-    first = np.roll(np.abs(normals), 1, axis=1) * side / 2
-    second = np.roll(np.abs(normals), 2, axis=1) * side / 2
-    sign = normals.sum(axis=1, keepdims=True)
-    corners = [
-        points - first - second,
-        points + first - second,
-        points + first + second,
-        points - first + second,
-    ]
-    a, b, c, d = corners
-    ahead = np.stack([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)], axis=1).reshape(-1, 3, 3)
-    is_back = np.repeat(sign[:, 0] < 0, 2)
-    ahead[is_back] = ahead[is_back][:, ::-1]
-    return ahead

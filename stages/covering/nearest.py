@@ -86,12 +86,10 @@ class Looks:
     Attributes
     ----------
     nearest : the frames that came nearest to seeing it, the best first.
-    blank_share : of all looks of frames that have it in their picture, those that have no depth there.
     in_picture : how many frames have half of it in their picture.
     """
 
     nearest: tuple[Look, ...]
-    blank_share: float
     in_picture: int
 
 
@@ -110,14 +108,12 @@ def looks_at(
     chosen = points[rows].astype(np.float32)
     middle = chosen.mean(axis=0).astype(np.float64)
     scored: list[tuple[float, int, Look]] = []
-    blank = seen = in_picture = 0
+    in_picture = 0
     for frame in frames:
         towards = frame.place - origin - middle
         distance = float(np.linalg.norm(towards))
         cosine = float(normal @ towards) / max(distance, 1e-9)
         outside, share, states = _looked_up(chosen, frame)
-        blank += int(np.count_nonzero(states.missing))
-        seen += len(states.missing)
         in_picture += share >= 0.5
         angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
         score, why = _judged(share, outside, angle, states)
@@ -126,7 +122,7 @@ def looks_at(
         scored.append((-score, frame.number, Look(frame.name, share, angle, distance, why)))
     scored.sort(key=lambda one: one[:2])
     nearest = tuple(look for _, _, look in scored[:count])
-    return Looks(nearest, blank / max(seen, 1), in_picture)
+    return Looks(nearest, in_picture)
 
 
 @dataclass(frozen=True, eq=False)

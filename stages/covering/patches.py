@@ -78,3 +78,19 @@ def cut_up(points: Floats, normals: Floats, areas: Floats, size: float) -> Itera
 def total_area(normals: Floats, areas: Floats) -> float:
     """Return the area of what faces as steps of a grid do, m²: that of the plane through them."""
     return float(np.linalg.norm(areas @ normals))
+
+
+def squares(points: Floats, normals: Floats, side: float) -> Floats:
+    """Return two triangles each, (2 k, 3, 3), for squares about points (k, 3), square to their normals."""
+    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    first = unit(first) * side / 2
+    second = np.cross(normals, first)
+    corners = [points + s * first + t * second for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    halves = [np.stack([corners[i] for i in three], axis=1) for three in ((0, 1, 2), (0, 2, 3))]
+    return np.stack(halves, axis=1).reshape(-1, 3, 3)
+
+
+def unit(values: Floats) -> Floats:
+    """Return vectors (k, 3) of length 1; 0 for those of none."""
+    lengths = np.linalg.norm(values, axis=1, keepdims=True)
+    return np.asarray(values / np.maximum(lengths, np.finfo(np.float64).tiny))

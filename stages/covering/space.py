@@ -19,7 +19,11 @@ from numpy.typing import NDArray
 
 from stages.covering.views import Floats, Singles, View
 
-_FREE, _HIDDEN, _MEASURED, _SURFACE = 1, 2, 4, 8
+# What is known of a cell: a frame looked through it; one measured what is before it, or has no depth there;
+# it holds what one measured, or the surface.
+_FREE, _HIDDEN, _BLANK, _MEASURED, _SURFACE = 1, 2, 4, 8, 16
+# What is behind a frontier.
+NOTHING, BLANK, HIDDEN = 0, 1, 2
 # Cells of a block, along an axis: blocks out of a picture are not looked at one by one.
 _BLOCK = 16
 # Cells at most.
@@ -38,8 +42,9 @@ class Frontier:
     ----------
     points : (k, 3) float64, their middles, metres from the origin on.
     normals : (k, 3) float64, towards free space.
-    hidden : (k,) whether some frame has measured what is before it, and not only no depth.
-    parts : (k,) int64, those of one number hang together, and are hidden or not alike.
+    behind : (k,) int8, what is known of the other side: HIDDEN where some frame has measured what is before
+        it, BLANK where those that looked there have no depth, NOTHING where none did.
+    parts : (k,) int64, those of one number hang together, and are alike in `behind`.
     at_rim : (k,) whether the surface is near.
     beside : (k,) how many of the 27 cells around its own are of the frontier: 3 along a line, 9 in a plane.
     face : m², of each.
@@ -47,7 +52,7 @@ class Frontier:
 
     points: Floats
     normals: Floats
-    hidden: NDArray[np.bool_]
+    behind: NDArray[np.int8]
     parts: NDArray[np.int64]
     at_rim: NDArray[np.bool_]
     beside: NDArray[np.int64]
@@ -95,6 +100,11 @@ class Space:
         """Return which points (k, 3) some frame looked through; False outside the grid."""
         return self._has(points, _FREE)
 
+    def unknown_and_free(self, points: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which points (k, 3) are where nothing is known of, and which where frames looked through."""
+        known = _FREE | _HIDDEN | _MEASURED | _SURFACE
+        return self.is_inside(points) & ~self._has(points, known), self._has(points, _FREE)
+
     def is_inside(self, points: Floats) -> NDArray[np.bool_]:
         """Return which points (k, 3) are in the grid."""
         inside = np.zeros(len(points), bool)
@@ -118,9 +128,10 @@ class Space:
                 cells = np.argwhere(is_face)
                 found.append((cells, np.tile(sign * np.eye(3, dtype=np.int64)[axis], (len(cells), 1))))
         cells, steps = (np.concatenate(rows) for rows in zip(*found, strict=True))
-        hidden = (state[tuple((cells + steps).T)] & _HIDDEN) > 0
+        beyond = state[tuple((cells + steps).T)]
+        behind = np.where(beyond & _HIDDEN, HIDDEN, np.where(beyond & _BLANK, BLANK, NOTHING))
         parts, beside, count = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.int64), 0
-        for chosen in (hidden, ~hidden):
+        for chosen in (behind == kind for kind in (NOTHING, BLANK, HIDDEN)):
             is_frontier = np.zeros(state.shape, bool)
             at = tuple(cells[chosen].T)
             is_frontier[at] = True
@@ -132,7 +143,7 @@ class Space:
         return Frontier(
             points=self._low + (cells + 0.5 + 0.5 * steps) * self.cell,
             normals=-steps.astype(np.float64),
-            hidden=hidden,
+            behind=behind.astype(np.int8),
             parts=parts,
             at_rim=near[tuple(cells.T)],
             beside=beside,
@@ -172,11 +183,10 @@ class Space:
         columns, rows, z = view.in_camera(np.concatenate([self._centers[block] for block in shown]))
         inside, pixels = view.pixels(columns, rows, z, view.step)
         depth = view.filled.reshape(-1)[pixels]
-        before = np.float32(_BEFORE_CELLS * self.cell) + _BEFORE_DEPTH * depth
         is_free = np.zeros(len(ids), bool)
-        is_free[inside] = z[inside] < depth - before
-        # Where there is no depth, nothing is known of what may be there.
+        is_free[inside] = z[inside] < depth * (1 - _BEFORE_DEPTH) - np.float32(_BEFORE_CELLS * self.cell)
         self._state[ids[inside[depth > 0]]] |= _HIDDEN
+        self._state[ids[inside[depth == 0]]] |= _BLANK
         self._state[ids[is_free]] |= _FREE
         ends = np.cumsum([len(self._ids[block]) for block in shown])
         for block, kept in zip(shown, np.split(~is_free, ends[:-1]), strict=True):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.fusion.posed_depth import rigid_pose
 from stages.scans.formats.trajectories import inverted
-from stages.scans.images import read_depth
+from stages.scans.images import read_depth, read_seen
 from stages.scans.scan import Camera, DepthImage, Frame, pinhole
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,8 @@ class View:
     turn, shift : (3, 3) and (3,) float32: take points from `origin` on to the camera's axes.
     depth : (h, w) float32 metres, 0 where missing.
     coarse : (h', w') float32, the least depth of `step` × `step` pixels each, 0 where missing in all.
-    filled : `coarse` with what is missing as deep as the nearest pixel beside it, if one is near.
+    filled : `coarse` with what is missing as deep as the nearest pixel beside it, if one is near; infinite
+        where a mask says that nothing of the scene is there.
     step : pixels.
     """
 
@@ -106,9 +107,18 @@ def read_view(frame: Frame, origin: Floats) -> View:
         shift=(to_camera[:3, :3] @ origin + to_camera[:3, 3]).astype(np.float32),
         depth=depth,
         coarse=coarse,
-        filled=_filled(coarse),
+        filled=_without_masked(_filled(coarse), frame, step),
         step=step,
     )
+
+
+def _without_masked(filled: DepthImage, frame: Frame, step: int) -> DepthImage:
+    """Return depth that is infinite where a mask leaves out all of a square of pixels."""
+    if frame.mask is None:
+        return filled
+    mask = read_seen(frame).astype(np.float32)
+    is_shown = _least(np.where(mask > 0, mask, np.float32(2)), step) < 2
+    return np.asarray(np.where(is_shown, filled, np.inf), np.float32)
 
 
 def _least(depth: DepthImage, step: int) -> DepthImage:
