@@ -15,6 +15,7 @@ import numpy as np
 
 from stages.covering.continued import continued
 from stages.covering.covered import Coverage
+from stages.covering.evidence import with_rims
 from stages.covering.kinds import KINDS, MISSING, THIN
 from stages.covering.missing import before, patches_of_holes, patches_of_space
 from stages.covering.nearest import looks_at
@@ -45,7 +46,7 @@ _FAR = 2.5
 _LEAST_AREA = 1 / 2000
 _PLACE_SIZE = 0.75
 # Of the same distance: what is around a gap is as near.
-_REACH = 2.5
+_REACH = 2.0
 # Frames that are told of each place.
 _NEAREST = 5
 
@@ -88,7 +89,7 @@ def coverage(
     shown = list(frames.frames if isinstance(frames, Scan) else frames)
     ground = Ground.of(given, params.spacing)
     seen = look(ground, shown, where, progress)
-    evidence = seen.evidence.at(ground.probes.of_vertex)
+    evidence = with_rims(seen.evidence.at(ground.probes.of_vertex), given.triangles)
     known = (evidence.frames > 0) & (ground.around > 0)
     # From how far the median place was measured best.
     usual = float(np.median(evidence.distance[known]))
@@ -144,7 +145,7 @@ def _missing(
     holes = patches_of_holes(caps(mesh, ground.edge, least), ground.space, ground.origin, size)
     frontier = ground.space.frontier()
     space, ends = patches_of_space(frontier, holes, ground.space, surface, ground.origin, size, reach)
-    gaps = continued(mesh, ground.normals, ground.space, surface, ground.origin, reach, size)
+    gaps = continued(mesh, ground.normals, ground.space, ground.origin, reach, size)
     space = before(space, gaps, ground.space.cell, reach)
     return [patch for patch in (*holes, *gaps, *space) if patch.area >= least], ends
 

@@ -20,6 +20,8 @@ _SAME_DEPTH = np.float32(0.03)
 _SAME_EDGES = 2.0
 # Flatter than at this cosine a frame tells nothing of a place.
 _LEAST_COSINE = np.float32(0.03)
+# Triangles from what was measured that are as well seen.
+_RIM = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,3 +141,23 @@ def measured_by(view: View, probes: Probes, origin: Floats) -> Measured:
     reach = np.maximum(_SAME_DEPTH * z, np.float32(probes.tolerance)) + slope
     agrees = (depth > 0) & (cosines > _LEAST_COSINE) & (np.abs(depth - z) <= reach)
     return Measured(inside[agrees], cosines[agrees], z[agrees])
+
+
+def with_rims(evidence: Evidence, triangles: NDArray[np.int32]) -> Evidence:
+    """Return evidence of vertices (n,) that at rims is that of those beside them.
+
+    Fusion goes on a voxel or two beyond what was measured; what no frame measured but what is beside it is no
+    place of its own.
+    """
+    for _ in range(_RIM):
+        corners = triangles.astype(np.int64)
+        frames = evidence.frames[corners]
+        best = np.take_along_axis(corners, frames.argmax(axis=1)[:, None], axis=1)
+        is_bare = (frames == 0) & (frames.max(axis=1, keepdims=True) > 0)
+        to, of = corners[is_bare], np.broadcast_to(best, corners.shape)[is_bare]
+        # The last of those that write to one vertex stays: that of most frames.
+        order = np.lexsort((of, evidence.frames[of]))
+        source = np.arange(len(evidence.frames))
+        source[to[order]] = of[order]
+        evidence = evidence.at(source)
+    return evidence

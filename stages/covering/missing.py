@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from stages.covering.patches import Patch, cut_up, squares, total_area
 from stages.covering.rims import Cap
 from stages.covering.space import BLANK, HIDDEN, NOTHING, Frontier, Space
-from stages.covering.surroundings import is_gap
+from stages.covering.surroundings import open_sector
 from stages.covering.views import Floats
 from stages.surface.raycasting import Surface
 
 # What is told of the sides of a frontier.
 _KINDS = {NOTHING: "unseen", BLANK: "blank", HIDDEN: "hidden"}
+# Of the circle around a patch, degrees: without surface in a wider sector the scan ends there; where frames
+# looked and have no depth, one may be wider.
+_OPEN = {NOTHING: 135.0, BLANK: 200.0}
 # Cells that a frontier may lie before a hole that it belongs to.
 _BEFORE = 3.0
 # Faces that hang together: fewer are the noise of the grid.
@@ -84,11 +87,12 @@ def patches_of_space(
             area = total_area(normals[rows], areas[rows])
             corners = squares(points[rows], normals[rows], space.cell)
             patch = Patch(_KINDS[behind], points[rows], normals[rows], areas[rows], area, corners)
-            if behind != HIDDEN and not is_gap(patch.middle + origin, patch.normal, surface, reach):
-                ends += area
-                if behind == NOTHING:
+            if behind != HIDDEN:
+                sector = open_sector(patch.middle + origin, patch.normal, surface, reach)
+                if sector >= _OPEN[behind]:
+                    ends += area
                     continue
-                patch = replace(patch, kind="end")
+                patch = patch if sector < _OPEN[NOTHING] else replace(patch, kind="end")
             found.append(patch)
     return found, ends
 

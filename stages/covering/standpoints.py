@@ -25,7 +25,7 @@ _CAMERAS = 500
 # What a straight look at all of a place is worth from where nobody knows that there is room; and how much
 # less it is for each usual distance away from all cameras, and for each factor of e from that distance to the
 # place.
-_UNKNOWN, _AWAY, _DISTANCE = 0.5, 2.0, 0.3
+_UNKNOWN, _AWAY, _DISTANCE = 0.5, 1.0, 0.3
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """Whether what nobody saw is a gap in a scan, or where the scan just ends.
 
-A gap has surface around it: one that was left out of a wall goes on to its left and to its right, and the
-wall of a room that nobody looked at stands between others. Where a scan ends there is surface on one side
-alone.
+The wall of a room that nobody looked at stands between others, on floor and below a ceiling: there is surface
+all around it. Where a scan ends there is surface on one side alone.
 """
 
 from __future__ import annotations
@@ -13,15 +12,13 @@ from stages.covering.views import Floats
 from stages.surface.raycasting import Surface
 
 # Directions in the plane of a patch, and how far they are turned out of it, degrees: to both sides, because
-# what goes on beside a gap may lie a little before or behind it.
+# what goes on beside it may lie a little before or behind it.
 _DIRECTIONS = 72
-_TILTS = (-25.0, 0.0, 25.0)
-# Of the circle around a patch, degrees: without surface in a wider sector it is open to that side.
-_OPEN = 135.0
+_TILTS = (-5.0, 0.0, 5.0)
 
 
-def is_gap(middle: Floats, normal: Floats, surface: Surface, reach: float) -> bool:
-    """Return whether there is surface around a place on all sides but one sector at most.
+def open_sector(middle: Floats, normal: Floats, surface: Surface, reach: float) -> float:
+    """Return the widest sector, degrees, in which there is no surface around a place; 360 if there is none.
 
     Parameters
     ----------
@@ -30,7 +27,7 @@ def is_gap(middle: Floats, normal: Floats, surface: Surface, reach: float) -> bo
     reach : metres, up to which surface counts.
     """
     if not normal.any():
-        return False
+        return 360.0
     across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     across /= np.linalg.norm(across)
     angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
@@ -38,10 +35,7 @@ def is_gap(middle: Floats, normal: Floats, surface: Surface, reach: float) -> bo
     tilts = np.radians(_TILTS)
     rays = np.cos(tilts)[:, None, None] * level + np.sin(tilts)[:, None, None] * normal
     hits = surface.cast(middle, rays.reshape(-1, 3))
-    is_met = np.zeros(_DIRECTIONS, bool)
-    is_met[hits.rays[hits.distances <= reach] % _DIRECTIONS] = True
-    (met,) = np.nonzero(is_met)
+    met = np.unique(hits.rays[hits.distances <= reach] % _DIRECTIONS)
     if not len(met):
-        return False
-    widest = np.diff(met, append=met[0] + _DIRECTIONS).max()
-    return bool(widest * 360 / _DIRECTIONS < _OPEN)
+        return 360.0
+    return float(np.diff(met, append=met[0] + _DIRECTIONS).max() * 360 / _DIRECTIONS)
