@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.standing import Up
-from stages.covering.coverage import coverage
-from stages.covering.covered import Coverage
-from stages.covering.params import CoverageParams
+from stages.inspecting.coverage.coverage import coverage
+from stages.inspecting.coverage.covered import Coverage
+from stages.inspecting.coverage.params import CoverageParams
 from stages.params import param
 from stages.progress import Progress
 from stages.scans.scan import Frame

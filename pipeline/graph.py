@@ -52,9 +52,9 @@ from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare_surfaces
 from stages.comparing.left_out import left_out as left_out_of_all
-from stages.covering.coverage import coverage
 from stages.exporting.export import export
 from stages.fusion.fuse import fuse
+from stages.inspecting.coverage.coverage import coverage
 from stages.inspecting.libraries import installed
 from stages.inspecting.sanity import require_poses
 from stages.lod.slod import read_slod

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pipeline.covering import FILE, MESH
 from pipeline.page_cameras import as_runs_write
 from pipeline.standing import Up
-from stages.covering.kinds import KINDS
 from stages.files.documents import read_json
+from stages.inspecting.coverage.kinds import KINDS
 from stages.picturing.page.packing import Shown
 from stages.printing import place_in_words
 from stages.surface.formats.ply import read_ply

@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.comparing.deviations import DeviationParams, Deviations, deviations
     from stages.comparing.tradeoff import Tradeoff, TradeoffParams, tradeoff
-    from stages.covering.coverage import coverage
-    from stages.covering.covered import Coverage
-    from stages.covering.params import CoverageParams
-    from stages.covering.place import Place
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
     from stages.exporting.export import Exported, ExportParams, export
     from stages.exporting.presets import preset
     from stages.fusion.fuse import Fused, fuse
     from stages.fusion.params import FuseParams
+    from stages.inspecting.coverage.coverage import coverage
+    from stages.inspecting.coverage.covered import Coverage
+    from stages.inspecting.coverage.params import CoverageParams
+    from stages.inspecting.coverage.place import Place
     from stages.inspecting.inspect import inspect
     from stages.inspecting.inspection import Inspection
     from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
@@ -86,10 +86,10 @@ _NAMES_OF = {
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
     "comparing.tradeoff": ("Tradeoff", "TradeoffParams", "tradeoff"),
-    "covering.coverage": ("coverage",),
-    "covering.covered": ("Coverage",),
-    "covering.params": ("CoverageParams",),
-    "covering.place": ("Place",),
+    "inspecting.coverage.coverage": ("coverage",),
+    "inspecting.coverage.covered": ("Coverage",),
+    "inspecting.coverage.params": ("CoverageParams",),
+    "inspecting.coverage.place": ("Place",),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
     "exporting.export": ("ExportParams", "Exported", "export"),
     "exporting.presets": ("preset",),

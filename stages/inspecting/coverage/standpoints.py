@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.covering.directions import all_around
-from stages.covering.patches import Patch
-from stages.covering.space import Space
-from stages.covering.views import Floats
+from stages.inspecting.coverage.directions import all_around
+from stages.inspecting.coverage.patches import Patch
+from stages.inspecting.coverage.space import Space
+from stages.inspecting.coverage.views import Floats
 from stages.surface.raycasting import Surface
 
 # Directions that are tried, those not too flat, and distances, of the usual one.
@@ -22,10 +22,10 @@ _POINTS = 12
 _BEFORE = 0.93
 # Cameras that a standpoint should be near to.
 _CAMERAS = 500
-# What a straight look at all of a place is worth from where nobody knows that there is room; and how much
-# less it is for each usual distance away from all cameras, and for each factor of e from that distance to the
-# place.
-_UNKNOWN, _AWAY, _DISTANCE = 0.5, 1.0, 0.3
+# What a straight look at all of a place is worth from where nobody knows that there is room, within the scan
+# or outside; and how much less it is for each usual distance away from all cameras, and for each factor of e
+# from that distance to the place.
+_UNKNOWN, _OUTSIDE, _AWAY, _DISTANCE = 0.5, 0.7, 1.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -73,16 +73,18 @@ class Standing:
         reaches = np.repeat(np.array(_DISTANCES) * self._usual, len(directions))
         tried = middle + reaches[:, None] * np.tile(directions, (len(_DISTANCES), 1))
         sight, straight = self._looks(tried, patch.points, normal)
-        is_free = ~self._space.is_inside(tried) | self._space.is_free(tried)
+        is_outside = ~self._space.is_inside(tried)
+        is_free = self._space.is_free(tried)
         away = np.linalg.norm(tried[:, None] - self._cameras[None], axis=2).min(axis=1) / self._usual
-        score = (sight * straight).mean(axis=1) * np.where(is_free, 1.0, _UNKNOWN)
+        room = np.select([is_free, is_outside], [1.0, _OUTSIDE], _UNKNOWN)
+        score = (sight * straight).mean(axis=1) * room
         score /= (1 + _AWAY * away) * (1 + _DISTANCE * np.abs(np.log(reaches / self._usual)))
         best = int(score.argmax())
         return Standpoint(
             _numbers(tried[best] + self.origin),
             _numbers((middle - tried[best]) / reaches[best]),
             float(sight[best].mean()),
-            bool(is_free[best]),
+            bool(is_free[best] | is_outside[best]),
         )
 
     def _looks(self, places: Floats, points: Floats, normal: Floats) -> tuple[Floats, Floats]:

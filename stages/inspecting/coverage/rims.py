@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.views import Floats
+from stages.inspecting.coverage.views import Floats
 from stages.surface.edges import edges_of, next_corner
 from stages.surface.mesh import Mesh
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from stages.covering.kinds import KINDS
-from stages.covering.nearest import Look, Looks
-from stages.covering.patches import Patch
-from stages.covering.standpoints import Standpoint
-from stages.covering.views import Floats
+from stages.inspecting.coverage.kinds import KINDS
+from stages.inspecting.coverage.nearest import Look, Looks
+from stages.inspecting.coverage.patches import Patch
+from stages.inspecting.coverage.standpoints import Standpoint
+from stages.inspecting.coverage.views import Floats
 from stages.printing import by_figures
 
 Point = tuple[float, float, float]
@@ -21,7 +21,7 @@ class Place:
 
     Attributes
     ----------
-    kind : of `stages.covering.kinds`.
+    kind : of `stages.inspecting.coverage.kinds`.
     point : in the middle of it, in the scan's world, metres.
     normal : (3,) unit, to where one looks at it from.
     area : m².

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.views import Floats, Singles, View
+from stages.inspecting.coverage.views import Floats, Singles, View
 from stages.scans.scan import Camera
 
 # Points of a place that are looked up in each frame.

@@ -9,10 +9,10 @@ import pytest
 from plates import CAMERA, depth_of, frames_of, looking, plate, together, without
 
 from stages import Mesh, clean, coverage
-from stages.covering.covered import Coverage
-from stages.covering.kinds import MISSING, THIN
-from stages.covering.place import Place
 from stages.errors import InputError, MeshError, UsageError
+from stages.inspecting.coverage.covered import Coverage
+from stages.inspecting.coverage.kinds import MISSING, THIN
+from stages.inspecting.coverage.place import Place
 from stages.scans.scan import Frame
 from stages.surface.raycasting import Surface
 

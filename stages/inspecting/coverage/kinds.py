@@ -32,7 +32,7 @@ KINDS = {
     "gap": Kind(0.8, "gap that no frame looked at", (235, 110, 190), "pink"),
     "blank": Kind(0.5, "frames have no depth there", (90, 70, 210), "violet"),
     "unseen": Kind(0.3, "no frame looked there", (150, 110, 80), "brown"),
-    "end": Kind(0.2, "no depth, where the scan ends", (190, 150, 210), "lilac"),
+    "end": Kind(0.1, "no depth, where the scan ends", (190, 150, 210), "lilac"),
     "unmeasured": Kind(0.6, "no frame measured it", (255, 127, 14), "orange"),
     "few": Kind(0.4, "few frames measured it", (245, 205, 60), "yellow"),
     "oblique": Kind(0.3, "only seen obliquely", (86, 180, 233), "light blue"),

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.evidence import Evidence
-from stages.covering.place import Place
-from stages.covering.thin import Limits
+from stages.inspecting.coverage.evidence import Evidence
+from stages.inspecting.coverage.place import Place
+from stages.inspecting.coverage.thin import Limits
 from stages.printing import by_figures, table
 from stages.scans.scan import SkippedFrame
 from stages.surface.mesh import Mesh
@@ -25,7 +25,7 @@ class Coverage:
     places : where to go again, the most important first.
     left_out : how many places are not told, beyond as many as were asked for.
     evidence : what frames have measured of each vertex.
-    kinds : (n,) int8, which of `stages.covering.kinds.THIN` each vertex is; -1 for well seen.
+    kinds : (n,) int8, which of `stages.inspecting.coverage.kinds.THIN` each vertex is; -1 for well seen.
     painted : the mesh in colours of that, and behind its triangles what would close its holes.
     limits : what counted as thin.
     least_area, place_size, spacing : m² and metres, as given or derived.

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.kinds import KINDS, THIN, WELL
-from stages.covering.views import Floats
+from stages.inspecting.coverage.kinds import KINDS, THIN, WELL
+from stages.inspecting.coverage.views import Floats
 from stages.surface.mesh import Mesh
 
 # How dark it is where no light falls, and where that comes from: viewers may have none.

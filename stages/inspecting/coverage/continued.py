@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.patches import Patch, cut_up, squares, unit
-from stages.covering.space import Space
-from stages.covering.views import Floats
+from stages.inspecting.coverage.patches import Patch, cut_up, squares, unit
+from stages.inspecting.coverage.space import Space
+from stages.inspecting.coverage.views import Floats
 from stages.surface.edges import edges_of, next_corner
 from stages.surface.mesh import Mesh
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.views import Floats, Singles, View
+from stages.inspecting.coverage.views import Floats, Singles, View
 
 # Points that are looked up in each frame, about.
 _POINTS = 80_000

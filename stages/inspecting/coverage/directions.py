@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.covering.views import Floats
+from stages.inspecting.coverage.views import Floats
 
 
 def all_around(count: int) -> Floats:

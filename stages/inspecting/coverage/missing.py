@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.patches import Patch, cut_up, squares, total_area
-from stages.covering.rims import Cap
-from stages.covering.space import BLANK, HIDDEN, NOTHING, Frontier, Space
-from stages.covering.surroundings import open_sector
-from stages.covering.views import Floats
+from stages.inspecting.coverage.patches import Patch, cut_up, squares, total_area
+from stages.inspecting.coverage.rims import Cap
+from stages.inspecting.coverage.space import BLANK, HIDDEN, NOTHING, Frontier, Space
+from stages.inspecting.coverage.surroundings import open_sector
+from stages.inspecting.coverage.views import Floats
 from stages.surface.raycasting import Surface
 
 # What is told of the sides of a frontier.

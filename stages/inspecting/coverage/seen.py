@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.covering.evidence import Evidence, Measured, Probes, measured_by, probes_of
-from stages.covering.nearest import Remembered
-from stages.covering.space import Space
-from stages.covering.thin import vertex_areas
-from stages.covering.views import Floats, View, read_view
 from stages.errors import InputError
+from stages.inspecting.coverage.evidence import Evidence, Measured, Probes, measured_by, probes_of
+from stages.inspecting.coverage.nearest import Remembered
+from stages.inspecting.coverage.space import Space
+from stages.inspecting.coverage.thin import vertex_areas
+from stages.inspecting.coverage.views import Floats, View, read_view
 from stages.progress import Progress
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, SkippedFrame

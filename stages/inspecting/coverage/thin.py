@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.evidence import Evidence
-from stages.covering.kinds import KINDS, THIN
-from stages.covering.patches import Patch, cut_up
-from stages.covering.views import Floats
+from stages.inspecting.coverage.evidence import Evidence
+from stages.inspecting.coverage.kinds import KINDS, THIN
+from stages.inspecting.coverage.patches import Patch, cut_up
+from stages.inspecting.coverage.views import Floats
 from stages.surface.edges import components
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas

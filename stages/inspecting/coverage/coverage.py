@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.covering.continued import continued
-from stages.covering.covered import Coverage
-from stages.covering.evidence import with_rims
-from stages.covering.kinds import KINDS, MISSING, THIN
-from stages.covering.missing import before, patches_of_holes, patches_of_space
-from stages.covering.nearest import looks_at
-from stages.covering.painted import painted
-from stages.covering.params import CoverageKeywords, CoverageParams
-from stages.covering.patches import Patch
-from stages.covering.place import Place, place_of
-from stages.covering.rims import caps
-from stages.covering.seen import Ground, Seen, look
-from stages.covering.standpoints import Standing
-from stages.covering.thin import Limits, kinds_at, patches_of_thin
+from stages.inspecting.coverage.continued import continued
+from stages.inspecting.coverage.covered import Coverage
+from stages.inspecting.coverage.evidence import with_rims
+from stages.inspecting.coverage.kinds import KINDS, MISSING, THIN
+from stages.inspecting.coverage.missing import before, patches_of_holes, patches_of_space
+from stages.inspecting.coverage.nearest import looks_at
+from stages.inspecting.coverage.painted import painted
+from stages.inspecting.coverage.params import CoverageKeywords, CoverageParams
+from stages.inspecting.coverage.patches import Patch
+from stages.inspecting.coverage.place import Place, place_of
+from stages.inspecting.coverage.rims import caps
+from stages.inspecting.coverage.seen import Ground, Seen, look
+from stages.inspecting.coverage.standpoints import Standing
+from stages.inspecting.coverage.thin import Limits, kinds_at, patches_of_thin
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans.scan import Frame, Scan

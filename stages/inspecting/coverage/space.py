@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.covering.views import Floats, Singles, View
+from stages.inspecting.coverage.views import Floats, Singles, View
 
 # What is known of a cell: a frame looked through it; one measured what is before it, or has no depth there;
 # it holds what one measured, or the surface.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.covering.views import Floats
+from stages.inspecting.coverage.views import Floats
 from stages.surface.raycasting import Surface
 
 # Directions in the plane of a patch, and how far they are turned out of it, degrees: to both sides, because
