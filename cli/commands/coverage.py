@@ -88,7 +88,7 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
         )
     missing, thin = sum(figures["missing_m2"].values()), sum(figures["thin_m2"].values())
     lines.append(
-        f"{missing:.3g} {m2} are missing beside {figures['surface_m2']:.3g} {m2} of surface, of which "
+        f"{missing:.3g} {m2} open to what no frame saw, beside {figures['surface_m2']:.3g} {m2} of surface, of which "
         f"{thin / figures['surface_m2']:.0%} was hardly seen; {figures['frames_used']:,} frames"
     )
     return lines
