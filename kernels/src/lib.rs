@@ -19,6 +19,7 @@
 //! | [`texture`] | the colours of a mesh from photos of it | `base` |
 //! | [`recognition`] | descriptors of points in images, each with its likest in another | `base` |
 //! | [`stereo`] | disparity of a rectified pair by semi-global matching | `base` |
+//! | [`fusion`] | depth maps fused into a field of distances, and its surface | `base` |
 //! | [`snm`] | the file that keeps normal meshes | `subdivision` |
 //! | [`normal`] | normal meshes: base, levels, and the search that places their vertices | `collapse`, `quadrics`, `subdivision`, `snm` |
 
@@ -28,6 +29,7 @@ pub mod certified;
 pub mod certify;
 pub mod collapse;
 pub mod fitting;
+pub mod fusion;
 pub mod jia01;
 pub mod lod;
 pub mod mesh;
