@@ -87,8 +87,9 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
             f"{figures['places_left_out']:,} smaller places are not told; see --places and --least-area."
         )
     missing, thin = sum(figures["missing_m2"].values()), sum(figures["thin_m2"].values())
+    surface = figures["surface_m2"]
     lines.append(
-        f"{missing:.3g} {m2} open to what no frame saw, beside {figures['surface_m2']:.3g} {m2} of surface, of which "
-        f"{thin / figures['surface_m2']:.0%} was hardly seen; {figures['frames_used']:,} frames"
+        f"{missing:.3g} {m2} open to what no frame saw, beside {surface:.3g} {m2} of surface, of which "
+        f"{thin / surface:.0%} was hardly seen; {figures['frames_used']:,} frames"
     )
     return lines
