@@ -6,13 +6,14 @@ pairs ──depth──▶ frames ──────────fuse──▶ fu
                                                                 └─lod─▶ levels └──bake──▶ baked
                                                                           └─tiles─▶ tileset
 (upright makes `standing` of clean, and of the plane that fuse may have left out; all read it that write glTF
-or tiles: texture, bake, tiles, export; export makes of simplified, or textured, what other programs open)
-(an RGB-D scan is frames from the start, and has no depth stage, unless a network fills in its depth; single
-views with poses go the way of pairs; depth reads the `network` of `depth.model`, if it is set;
-register is there where poses are missing; adjust where frames have colour and measured depth, from what
-register found; texture where frames have colour; bake, remesh and lod if they are enabled; bake reads clean,
-too, tiles clean and textured; texture, lod, tiles and report what fuse reads, and report frames that were
-`held_out`)
+or tiles: texture, bake, tiles, export, coverage; export makes of simplified, or textured, what other programs
+open)
+(an RGB-D scan is frames from the start, and has no depth stage, unless a network fills in its depth;
+single views with poses go the way of pairs; depth reads the `network` of `depth.model`, if it is set;
+coverage reads clean and what fuse reads, if it is enabled; register is there where poses are missing; adjust
+where frames have colour and measured depth, from what register found; texture where frames have colour; bake,
+remesh and lod if they are enabled; bake reads clean, too, tiles clean and textured; texture, lod, tiles and
+report what fuse reads, and report frames that were `held_out`)
 
 Stages that read the scan itself also read its `names` and `times`, if their results tell of them, and what is
 known of its `world`: upright makes use of it, and depth hands it on.
@@ -28,6 +29,7 @@ from typing import Any, cast
 from pipeline import (
     adjusting,
     baking,
+    covering,
     exporting,
     fusing,
     holding_out,
@@ -54,6 +56,7 @@ from stages.cleaning.clean_in_pieces import clean_in_pieces
 from stages.comparing.compare import compare_surfaces
 from stages.comparing.left_out import left_out as left_out_of_all
 from stages.exporting.export import export
+from stages.inspecting.coverage.coverage import coverage
 from stages.inspecting.libraries import installed
 from stages.inspecting.sanity import require_poses
 from stages.lod.slod import read_slod
@@ -193,9 +196,16 @@ def _export(job: Job) -> Mapping[str, Any]:
     return exporting.make(job.folder, mesh.with_(up=_up(job)), name, job.config.export)
 
 
+def _coverage(job: Job) -> Mapping[str, Any]:
+    scan = _frames(job)
+    mesh = whole(job.inputs["clean"] / "clean.ply", "coverage")
+    figures = covering.make(job.folder, mesh, scan.frames, job.config.coverage, _up(job), job.progress)
+    return from_folder(_with_skipped(figures), scan.folder)
+
+
 def _report(job: Job) -> Mapping[str, Any]:
     names = ("fused", "clean", "simplified")
-    meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
+    meshes = {name: whole(job.inputs[name] / f"{name}.ply", "report") for name in names}
     by_photo = None
     if "textured" in job.inputs:
         meshes["textured"] = read_mesh(job.inputs["textured"] / texturing.FILE)
@@ -399,6 +409,17 @@ STAGES: tuple[Stage, ...] = (
         libraries=installed("scanloom", "opencv"),
         results=(exporting.FILE, exporting.WEB),
         cost=Cost(seconds=1, bytes=300e6),
+    ),
+    Stage(
+        name="coverage",
+        reads=("frames", "posed", "adjusted", "clean", "standing", "names"),
+        writes="covered",
+        sections=("coverage",),
+        make=_coverage,
+        versions=versions.of(coverage),
+        libraries=installed("open3d", "opencv", "scipy"),
+        results=(covering.MESH, covering.MODEL, covering.FILE),
+        cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6),
     ),
     Stage(
         name="report",

@@ -456,12 +456,14 @@ class View:
         cls,
         photo: Photo,
         mesh_camera: _Camera,
+        mesh_nearest: NDArray[np.float32],
         mesh_depth: NDArray[np.float32],
         mesh_triangles: NDArray[np.int32],
         *,
         reach: tuple[float, float],
-        measured: tuple[_Camera, NDArray[np.float32]] | None,
+        measured: tuple[_Camera, NDArray[np.float32], NDArray[np.float32]] | None,
         worth: float,
+        flattest: float,
     ) -> View: ...
 
 @final
@@ -489,6 +491,9 @@ class SurfacePoints:
 
     def density(self) -> NDArray[np.float32]:
         """Return pixels a metre in the nearest view (n,), 0 where none shows a point."""
+
+    def flat(self) -> NDArray[np.bool_]:
+        """Return which points (n,) are seen, but flatter than anybody would want it."""
 
     def blend(
         self, *, blurred: int, details: int, deviations: float, levels: float, wanted_threads: int
