@@ -33,12 +33,15 @@ class Job:
     inputs : what it reads, by name: the scan, or the folder of an earlier stage's files.
     config : every section; a stage uses those it declares.
     folder : where it writes its files.
+    get, store : of the cache, for parts of the stage's work; their entries are held to the end of the run.
     """
 
     inputs: Mapping[str, Any]
     config: Any
     folder: Path
     progress: Progress
+    get: Callable[[Recipe], Entry | None]
+    store: Callable[[Recipe, Callable[[Path], Mapping[str, Any]]], Entry]
 
 
 @dataclass(frozen=True)
@@ -239,7 +242,9 @@ class Engine:
         reset_peak()
         started = time.perf_counter()
         with explained(f"{stage.name} failed"):
-            figures = stage.make(Job(inputs, self._config, folder, progress))
+            figures = stage.make(
+                Job(inputs, self._config, folder, progress, get=self._get_part, store=self._store_part)
+            )
         made = {
             "seconds": round(time.perf_counter() - started, 3),
             "peak_memory_bytes": peak_bytes(),
@@ -250,9 +255,23 @@ class Engine:
             self._sources[name].require_unchanged()
         return {"figures": as_json(figures), "made": made}
 
-    def _add(self, stage: Stage, entry: Entry) -> None:
+    def _get_part(self, recipe: Recipe) -> Entry | None:
+        entry = self._cache.get(recipe)
+        if entry is not None:
+            self._hold(entry)
+        return entry
+
+    def _store_part(self, recipe: Recipe, make: Callable[[Path], Mapping[str, Any]]) -> Entry:
+        entry = self._cache.store(recipe, make)
+        self._hold(entry)
+        return entry
+
+    def _hold(self, entry: Entry) -> None:
         self._entries.append(entry)
         self.results.keep(entry)
+
+    def _add(self, stage: Stage, entry: Entry) -> None:
+        self._hold(entry)
         self._sources[stage.writes] = Source(entry.digest, entry.folder, entry.files)
 
 

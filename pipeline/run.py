@@ -11,6 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from pipeline.asked import Asked, from_anywhere
 from pipeline.cache import Cache
 from pipeline.config import Config
 from pipeline.digest import digest
@@ -254,6 +255,8 @@ def run_wanted(
         megapixels=megapixels(scan),
         guard=_guard(wanted, cache, limits, events),
     ) as engine:
+        if scan.folder is not None:
+            engine.results.note(Asked(scan.folder.absolute(), from_anywhere(config), planned[-1]).record())
         engine.results.require_replaceable(placed_by(wanted))
         engine.results.withdraw_others([stage.name for stage in wanted.plan])
         outcomes = tuple(engine.run(planned[-1], wanted.force))

@@ -31,6 +31,7 @@ __all__ = [
     "SurfacePoints",
     "TexturedSurface",
     "View",
+    "Volume",
     "WeldedSheets",
     "agreeing",
     "assemble_front",
@@ -50,6 +51,7 @@ __all__ = [
     "match_descriptors",
     "match_pair",
     "not_before",
+    "oriented_depth",
     "planar_patches",
     "remesh",
     "side_lengths",
@@ -62,6 +64,7 @@ __all__ = [
     "strip_order",
     "sweep_planes",
     "texels",
+    "touched_blocks",
     "weighted_medians",
     "weld_sheets",
     "zbuffer",
@@ -214,6 +217,8 @@ def weld_sheets(sets: NDArray[np.int32], triangles: NDArray[np.int32]) -> Welded
 # (n, k): levels of colour, or numbers.
 _Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]
 # fx, fy, cx, cy, width and height; and the (4, 4) matrix that takes the world to the camera.
+# The first block of a box along each axis, and the one after its last.
+_Blocks: TypeAlias = tuple[Sequence[int], Sequence[int]]
 _Camera: TypeAlias = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
 _Soup: TypeAlias = tuple[NDArray[np.float64], _Attributes, NDArray[np.int32]]
 
@@ -384,6 +389,53 @@ def zbuffer(
     """Return depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen."""
 
 @final
+class Volume:
+    """A field of signed distances in blocks of 8³ voxels; lengths in metres."""
+
+    def __new__(cls, voxel_size: float, truncation: float, *, color: bool, most_blocks: int) -> Volume: ...
+    @property
+    def blocks(self) -> int:
+        """Blocks in use."""
+    @property
+    def bytes(self) -> int:
+        """Memory of the voxels."""
+    def integrate(
+        self,
+        keys: NDArray[np.uint64],
+        camera: _Camera,
+        depth: NDArray[np.float32],
+        obliqueness: NDArray[np.float32],
+        color: NDArray[np.uint8] | None,
+        *,
+        weighing: tuple[float, float, float],
+        wanted_threads: int,
+    ) -> None:
+        """Add a frame to the blocks with some keys; raises LimitError where there would be too many."""
+    def frame_counts(self, *, within: _Blocks | None) -> NDArray[np.uint64]:
+        """Of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
+    def surface(
+        self, least: int, *, within: _Blocks | None, wanted_threads: int
+    ) -> tuple[
+        tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]],
+        list[NDArray[np.uint64]],
+    ]:
+        """Vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) 0 to 255, mean frames (n,).
+
+        With a box of blocks, of these alone; triangles name vertices of others from n upward. Then of these
+        the blocks, and codes of edges; and of those that others may name blocks, codes and numbers.
+        """
+    def voxels(
+        self,
+    ) -> tuple[
+        NDArray[np.int32],
+        NDArray[np.float32],
+        NDArray[np.uint16],
+        NDArray[np.uint8],
+        NDArray[np.float32] | None,
+    ]:
+        """Blocks (n, 3), distances (n, 512) in truncations, weights, frames, colours (n, 512, 3) or None."""
+
+@final
 class Photo:
     """The colours that a camera took; `warp` holds shifts of the photo at the corners of a grid."""
 
@@ -404,12 +456,14 @@ class View:
         cls,
         photo: Photo,
         mesh_camera: _Camera,
+        mesh_nearest: NDArray[np.float32],
         mesh_depth: NDArray[np.float32],
         mesh_triangles: NDArray[np.int32],
         *,
         reach: tuple[float, float],
-        measured: tuple[_Camera, NDArray[np.float32]] | None,
+        measured: tuple[_Camera, NDArray[np.float32], NDArray[np.float32]] | None,
         worth: float,
+        flattest: float,
     ) -> View: ...
 
 @final
@@ -437,6 +491,9 @@ class SurfacePoints:
 
     def density(self) -> NDArray[np.float32]:
         """Return pixels a metre in the nearest view (n,), 0 where none shows a point."""
+
+    def flat(self) -> NDArray[np.bool_]:
+        """Return which points (n,) are seen, but flatter than anybody would want it."""
 
     def blend(
         self, *, blurred: int, details: int, deviations: float, levels: float, wanted_threads: int
@@ -572,6 +629,32 @@ def first_inside(
     -------
     (h, w), 0 where there is none.
     """
+
+def oriented_depth(
+    depth: NDArray[np.float32],
+    pinhole: tuple[float, float, float, float, int, int],
+    *,
+    limits: tuple[float, float, float, float],
+    wanted_threads: int,
+) -> tuple[
+    NDArray[np.float32],
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    NDArray[np.float32],
+]:
+    """Filter a depth map; also the normals of its surface, and their lengths."""
+
+def touched_blocks(
+    camera: _Camera,
+    depth: NDArray[np.float32],
+    normal: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    obliqueness: NDArray[np.float32],
+    wanted: NDArray[np.bool_],
+    *,
+    voxel_size: float,
+    truncation: float,
+    within: _Blocks | None,
+) -> NDArray[np.uint64]:
+    """List the keys of the blocks that a frame touches, sorted."""
 
 def weighted_medians(
     image: NDArray[np.uint8],

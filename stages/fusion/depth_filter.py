@@ -7,29 +7,18 @@ differences of depth itself are not.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import _kernels
 from stages.scans.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-
-# Differences are averaged over this many pixels each way: enough to even out the depth steps of a
-# structured-light sensor, few enough to keep a table's edge.
-_WINDOW = 5
-# A pixel more oblique than this (70 degrees) is believed only on a plane, as a road's are: averaged over a
-# wider window, its slope must be about the same. Else it belongs to the outline of something round or ragged,
-# where the distance along the normal cannot be told, and counts as no more oblique than this; or, beyond
-# `_SMEARED`, to a discontinuity that the sensor or the matcher has smeared.
-_STEEP = 2.9
-_SMEARED = 5.0
-_WIDE_WINDOW = 25
-_LIKE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +39,15 @@ class Surface:
     obliqueness: Image
 
 
-def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: float) -> Surface:
+def surface(
+    depth: DepthImage,
+    camera: Camera,
+    *,
+    max_jump: float,
+    max_angle: float,
+    min_depth: float = 0.0,
+    max_depth: float = math.inf,
+) -> Surface:
     """Measure the surface's orientation, and drop pixels at depth discontinuities or seen too obliquely.
 
     Sensors and matchers put "flying" pixels beside a discontinuity, between the near and the far surface,
@@ -62,33 +59,16 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
     depth : (h, w) float32 metres, 0 where missing.
     max_jump : change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
     max_angle : degrees between the line of sight and the surface's normal.
+    min_depth, max_depth : metres; what is nearer or farther is missing.
     """
-    depth, inverse = bridged(depth, max_jump)
-    torn = np.zeros(depth.shape, bool)
-    across, down = differences(inverse, 1, max_jump, torn), differences(inverse, 0, max_jump, torn)
-    rays = _rays(camera)
-    normal = _normal(depth, camera, rays.columns, rays.rows, across.mean(_WINDOW), down.mean(_WINDOW))
-    obliqueness = _length(normal)
-    steep = np.nonzero(obliqueness > _STEEP)
-    wide = _length(
-        _normal(
-            depth[steep],
-            camera,
-            rays.columns[steep[1]],
-            rays.rows[steep[0], 0],
-            across.mean(_WIDE_WINDOW, steep),
-            down.mean(_WIDE_WINDOW, steep),
-        )
+    filtered, normal, obliqueness = _kernels.oriented_depth(
+        np.ascontiguousarray(depth, np.float32),
+        (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height),
+        limits=(min_depth, max_depth, max_jump, math.cos(math.radians(max_angle))),
+        # Frames are read side by side.
+        wanted_threads=1,
     )
-    narrow = obliqueness[steep]
-    curved = (wide >= _LIKE * narrow) | (wide * _LIKE <= narrow)
-    torn[steep] |= curved & (narrow > _SMEARED)
-    for image in (*normal, obliqueness):
-        image[steep] *= np.where(curved, np.float32(_STEEP) / narrow, np.float32(1))
-    # Cosine of the angle of sight: 1 / (obliqueness · length of the ray).
-    too_oblique = obliqueness * rays.length * np.float32(np.cos(np.radians(max_angle))) > 1
-    depth[torn | too_oblique] = 0
-    return Surface(depth, normal, obliqueness)
+    return Surface(filtered, normal, obliqueness)
 
 
 def bridged(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
@@ -145,33 +125,3 @@ def differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> Diffe
     known[first] = both & ~jump
     np.multiply(difference, known[first], out=value[first])
     return Differences(value, known)
-
-
-def _normal(
-    depth: Image, camera: Camera, columns: Image, rows: Image, across: Image, down: Image
-) -> tuple[Image, Image, Image]:
-    """Return the normal, with d ln z = −z d(1/z); see Surface for its length."""
-    x = np.float32(-camera.fx) * depth * across
-    y = np.float32(-camera.fy) * depth * down
-    return x, y, -(1 + columns * x + rows * y)
-
-
-def _length(vector: tuple[Image, Image, Image]) -> Image:
-    x, y, z = vector
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
-
-
-@dataclass(frozen=True, eq=False)
-class _Rays:
-    """Lines of sight (x/z, y/z, 1): x/z of each column (w,), y/z of each row (h, 1), lengths (h, w)."""
-
-    columns: Image
-    rows: Image
-    length: Image
-
-
-@lru_cache(maxsize=8)
-def _rays(camera: Camera) -> _Rays:
-    columns = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
-    rows = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)[:, None]
-    return _Rays(columns, rows, np.sqrt(1 + columns**2 + rows**2))

@@ -11,7 +11,7 @@ from stages.fusion.survey import measured_noise, survey
 from stages.scans.prefetch import workers
 from stages.scans.scan import Frame
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 
 def depth_noise(frames: Sequence[Frame], where: Path | None = None) -> float:

@@ -19,7 +19,7 @@ from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.scene import Scene, scene_of
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise, measured_noise, survey
-from stages.fusion.voxels import BLOCK, Layer, block_keys, layers
+from stages.fusion.voxels import BLOCK, Weighing, touched_blocks
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Pose
 
@@ -29,6 +29,12 @@ _PLACES = 8
 _PIXELS = 8_000_000
 # With a crop, depth tells of the space before it up to so many times as far as it is fused.
 _FREE = 2.0
+# Blocks from one place that may be a volume's origin to the next: far enough that a frame more hardly ever
+# moves it, near enough for float32.
+_ORIGINS = 1024
+# Of so many pixels one tells the median depth. Noise that is a smaller share of voxels than this does not
+# show.
+_EVERY, _SHOWN = 16, 1 / 6
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
 # Degrees. What is seen more obliquely, other frames see better, if there are any.
@@ -47,7 +53,9 @@ class Plan:
         before it alone.
     noise : as measured; see Noise.
     origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
+    weighing : of depth in the volume; at median depth it weighs 1.
     blocks : how many blocks of voxels are expected.
+    spread : how many times as far as the frames looked at all frames may be spread.
     triangles : how many triangles are expected, roughly.
     scene : where the scan lies, before anything is left out of it.
     crop : what is fused of it.
@@ -67,23 +75,15 @@ class Plan:
     reach: float
     support: Support | None
     warnings: tuple[str, ...]
+    weighing: Weighing
     blocks: int = 0
+    spread: float = 1.0
     triangles: int = 0
 
     def fused(self, view: PosedDepth) -> NDArray[np.bool_]:
         """Return which pixels (h, w) of a view show surface that is to be in the volume."""
         near = view.surface.depth <= np.float32(self.max_depth)
         return np.asarray(near & shown(view, self.crop, self.reach))
-
-    def layers(self, view: PosedDepth, here: NDArray[np.bool_]) -> list[Layer]:
-        """Split a view's depth map for the volume, which is to hold the surface at some pixels."""
-        return layers(
-            view,
-            here,
-            voxel_size=self.voxel_size,
-            truncation=self.truncation,
-            max_depth=self.limits.max_depth,
-        )
 
     def local(self, pose: Pose) -> Pose:
         """Return a pose relative to the origin, so that float32 is exact enough wherever the world's is."""
@@ -129,23 +129,42 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     # What is left out, and too far to be fused, still tells that beside the thing there is nothing.
     read_to = _FREE * max_depth if crop and not params.max_depth else max_depth
     centers = np.stack([view.pose[:3, 3] for view in looked_at])
-    block = BLOCK * voxel_size
+    grid = _ORIGINS * BLOCK * voxel_size
     plan = Plan(
         voxel_size=voxel_size,
         truncation=truncation,
         max_depth=max_depth,
         limits=replace(limits, max_depth=read_to),
         noise=noise,
-        origin=np.rint(np.median(centers, axis=0) / block) * block,
+        origin=np.rint(np.median(centers, axis=0) / grid) * grid,
         scene=scene,
         crop=crop,
         reach=truncation + voxel_size,
         support=kept.support,
         warnings=kept.warnings,
+        weighing=_weighing(noise, looked_at, voxel_size),
     )
     # Two triangles for each voxel that the surface passes through.
     triangles = round(2 * found.area / voxel_size**2)
-    return replace(plan, blocks=_expected_blocks(kept.views, plan, len(frames)), triangles=triangles)
+    return replace(
+        plan,
+        blocks=_expected_blocks(kept.views, plan, len(frames)),
+        spread=_spread(frames, centers, found.median),
+        triangles=triangles,
+    )
+
+
+def _weighing(noise: Noise, views: Sequence[PosedDepth], voxel_size: float) -> Weighing:
+    """Weigh by the noise where voxels are small enough to show it.
+
+    In few steps, so that a frame more, or one that cannot be used, leaves the weights of all others as they
+    were.
+    """
+    depth = np.concatenate([view.surface.depth[view.surface.depth > 0][::_EVERY] for view in views])
+    median = 2 ** (round(2 * math.log2(float(np.median(depth)))) / 2)
+    if noise.at(median) < _SHOWN * voxel_size:
+        return Weighing()
+    return Weighing(median, round(4 * noise.quadratic * median**2 / noise.at(median)) / 4)
 
 
 def limits_of(params: FuseParams, *, alone: bool = False) -> DepthLimits:
@@ -200,17 +219,33 @@ def _expected_blocks(views: Sequence[PosedDepth], plan: Plan, frames: int) -> in
     The first-order jackknife (Burnham and Overton 1978): what only one view of the sample saw tells how much
     more the unseen frames will bring.
     """
-    touched = []
-    for view in views:
-        parts = plan.layers(view, plan.fused(view))
-        if parts:
-            touched.append(block_keys(parts, plan.voxel_size, plan.local(view.pose)))
-    if not touched:
+    touched = [
+        touched_blocks(
+            view,
+            plan.fused(view),
+            plan.local(view.pose),
+            voxel_size=plan.voxel_size,
+            truncation=plan.truncation,
+        )
+        for view in views
+    ]
+    if not any(map(len, touched)):
         return 1
     _, times = np.unique(np.concatenate(touched), return_counts=True)
     unseen = 0 if frames == len(views) else int((times == 1).sum()) * (len(views) - 1) // len(views)
     # Room for one frame more, since Open3D asks for room before it looks which blocks are new.
     return len(times) + unseen + max(map(len, touched))
+
+
+def _spread(frames: Sequence[Frame], looked_at: NDArray[np.float64], reach: float) -> float:
+    """Return how many times as many places all cameras stood at as those that were looked at (n, 3)."""
+
+    def places(centers: NDArray[np.float64]) -> int:
+        return len(np.unique(np.floor(centers / reach), axis=0))
+
+    poses = [frame.world_from_camera for frame in frames if frame.world_from_camera is not None]
+    centers = np.array([pose[:3, 3] for pose in poses], np.float64)
+    return max(places(centers[np.isfinite(centers).all(axis=1)]) / places(looked_at), 1.0)
 
 
 def _two_digits(length: float) -> float:

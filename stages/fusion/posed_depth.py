@@ -75,9 +75,15 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
     if depth is None:
         raise InputError("there is no depth map.", f"frame {frame.name}")
     valid = int(np.count_nonzero(depth))
-    depth[(depth < limits.min_depth) | (depth > limits.max_depth)] = 0
     camera = pinhole(frame.camera)
-    seen = surface(depth, camera, max_jump=limits.max_jump, max_angle=limits.max_angle)
+    seen = surface(
+        depth,
+        camera,
+        max_jump=limits.max_jump,
+        max_angle=limits.max_angle,
+        min_depth=limits.min_depth,
+        max_depth=limits.max_depth,
+    )
     if not seen.depth.any():
         what = "no pixel has a depth" if valid == 0 else "no pixel's depth is within the limits"
         raise InputError(f"{what}.", f"frame {frame.name}")

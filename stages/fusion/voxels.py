@@ -1,44 +1,36 @@
-"""A truncated signed distance field in blocks of voxels along the surface (Open3D's VoxelBlockGrid).
+"""A truncated signed distance field in blocks of voxels along the surface.
 
-Open3D measures a voxel's distance to the surface along the optical axis. Seen at a grazing angle that is
-many times the true distance: voxels just behind a road lie metres behind it along the axis, fall out of the
-truncation band, and the road is torn. Here a depth map is integrated in layers of like obliqueness, each
-with its truncation stretched accordingly. Since Open3D stores distance divided by truncation, what adds up
-in a voxel is the distance along the surface's normal, for all layers and frames alike.
+What adds up in a voxel is its distance along the surface's normal, which each pixel tells anew: measured
+along the optical axis, voxels just behind a road that is seen at a grazing angle would lie metres behind it.
 
 References
 ----------
 Curless and Levoy, A Volumetric Method for Building Complex Models from Range Images, 1996.
-Dong, Park, Yang and Kaess, ASH: A Modern Framework for Parallel Spatial Hashing in 3D Perception, 2022.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
+from stages import _kernels
 from stages.errors import StageError
 from stages.fusion.posed_depth import PosedDepth
 from stages.scans.scan import Camera, ColorImage, Pose
 from stages.surface.mesh import Mesh
 
-# 8³ voxels a block: half as many voxels that no surface needs as with Open3D's own 16³.
+# Voxels along the side of a block.
 BLOCK = 8
-# Distance, weight and three colour channels in float32, or without the colour.
-_VOXEL_BYTES = {True: 20, False: 8}
-# Obliqueness grows by this factor from layer to layer: truncation along the normal then stays within a
-# factor of √3 of what was asked for, and nearly all pixels of an indoor scan fall into one layer.
-_LAYER_RATIO = 3.0
-# The blocks that a layer touches are found from pixels this share of a block apart on the surface.
-_TOUCH_SPACING = 0.5
-# No voxel is nearer to the surface than this many voxels: zero would put the vertices of several edges in
-# one place, which makes triangles without area and leaves the order of vertices open.
-_LEAST_DISTANCE = 1e-3
+# Distance, weight, count of frames and colour, or without the colour.
+_VOXEL_BYTES = {True: 12, False: 7}
+
+# Places of blocks in Z-order.
+Keys = NDArray[np.uint64]
+# The first block of a box along each axis, and the one after its last.
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 
 def block_bytes(*, color: bool) -> int:
@@ -46,135 +38,150 @@ def block_bytes(*, color: bool) -> int:
     return BLOCK**3 * _VOXEL_BYTES[color]
 
 
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """The pixels of a depth map that are about equally oblique.
+class OutgrownError(StageError):
+    """The volume would take more memory than it may."""
+
+
+def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
+    """Return the error of a volume that may not grow further."""
+    return OutgrownError(
+        f"the volume outgrows its memory of {allowed_bytes / 1e6:.0f} MB at voxels of {voxel_size:g} m. Give "
+        "a larger voxel_size, a smaller max_depth or more memory."
+    )
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """How much a measurement at depth z counts: 1 / (1 − growth + growth (z / depth)²)².
 
     Attributes
     ----------
-    depth : (h, w) uint16 in units of max_depth / 65535, 0 at all other pixels.
-    points : (n, 3) float32 metres, camera axes; a sample of the band that has to be in the volume.
-    stretch : truncation along the optical axis, in truncations along the normal.
+    depth : metres; what is measured there weighs 1.
+    growth : from 0, where all depth is equally exact, to 1, where its noise grows with its square.
     """
 
-    depth: NDArray[np.uint16]
-    points: NDArray[np.float32]
-    stretch: float
+    depth: float = 1.0
+    growth: float = 0.0
 
 
-def layers(
-    view: PosedDepth, wanted: NDArray[np.bool_], *, voxel_size: float, truncation: float, max_depth: float
-) -> list[Layer]:
-    """Split a depth map into layers of like obliqueness, without what is farther than `max_depth`.
+class Field(Protocol):
+    """What frames are fused in."""
 
-    Only the surface at the pixels that are `wanted` (h, w) has to be in the volume; what others show tells
-    that nothing is before it.
+    @property
+    def bytes(self) -> int:
+        """Return the memory the field takes."""
+
+    def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> Any:
+        """Return what of a frame is integrated: may run in any thread, before frames that come first are."""
+
+    def integrate(self, view: PosedDepth, parts: Any, pose: Pose, color: ColorImage | None) -> None:
+        """Add a frame, as it was prepared."""
+
+    def typical_frames(self) -> float:
+        """Return how many frames saw the median voxel near the surface."""
+
+    def mesh(self, min_weight: int) -> Mesh:
+        """Return the surface through voxels that so many frames have seen, in the field's axes."""
+
+
+def touched_blocks(
+    view: PosedDepth,
+    wanted: NDArray[np.bool_],
+    pose: Pose,
+    *,
+    voxel_size: float,
+    truncation: float,
+    within: Box | None = None,
+) -> Keys:
+    """Return sorted keys of the blocks that a frame touches.
+
+    Parameters
+    ----------
+    wanted : (h, w), at which pixels the surface has to be in the field; what others show tells that nothing
+        is before it.
+    pose : (4, 4), camera to the field's axes.
+    within : no others than the blocks of a box.
+
+    Raises
+    ------
+    StageError
+        If it is too far from the field's origin.
     """
     surface = view.surface
-    valid = (surface.depth > 0) & (surface.depth <= max_depth)
-    level = np.where(valid, np.int8(0), np.int8(-1))
-    steepest = float(surface.obliqueness[valid].max(initial=1))
-    for k in range(1, int(math.log(steepest, _LAYER_RATIO)) + 1):
-        level += valid & (surface.obliqueness >= _LAYER_RATIO**k)
-    depth = np.where(valid, np.rint(surface.depth * np.float32(65535 / max_depth)), 0).astype(np.uint16)
-    sample = _sample(view, _TOUCH_SPACING * BLOCK * voxel_size)
-    result = []
-    for k in range(int(level.max()) + 1):
-        here = level == k
-        points = _band(view, here & sample & wanted, truncation)
-        if len(points):
-            result.append(Layer(np.where(here, depth, np.uint16(0)), points, _LAYER_RATIO ** (k + 0.5)))
-    return result
-
-
-def _sample(view: PosedDepth, spacing: float) -> NDArray[np.bool_]:
-    """Choose pixels, every eighth to every one, whose places on the surface are within `spacing` metres."""
-    apart = view.surface.depth * view.surface.obliqueness * np.float32(1 / view.camera.fx)
-    chosen = np.zeros(apart.shape, bool)
-    for step in (8, 4, 2, 1):
-        grid = np.s_[::step, ::step]
-        chosen[grid] |= apart[grid] > (spacing / (2 * step) if step < 8 else 0)
-    return chosen
-
-
-def _band(view: PosedDepth, here: NDArray[np.bool_], truncation: float) -> NDArray[np.float32]:
-    """Points on the surface, and half a truncation to either side along its normal."""
-    rows, columns = np.nonzero(here)
-    on = view.camera_points(rows, columns)
-    normal = np.stack([axis[rows, columns] for axis in view.surface.normal], axis=1)
-    offset = normal * (np.float32(truncation / 2) / view.surface.obliqueness[rows, columns])[:, None]
-    return np.concatenate([on, on + offset, on - offset])
-
-
-def block_keys(parts: list[Layer], voxel_size: float, pose: Pose) -> NDArray[np.int64]:
-    """Return a key of each block that the layers touch, sorted; equal keys mean equal blocks."""
-    points = np.concatenate([part.points for part in parts])
-    cells = np.floor(_moved(points, pose) / np.float32(BLOCK * voxel_size)).astype(np.int64)
-    return np.unique((cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2])
-
-
-def _moved(points: NDArray[np.float32], pose: Pose) -> NDArray[np.float32]:
-    return np.asarray(points @ pose[:3, :3].T.astype(np.float32) + pose[:3, 3].astype(np.float32))
+    try:
+        return _kernels.touched_blocks(
+            _posed(view.camera, pose),
+            surface.depth,
+            surface.normal,
+            surface.obliqueness,
+            wanted,
+            voxel_size=voxel_size,
+            truncation=truncation,
+            within=within,
+        )
+    except _kernels.LimitError as error:
+        reach = (1 << 20) * BLOCK * voxel_size
+        raise StageError(
+            f"a frame shows places more than {reach / 1000:.3g} km from the other cameras, farther than "
+            f"voxels of {voxel_size:g} m are counted. Check the poses, or give a larger voxel_size."
+        ) from error
 
 
 class Volume:
-    """The field; it grows by the blocks that layers touch.
+    """The field; it grows by the blocks that frames touch.
 
     Parameters
     ----------
     voxel_size, truncation : metres; truncation along the surface's normal.
-    max_depth : metres, the longest depth of any layer.
+    weighing : of what is measured.
     color : whether voxels have a colour.
-    blocks : how many blocks to make room for at first.
     max_bytes : the field may not grow past this.
-    device : "CPU:0" or "CUDA:0".
+    threads : to compute with.
+    within : no others than the blocks of a box; None for all.
     """
 
     def __init__(
         self,
         voxel_size: float,
         truncation: float,
-        max_depth: float,
+        weighing: Weighing,
         *,
         color: bool,
-        blocks: int,
         max_bytes: float,
-        device: str,
+        threads: int,
+        within: Box | None = None,
     ) -> None:
-        o3d = open3d()
+        self._within = within
         self._voxel_size = voxel_size
         self._truncation = truncation
-        self._depth_scale = 65535 / max_depth
-        self._device = o3d.core.Device(device)
-        self._block_bytes = block_bytes(color=color)
-        self._max_blocks = max(int(max_bytes / self._block_bytes), 1)
-        names = ("tsdf", "weight", "color") if color else ("tsdf", "weight")
-        self._grid = o3d.t.geometry.VoxelBlockGrid(
-            attr_names=names,
-            attr_dtypes=(o3d.core.float32,) * len(names),
-            attr_channels=((1), (1), (3))[: len(names)],
-            voxel_size=voxel_size,
-            block_resolution=BLOCK,
-            block_count=min(max(blocks, 1), self._max_blocks),
-            device=self._device,
-        )
-
-    @property
-    def blocks(self) -> int:
-        """Return the number of blocks in use."""
-        return int(self._grid.hashmap().size())
+        self._weighing = weighing
+        self._color = color
+        self._threads = threads
+        self._max_blocks = max(int(max_bytes / block_bytes(color=color)), 1)
+        self._field = _kernels.Volume(voxel_size, truncation, color=color, most_blocks=self._max_blocks)
 
     @property
     def bytes(self) -> int:
-        """Return the memory the field takes, with the room made for its growth."""
-        return int(self._grid.hashmap().capacity()) * self._block_bytes
+        """Return the memory the field takes."""
+        return self._field.bytes
 
-    def integrate(self, parts: list[Layer], camera: Camera, pose: Pose, color: ColorImage | None) -> None:
-        """Add one frame.
+    def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> Keys:
+        """Return the blocks that a frame touches; see `touched_blocks`."""
+        return touched_blocks(
+            view,
+            wanted,
+            pose,
+            voxel_size=self._voxel_size,
+            truncation=self._truncation,
+            within=self._within,
+        )
+
+    def integrate(self, view: PosedDepth, parts: Keys, pose: Pose, color: ColorImage | None) -> None:
+        """Add one frame to the blocks it touches.
 
         Parameters
         ----------
-        pose : (4, 4), camera to the field's axes; the field is kept in float32, so its origin must be near.
+        pose : (4, 4), camera to the field's axes; places are kept in float32, so its origin must be near.
         color : (h, w, 3) uint8 of the depth map's size; required when voxels have a colour.
 
         Raises
@@ -182,101 +189,62 @@ class Volume:
         StageError
             If the field would outgrow its memory.
         """
-        o3d = open3d()
-        extrinsic = o3d.core.Tensor(np.linalg.inv(pose))
-        # Open3D cuts a pixel's coordinates off where they have to be rounded.
-        matrix = camera.matrix
-        matrix[:2, 2] += 0.5
-        intrinsic = o3d.core.Tensor(matrix)
-        images = [] if color is None else [self._image(color)]
-        for part in parts:
-            blocks = self._touched(_moved(part.points, pose))
-            stretch = part.stretch * self._truncation / self._voxel_size
-            depth = self._image(part.depth)
-            self._grid.integrate(
-                blocks, depth, *images, intrinsic, extrinsic, self._depth_scale, math.inf, stretch
-            )
-
-    def _image(self, pixels: NDArray[Any]) -> Any:
-        o3d = open3d()
-        return o3d.t.geometry.Image(o3d.core.Tensor(pixels, device=self._device))
-
-    def _touched(self, points: NDArray[np.float32]) -> Any:
-        o3d = open3d()
-        cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(points, device=self._device))
-        touched = self._grid.compute_unique_block_coordinates(cloud, 0.0)
-        self._make_room(len(touched))
-        return touched
-
-    def _make_room(self, more: int) -> None:
-        """Grow by half when `more` blocks might not fit. Left to itself, Open3D doubles."""
-        blocks = self._grid.hashmap()
-        needed = blocks.size() + more
-        if needed <= blocks.capacity():
+        if not len(parts):
             return
-        if needed > self._max_blocks:
-            raise StageError(
-                f"the volume outgrows its memory of {self._max_blocks * self._block_bytes / 1e6:.0f} MB at "
-                f"voxels of {self._voxel_size:g} m. Give a larger voxel_size, a smaller max_depth or more "
-                "memory."
+        weighing = self._weighing
+        try:
+            self._field.integrate(
+                parts,
+                _posed(view.camera, pose),
+                view.surface.depth,
+                view.surface.obliqueness,
+                color,
+                weighing=(1.0, 1 - weighing.growth, weighing.growth / weighing.depth**2),
+                wanted_threads=self._threads,
             )
-        blocks.reserve(min(max(needed, blocks.capacity() * 3 // 2), self._max_blocks))
+        except _kernels.LimitError as error:
+            raise outgrown(self._max_blocks * block_bytes(color=self._color), self._voxel_size) from error
 
-    def typical_weight(self) -> float:
-        """Return how many times the median voxel near the surface was seen."""
-        used = self._used_blocks()
-        # Every seventh voxel of each block: enough for a median, and the same whatever the blocks' order.
-        weight, distance = (
-            self._grid.attribute(name)[:used].cpu().numpy().reshape(used, BLOCK**3)[:, ::7]
-            for name in ("weight", "tsdf")
-        )
-        near = weight[(weight > 0) & (np.abs(distance) < 0.5)]
-        return float(np.median(near)) if len(near) else 0.0
+    def typical_frames(self) -> float:
+        """Return how many frames saw the median voxel near the surface."""
+        return median_of(self.frame_counts(None))
+
+    def frame_counts(self, within: Box | None) -> NDArray[np.int64]:
+        """Return of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
+        return self._field.frame_counts(within=within).astype(np.int64)
 
     def mesh(self, min_weight: int) -> Mesh:
-        """Extract the surface through voxels seen at least `min_weight` times, in an order of its own.
+        """Return the surface through voxels seen by at least `min_weight` frames, blocks in Z-order."""
+        mesh, _ = self.surface(min_weight, None)
+        return mesh
 
-        Open3D numbers vertices as its threads come by; here they are put into the order of their places,
-        so that equal fields give equal arrays.
+    def surface(self, min_weight: int, within: Box | None) -> tuple[Mesh, list[Keys]]:
+        """Return the surface in a box of blocks, and how it is joined to that of others.
+
+        Returns
+        -------
+        The mesh, whose triangles name vertices of others by numbers from that of its own upward; and of these
+        the blocks (k,) and the codes of their edges (k,); and of those that others may name blocks, codes and
+        numbers (j,).
         """
-        self._keep_off_zero()
-        extracted = self._grid.extract_triangle_mesh(min_weight - 0.5).cpu()
-        if "indices" not in extracted.triangle or len(extracted.triangle.indices) == 0:
-            return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-        vertices = extracted.vertex.positions.numpy()
-        triangles = extracted.triangle.indices.numpy()
-        order = self._vertex_order(vertices)
-        colors = None
-        if "colors" in extracted.vertex:
-            colors = np.rint(extracted.vertex.colors.numpy()[order] * 255).clip(0, 255).astype(np.uint8)
-        rank = np.empty(len(order), np.int32)
-        rank[order] = np.arange(len(order), dtype=np.int32)
-        return Mesh(vertices[order].astype(np.float64), _in_order(rank[triangles]), colors)
-
-    def _used_blocks(self) -> int:
-        """Return how far from its start the buffer is in use."""
-        active = self._grid.hashmap().active_buf_indices()
-        return int(active.cpu().numpy().max(initial=-1)) + 1
-
-    def _keep_off_zero(self) -> None:
-        least = np.float32(_LEAST_DISTANCE * self._voxel_size / self._truncation)
-        tsdf = self._grid.attribute("tsdf")
-        for start in range(0, self._used_blocks(), 1024):
-            part = tsdf[start : start + 1024]
-            distance = part.cpu().numpy()
-            distance[np.abs(distance) < least] = least
-            if not part.is_cpu:
-                tsdf[start : start + 1024] = open3d().core.Tensor(distance, device=self._device)
-
-    def _vertex_order(self, vertices: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Block by block, so that neighbours in space are near in memory; inside a block by coordinates."""
-        cell = np.floor(vertices / np.float32(BLOCK * self._voxel_size)).astype(np.int64)
-        block = (cell[:, 0] << 42) + (cell[:, 1] << 21) + cell[:, 2]
-        return np.lexsort((vertices[:, 2], vertices[:, 1], vertices[:, 0], block))
+        found, joints = self._field.surface(min_weight, within=within, wanted_threads=self._threads)
+        places, triangles, levels, _ = found
+        colors = np.rint(levels).astype(np.uint8) if self._color else None
+        return Mesh(places * self._voxel_size, triangles, colors), joints
 
 
-def _in_order(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Turn each triangle to begin with its smallest vertex, and sort them."""
-    first = triangles.argmin(axis=1)[:, None]
-    turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
-    return np.ascontiguousarray(turned[np.lexsort((turned[:, 2], turned[:, 1], turned[:, 0]))])
+def median_of(counts: NDArray[np.int64]) -> float:
+    """Return the median of numbers of which it is known how often each is there; 0 of none."""
+    passed = np.cumsum(counts)
+    if not passed[-1]:
+        return 0.0
+    middle = (passed[-1] - 1) // 2, passed[-1] // 2
+    return float(np.searchsorted(passed, middle, side="right").mean())
+
+
+def _posed(
+    camera: Camera, pose: Pose
+) -> tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]:
+    return (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height), np.asarray(
+        pose, np.float64
+    )

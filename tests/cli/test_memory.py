@@ -43,7 +43,9 @@ COMMANDS = {
     "fuse": "fuse rgbd out.ply --voxel-size 0.01",
     "register": "register rgbd registered-{} --every 4",
     "depth": "depth stereo depth-{}",
-    "run": "run rgbd -o run-{} --set fuse.voxel_size=0.02",
+    # Every stage, on little: what each takes on its own stands above.
+    "run": "run rgbd -o run-{} --set scan.every=4 --set fuse.voxel_size=0.03 --set texture.max_size=256 "
+    "--set compare.samples=1000 --set report.viewpoints=1 --set report.width=100 --set report.photos=4",
 }
 
 

@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages import _kernels as kernels
 from stages.surface.mesh import Mesh
@@ -242,6 +243,15 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
             falloff=8.0,
             wanted_threads=2,
         ),
+        "oriented_depth": partial(
+            kernels.oriented_depth,
+            np.ones((side, side), np.float32),
+            (side, side, side / 2, side / 2, side, side),
+            limits=(0.0, np.inf, 0.05, 0.05),
+            wanted_threads=2,
+        ),
+        "touched_blocks": partial(_touched, side),
+        "integrate": partial(_integrated, side),
         "remesh": partial(_remeshed, mesh),
         "remesh_alone": partial(_remeshed, mesh, levels=0),
     }
@@ -249,6 +259,37 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
 
 def _told(_done: int, _total: int) -> None:
     pass
+
+
+def _touched(side: int, voxel_size: float = 1e-4) -> NDArray[np.uint64]:
+    """Blocks of a wall at a distance of one metre, as wide as that."""
+    flat = np.zeros((side, side), np.float32)
+    return kernels.touched_blocks(
+        _before_a_wall(side),
+        flat + 1,
+        (flat, flat, flat - 1),
+        flat + 1,
+        flat == 0,
+        voxel_size=voxel_size,
+        truncation=3 * voxel_size,
+        within=None,
+    )
+
+
+def _integrated(side: int) -> object:
+    volume = kernels.Volume(2e-3, 6e-3, color=True, most_blocks=1 << 20)
+    wall = np.ones((side, side), np.float32)
+    color = np.zeros((side, side, 3), np.uint8)
+    keys = _touched(side, 2e-3)
+    for _ in range(3):
+        volume.integrate(
+            keys, _before_a_wall(side), wall, wall, color, weighing=(1.0, 1.0, 0.0), wanted_threads=2
+        )
+    return volume.surface(1, within=None, wanted_threads=2), volume.frame_counts(within=None), volume.voxels()
+
+
+def _before_a_wall(side: int) -> tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]:
+    return (side, side, side / 2, side / 2, side, side), np.eye(4)
 
 
 def _remeshed(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:

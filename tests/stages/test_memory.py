@@ -52,9 +52,12 @@ SIDES = {
     "not_before": 400,
     "first_inside": 400,
     "weighted_medians": 150,
+    "oriented_depth": 1500,
+    "touched_blocks": 1000,
 }
-# A kernel that goes another way for some of what it takes: a base mesh without levels is rounded.
-OTHER_WAYS = {"remesh_alone": 60}
+# A kernel that goes another way for some of what it takes: a base mesh without levels is rounded. And a field
+# that grows from call to call.
+OTHER_WAYS = {"remesh_alone": 60, "integrate": 700}
 
 
 def test_every_kernel_is_here() -> None:

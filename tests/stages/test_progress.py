@@ -82,9 +82,9 @@ WORK: dict[str, Callable[[Progress], object]] = {
         light(), hills(150), max_shape=0.008, progress=progress
     ),
     "check": lambda progress: check(hills(400), progress=progress),
-    "lod": lambda progress: lod.build(hills(150), progress=progress),
+    "lod": lambda progress: lod.build(hills(100), progress=progress),
     "tiles, with images": tiles_with_images,
-    "lod, from a base": lambda progress: lod.build(hills(150), base_error=0.002, progress=progress),
+    "lod, from a base": lambda progress: lod.build(hills(100), base_error=0.002, progress=progress),
     "repair": lambda progress: repair(hills(200), corner_angle=30, progress=progress),
     "clean, with repairs": lambda progress: clean(hills(100), repair=True, progress=progress),
     "patches": lambda progress: planar_patches(hills(400), progress=progress),

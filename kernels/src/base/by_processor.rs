@@ -1,7 +1,7 @@
 //! Inner loops in the widest instructions that the processor has.
 
 /// A function that is compiled twice, and called in the version that the processor has instructions for. The results are
-/// the same to the bit: there are whole numbers alone.
+/// the same to the bit: of whole numbers anyway, and of others because each product, sum and quotient is rounded by itself.
 macro_rules! by_processor {
     ($(#[$meta:meta])* fn $name:ident($($arg:ident: $kind:ty),* $(,)?) $(-> $result:ty)? = $inner:path) => {
         $(#[$meta])*

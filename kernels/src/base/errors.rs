@@ -21,6 +21,10 @@ pub enum KernelError {
     PinchedVertices(Vec<u32>),
     /// More elements than 32-bit indices or the stated limit allow.
     TooManyTriangles { wanted: f64, limit: usize },
+    /// More blocks of voxels than memory was granted for.
+    TooManyBlocks { wanted: usize, limit: usize },
+    /// A place is farther from the origin of a field of voxels than so many blocks.
+    BeyondReach { blocks: usize },
     /// The mesh is so small or large, or the tolerance so fine, that its numbers have no room.
     Extent { diagonal: f64 },
     /// A normal mesh cannot be written.
@@ -73,6 +77,12 @@ impl fmt::Display for KernelError {
             }
             Self::TooManyTriangles { wanted, limit } => {
                 write!(f, "it takes at least {wanted:.0} triangles; the limit is {limit}")
+            }
+            Self::TooManyBlocks { wanted, limit } => {
+                write!(f, "it takes {wanted} blocks of voxels; the limit is {limit}")
+            }
+            Self::BeyondReach { blocks } => {
+                write!(f, "a place is more than {blocks} blocks of voxels from the origin")
             }
             Self::Extent { diagonal } => write!(
                 f,

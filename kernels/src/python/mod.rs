@@ -10,6 +10,7 @@ mod color_weight;
 mod compression;
 mod detached;
 mod fit;
+mod fusion;
 mod guarded;
 mod intersections;
 mod jia01;
@@ -54,7 +55,9 @@ impl From<KernelError> for PyErr {
     fn from(error: KernelError) -> Self {
         match error {
             KernelError::OutOfMemory => PyMemoryError::new_err(error.to_string()),
-            KernelError::TooManyTriangles { .. } => LimitError::new_err(error.to_string()),
+            KernelError::TooManyTriangles { .. }
+            | KernelError::TooManyBlocks { .. }
+            | KernelError::BeyondReach { .. } => LimitError::new_err(error.to_string()),
             _ => InvalidMeshError::new_err(error.to_string()),
         }
     }
@@ -109,6 +112,9 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<planar::ByPatches>()?;
     module.add_function(wrap_pyfunction!(planar::simplify_planar, module)?)?;
     module.add_function(wrap_pyfunction!(planar::planar_patches, module)?)?;
+    module.add_class::<fusion::Volume>()?;
+    module.add_function(wrap_pyfunction!(fusion::oriented_depth, module)?)?;
+    module.add_function(wrap_pyfunction!(fusion::touched_blocks, module)?)?;
     module.add_class::<lod::Levels>()?;
     module.add_class::<lod::Front>()?;
     module.add_function(wrap_pyfunction!(lod::build_levels, module)?)?;

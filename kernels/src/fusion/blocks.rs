@@ -1,0 +1,181 @@
+//! Blocks of voxels, each in a slot, and the slot of each place.
+//!
+//! Slots are given in the order of arrival, those of one frame in Z-order. Blocks are made a page at a time, where they stay: a field that grows copies nothing.
+
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+
+use super::order::block;
+use super::voxel::{Colors, Distances, block_bytes};
+use crate::base::errors::KernelError;
+use crate::base::progress::Progress;
+
+/// Blocks of a page.
+const PAGE: usize = 64;
+/// Keys are spread evenly by one multiplication (Fibonacci hashing).
+#[derive(Clone, Copy, Debug, Default)]
+struct Spreading(u64);
+
+impl Hasher for Spreading {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|&byte| self.write_u64(byte.into()));
+    }
+
+    #[inline]
+    fn write_u64(&mut self, key: u64) {
+        let mixed = (self.0 ^ key).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 = mixed ^ mixed >> 32;
+    }
+}
+
+/// Some blocks that lie together in memory.
+#[derive(Debug)]
+struct Page {
+    distances: Vec<Distances>,
+    colors: Vec<Colors>,
+}
+
+/// All blocks of a field.
+#[derive(Debug)]
+pub struct Blocks {
+    slots: HashMap<u64, u32, BuildHasherDefault<Spreading>>,
+    keys: Vec<u64>,
+    pages: Vec<Page>,
+    is_colored: bool,
+    most: usize,
+}
+
+/// A block that is written to.
+pub struct Written<'a> {
+    pub block: [i32; 3],
+    pub distances: &'a mut Distances,
+    pub colors: Option<&'a mut Colors>,
+}
+
+impl Blocks {
+    /// No blocks yet, and never more than `most`.
+    pub fn new(is_colored: bool, most: usize) -> Self {
+        let most = most.min(u32::MAX as usize);
+        Self { slots: HashMap::default(), keys: vec![], pages: vec![], is_colored, most }
+    }
+
+    pub fn count(&self) -> usize {
+        self.keys.len()
+    }
+
+    pub fn is_colored(&self) -> bool {
+        self.is_colored
+    }
+
+    /// Memory of all pages.
+    pub fn bytes(&self) -> usize {
+        self.pages.len() * PAGE * block_bytes(self.is_colored)
+    }
+
+    pub fn key(&self, slot: usize) -> u64 {
+        self.keys[slot]
+    }
+
+    pub fn distances(&self, slot: usize) -> &Distances {
+        &self.pages[slot / PAGE].distances[slot % PAGE]
+    }
+
+    pub fn colors(&self, slot: usize) -> Option<&Colors> {
+        self.pages[slot / PAGE].colors.get(slot % PAGE)
+    }
+
+    /// The slots of blocks, sorted; those that are not there yet are made, empty.
+    ///
+    /// # Errors
+    /// [`KernelError::TooManyBlocks`] if there would be more than allowed: then none is made. As [`Progress::check`].
+    pub fn claim(&mut self, keys: &[u64], progress: &Progress<'_>) -> Result<Vec<u32>, KernelError> {
+        let missing = keys.iter().filter(|key| !self.slots.contains_key(key)).count();
+        let wanted = self.count() + missing;
+        if wanted > self.most {
+            return Err(KernelError::TooManyBlocks { wanted, limit: self.most });
+        }
+        // A page at a time, since what is reserved for a shortage of memory lasts for some of them only.
+        while self.pages.len() * PAGE < wanted {
+            let colors = if self.is_colored { vec![Colors::NONE; PAGE] } else { vec![] };
+            self.pages.push(Page { distances: vec![Distances::NONE; PAGE], colors });
+            progress.check()?;
+        }
+        let mut slots = Vec::with_capacity(keys.len());
+        for &key in keys {
+            let next = self.keys.len() as u32;
+            let slot = *self.slots.entry(key).or_insert(next);
+            if slot == next {
+                self.keys.push(key);
+            }
+            slots.push(slot);
+        }
+        slots.sort_unstable();
+        slots.dedup();
+        progress.check()?;
+        Ok(slots)
+    }
+
+    /// The blocks in some slots, which are sorted and named once.
+    pub fn written<'a>(&'a mut self, slots: &[u32]) -> Vec<Written<'a>> {
+        let mut found = Vec::with_capacity(slots.len());
+        let mut slots = slots.iter().map(|&slot| slot as usize).peekable();
+        for (number, page) in self.pages.iter_mut().enumerate() {
+            let (mut distances, mut colors) = (page.distances.iter_mut(), page.colors.iter_mut());
+            // Places before those that the iterators are at.
+            let mut passed = number * PAGE;
+            while let Some(slot) = slots.next_if(|&slot| slot < (number + 1) * PAGE) {
+                let (skipped, colors) = (slot - passed, colors.nth(slot - passed));
+                let Some(distances) = distances.nth(skipped) else { break };
+                found.push(Written { block: block(self.keys[slot]), distances, colors });
+                passed = slot + 1;
+            }
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::order::key;
+    use super::*;
+    use crate::base::progress::Control;
+
+    #[test]
+    fn blocks_keep_their_slots_and_are_written_one_by_one() {
+        let control = Control::default();
+        let progress = Progress::new(&control);
+        let mut blocks = Blocks::new(true, 300);
+        let keys: Vec<u64> = (0..200).map(|k| key([k, -k, 0])).collect();
+        assert_eq!(blocks.claim(&keys[..150], &progress), Ok((0..150).collect()));
+        assert_eq!(blocks.claim(&keys[100..], &progress), Ok((100..200).collect()));
+        assert_eq!((blocks.count(), blocks.bytes()), (200, 256 * 6144));
+        let wanted = [0, 3, 63, 64, 191, 199];
+        for written in blocks.written(&wanted) {
+            written.distances.sum[0][0] += 1.0;
+            written.colors.unwrap().levels[0][0][0] = 7;
+            assert_eq!(written.block[1], -written.block[0]);
+        }
+        for (slot, &key) in keys.iter().enumerate() {
+            let is_wanted = wanted.contains(&(slot as u32));
+            assert_eq!(blocks.distances(slot).sum[0][0] > 0.0, is_wanted);
+            assert_eq!(blocks.colors(slot).unwrap().levels[0][0][0] == 7, is_wanted);
+            assert_eq!(blocks.key(slot), key);
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_not_begun() {
+        let control = Control::default();
+        let progress = Progress::new(&control);
+        let mut blocks = Blocks::new(false, 3);
+        let keys: Vec<u64> = (0..4).map(|k| key([k, 0, 0])).collect();
+        assert_eq!(blocks.claim(&keys, &progress), Err(KernelError::TooManyBlocks { wanted: 4, limit: 3 }));
+        assert_eq!((blocks.count(), blocks.bytes()), (0, 0));
+        assert_eq!(blocks.claim(&keys[1..], &progress), Ok(vec![0, 1, 2]));
+        assert!(blocks.colors(0).is_none());
+    }
+}

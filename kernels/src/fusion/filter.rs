@@ -1,0 +1,437 @@
+//! What a depth map says about the surface it shows: how obliquely it is seen, and where it is torn.
+//!
+//! Differences are taken on inverse depth. A plane's inverse depth is linear in the pixel coordinates, so that averaging its
+//! differences over a window is exact on planes, however obliquely they are seen; differences of depth itself are not.
+
+use super::view::Camera;
+use crate::base::by_processor::by_processor;
+use crate::base::parallel::each;
+
+/// Differences are averaged over this many pixels each way: enough to even out the depth steps of a structured-light sensor,
+/// few enough to keep a table's edge.
+const WINDOW: usize = 5;
+/// A pixel more oblique than this (70 degrees) is believed only on a plane, as a road's are: averaged over a wider window, its
+/// slope must be about the same. Else it belongs to the outline of something round or ragged, where the distance along
+/// the normal cannot be told, and counts as no more oblique than this; or, beyond `SMEARED`, to a discontinuity that
+/// the sensor or the matcher has smeared.
+const STEEP: f32 = 2.9;
+const SMEARED: f32 = 5.0;
+const WIDE: usize = 25;
+const LIKE: f32 = 1.5;
+/// Rows that are worked on together; so that sums are the same for any number of threads, they begin anew in each.
+const BAND: usize = 48;
+
+/// Which depth is used.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Metres.
+    pub nearest: f32,
+    pub farthest: f32,
+    /// Change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
+    pub jump: f32,
+    /// Cosine of the largest angle between the line of sight and the surface's normal.
+    pub cosine: f32,
+}
+
+/// A depth map with the orientation of the surface at each pixel, row by row.
+#[derive(Clone, Debug)]
+pub struct Oriented {
+    /// Metres, 0 where missing or dropped.
+    pub depth: Vec<f32>,
+    /// The surface's normal in camera axes, towards the camera, scaled so that its product with the pixel's ray
+    /// (x/z, y/z, 1) is −1.
+    pub normal: [Vec<f32>; 3],
+    /// Its length: how many metres along the optical axis it takes to get one metre away from the surface.
+    pub obliqueness: Vec<f32>,
+}
+
+/// Measure the surface's orientation, and drop pixels at depth discontinuities or seen too obliquely.
+///
+/// Sensors and matchers put "flying" pixels beside a discontinuity, between the near and the far surface, where nothing is;
+/// so both sides of it go. Gaps of one pixel between depths that agree are bridged: depth that was warped into a colour
+/// camera's view is full of them.
+pub fn oriented(mut depth: Vec<f32>, camera: &Camera, limits: Limits, threads: usize) -> Oriented {
+    let (width, height) = (camera.width, camera.height);
+    let inverse = bridged(&mut depth, width, limits);
+    let differences = differences(&inverse, width, limits.jump);
+    let mut normal = [0, 1, 2].map(|_| vec![0.0; depth.len()]);
+    let mut obliqueness = vec![0.0; depth.len()];
+    let across: Vec<f32> =
+        (0..width).map(|x| ((x as f64 - camera.centre[0]) / camera.focal[0]) as f32).collect();
+    let down: Vec<f32> =
+        (0..height).map(|y| ((y as f64 - camera.centre[1]) / camera.focal[1]) as f32).collect();
+    let sights = Sights { across, down, focal: camera.focal.map(|f| f as f32) };
+    let [x, y, z] = &mut normal;
+    let bands = depth
+        .chunks_mut(BAND * width)
+        .zip(x.chunks_mut(BAND * width))
+        .zip(y.chunks_mut(BAND * width))
+        .zip(z.chunks_mut(BAND * width))
+        .zip(obliqueness.chunks_mut(BAND * width))
+        .enumerate()
+        .map(|(number, ((((depth, x), y), z), obliqueness))| Band {
+            top: number * BAND,
+            depth,
+            normal: [x, y, z],
+            obliqueness,
+        })
+        .collect();
+    each(bands, threads, |mut band: Band<'_>| {
+        band.orient(&differences, &sights);
+        let dropped = band.believe(&differences, &sights);
+        band.drop_torn(&differences, &sights, limits.cosine, &dropped);
+    });
+    Oriented { depth, normal, obliqueness }
+}
+
+/// Fill gaps of one pixel, along rows first; what is out of the limits is missing. The inverse is returned, 0 where missing.
+fn bridged(depth: &mut [f32], width: usize, limits: Limits) -> Vec<f32> {
+    let mut inverse = vec![0.0; depth.len()];
+    for (depth, inverse) in depth.chunks_mut(width).zip(inverse.chunks_mut(width)) {
+        invert(depth, inverse, limits);
+        // What was filled is beside measured pixels, so that no gap is filled from another.
+        for x in 1..width.max(1) - 1 {
+            if inverse[x] == 0.0 {
+                let beside = [inverse[x - 1], inverse[x + 1]];
+                bridge(&mut depth[x], &mut inverse[x], beside, limits.jump);
+            }
+        }
+    }
+    for y in 1..(depth.len() / width).max(1) - 1 {
+        let (above, rest) = inverse.split_at_mut(y * width);
+        let (own, below) = rest.split_at_mut(width);
+        let above = &above[(y - 1) * width..];
+        for x in 0..width {
+            if own[x] == 0.0 {
+                bridge(&mut depth[y * width + x], &mut own[x], [above[x], below[x]], limits.jump);
+            }
+        }
+    }
+    inverse
+}
+
+fn bridge(depth: &mut f32, inverse: &mut f32, [a, b]: [f32; 2], jump: f32) {
+    let least = a.min(b);
+    if least > 0.0 && (a - b).abs() <= jump * least {
+        *inverse = (a + b) / 2.0;
+        *depth = 1.0 / *inverse;
+    }
+}
+
+by_processor! {
+    fn invert(depth: &mut [f32], inverse: &mut [f32], limits: Limits) = invert_row
+}
+
+#[inline(always)]
+fn invert_row(depth: &mut [f32], inverse: &mut [f32], limits: Limits) {
+    for (depth, inverse) in depth.iter_mut().zip(inverse) {
+        let is_there = (*depth > 0.0) & (*depth >= limits.nearest) & (*depth <= limits.farthest);
+        *depth = if is_there { *depth } else { 0.0 };
+        *inverse = if is_there { 1.0 / *depth } else { 0.0 };
+    }
+}
+
+/// Differences of inverse depth to the next pixel along rows and columns: 0 where there is none or it is a discontinuity,
+/// and whether there is one.
+struct Differences {
+    width: usize,
+    across: Vec<f32>,
+    down: Vec<f32>,
+    known_across: Vec<u8>,
+    known_down: Vec<u8>,
+    /// Beside a discontinuity.
+    torn: Vec<u8>,
+}
+
+fn differences(inverse: &[f32], width: usize, jump: f32) -> Differences {
+    let count = inverse.len();
+    let [mut across, mut down] = [0, 1].map(|_| vec![0.0; count]);
+    let [mut known_across, mut known_down, mut torn] = [0, 1, 2].map(|_| vec![0; count]);
+    let mut jumps = vec![0; width];
+    for start in (0..count).step_by(width) {
+        let own = start..start + width;
+        let row = &inverse[own.clone()];
+        let last = start + width - 1;
+        step(
+            &row[..width - 1],
+            &row[1..],
+            jump,
+            &mut across[start..last],
+            &mut known_across[start..last],
+            &mut jumps,
+        );
+        for (torn, jump) in torn[start..last].iter_mut().zip(&jumps) {
+            *torn |= jump;
+        }
+        for (torn, jump) in torn[start + 1..=last].iter_mut().zip(&jumps) {
+            *torn |= jump;
+        }
+        if own.end < count {
+            let next = own.end..own.end + width;
+            step(
+                row,
+                &inverse[next.clone()],
+                jump,
+                &mut down[own.clone()],
+                &mut known_down[own.clone()],
+                &mut jumps,
+            );
+            for rows in [own, next] {
+                for (torn, jump) in torn[rows].iter_mut().zip(&jumps) {
+                    *torn |= jump;
+                }
+            }
+        }
+    }
+    Differences { width, across, down, known_across, known_down, torn }
+}
+
+by_processor! {
+    fn step(one: &[f32], next: &[f32], jump: f32, value: &mut [f32], known: &mut [u8], jumps: &mut [u8]) = step_row
+}
+
+#[inline(always)]
+fn step_row(one: &[f32], next: &[f32], jump: f32, value: &mut [f32], known: &mut [u8], jumps: &mut [u8]) {
+    let count = one.len();
+    let (next, value) = (&next[..count], &mut value[..count]);
+    let (known, jumps) = (&mut known[..count], &mut jumps[..count]);
+    for i in 0..count {
+        let (a, b) = (one[i], next[i]);
+        let difference = b - a;
+        let least = if a < b { a } else { b };
+        let (is_there, is_jump) = (least > 0.0, difference.abs() > jump * least);
+        value[i] = if is_there & !is_jump { difference } else { 0.0 };
+        known[i] = u8::from(is_there & !is_jump);
+        jumps[i] = u8::from(is_there & is_jump);
+    }
+}
+
+/// Lines of sight (x/z, y/z, 1): x/z of each column, y/z of each row; and focal lengths.
+struct Sights {
+    across: Vec<f32>,
+    down: Vec<f32>,
+    focal: [f32; 2],
+}
+
+/// Some rows of the result.
+struct Band<'a> {
+    top: usize,
+    depth: &'a mut [f32],
+    normal: [&'a mut [f32]; 3],
+    obliqueness: &'a mut [f32],
+}
+
+impl Band<'_> {
+    /// Normals by means over the narrow window.
+    fn orient(&mut self, differences: &Differences, sights: &Sights) {
+        let width = differences.width;
+        let reach = WINDOW / 2;
+        // With what there is of a window beyond the sides.
+        let mut sums = Sums {
+            value: [0, 1].map(|_| vec![0.0; width + 2 * reach]),
+            known: [0, 1].map(|_| vec![0; width + 2 * reach]),
+        };
+        for (row, depth) in self.depth.chunks(width).enumerate() {
+            let y = self.top + row;
+            sums.add_up(differences, y.saturating_sub(reach)..(y + reach + 1).min(sights.down.len()));
+            let own = row * width..(row + 1) * width;
+            let [x_row, y_row, z_row] = &mut self.normal;
+            let normal = [&mut x_row[own.clone()], &mut y_row[own.clone()], &mut z_row[own.clone()]];
+            orient(depth, &sums, sights, sights.down[y], normal, &mut self.obliqueness[own]);
+        }
+    }
+
+    /// Where the surface is steep, look whether it is a plane; what is not counts as less steep, or is dropped: those pixels are
+    /// returned, by their places in the band.
+    fn believe(&mut self, differences: &Differences, sights: &Sights) -> Vec<usize> {
+        let (width, reach) = (differences.width, WIDE / 2);
+        let height = sights.down.len();
+        let is_steep = |row: &[f32]| row.iter().fold(false, |any, &o| any | (o > STEEP));
+        let mut steep = self.obliqueness.chunks(width).enumerate().filter(|(_, row)| is_steep(row));
+        let Some((first, _)) = steep.next() else { return vec![] };
+        let last = steep.next_back().map_or(first, |(row, _)| row);
+        let mut columns = Columns::new(width);
+        let mut reached = (self.top + first).saturating_sub(reach)..(self.top + first).saturating_sub(reach);
+        let mut dropped = vec![];
+        for row in first..=last {
+            let y = self.top + row;
+            let window = y.saturating_sub(reach)..(y + reach + 1).min(height);
+            (reached.end..window.end).for_each(|y| columns.change(differences, y, 1));
+            (reached.start..window.start).for_each(|y| columns.change(differences, y, -1));
+            reached = window;
+            for x in 0..width {
+                let i = row * width + x;
+                let narrow = self.obliqueness[i];
+                if narrow.is_nan() || narrow <= STEEP {
+                    continue;
+                }
+                let slope = columns.mean(x.saturating_sub(reach)..(x + reach + 1).min(width));
+                let normal = normal(self.depth[i], slope, sights.across[x], sights.down[y], sights.focal);
+                let wide = length(normal);
+                if wide >= LIKE * narrow || wide * LIKE <= narrow {
+                    if narrow > SMEARED {
+                        dropped.push(i);
+                    }
+                    let share = STEEP / narrow;
+                    self.normal.iter_mut().for_each(|axis| axis[i] *= share);
+                    self.obliqueness[i] *= share;
+                }
+            }
+        }
+        dropped
+    }
+
+    fn drop_torn(&mut self, differences: &Differences, sights: &Sights, cosine: f32, dropped: &[usize]) {
+        let width = differences.width;
+        for &i in dropped {
+            self.depth[i] = 0.0;
+        }
+        for (row, depth) in self.depth.chunks_mut(width).enumerate() {
+            let y = self.top + row;
+            let oblique = &self.obliqueness[row * width..(row + 1) * width];
+            drop_row(depth, oblique, &differences.torn[y * width..], &sights.across, sights.down[y], cosine);
+        }
+    }
+}
+
+/// Sums over the rows of a window.
+struct Sums {
+    value: [Vec<f32>; 2],
+    known: [Vec<u8>; 2],
+}
+
+impl Sums {
+    fn add_up(&mut self, differences: &Differences, rows: std::ops::Range<usize>) {
+        let width = differences.width;
+        let values = [&differences.across, &differences.down];
+        let known = [&differences.known_across, &differences.known_down];
+        for axis in 0..2 {
+            let value_sum = &mut self.value[axis][WINDOW / 2..][..width];
+            let known_sum = &mut self.known[axis][WINDOW / 2..][..width];
+            value_sum.fill(0.0);
+            known_sum.fill(0);
+            for y in rows.clone() {
+                let own = y * width..(y + 1) * width;
+                add_row(value_sum, known_sum, &values[axis][own.clone()], &known[axis][own]);
+            }
+        }
+    }
+}
+
+by_processor! {
+    fn add_row(sum: &mut [f32], count: &mut [u8], value: &[f32], known: &[u8]) = add
+}
+
+#[inline(always)]
+fn add(sum: &mut [f32], count: &mut [u8], value: &[f32], known: &[u8]) {
+    sum.iter_mut().zip(value).for_each(|(sum, value)| *sum += value);
+    count.iter_mut().zip(known).for_each(|(count, known)| *count += known);
+}
+
+by_processor! {
+    fn orient(depth: &[f32], sums: &Sums, sights: &Sights, down: f32, normal: [&mut [f32]; 3], obliqueness: &mut [f32]) = orient_row
+}
+
+#[inline(always)]
+fn orient_row(
+    depth: &[f32],
+    sums: &Sums,
+    sights: &Sights,
+    down: f32,
+    [x_row, y_row, z_row]: [&mut [f32]; 3],
+    obliqueness: &mut [f32],
+) {
+    let width = depth.len();
+    let (across, padded) = (&sights.across[..width], width + WINDOW - 1);
+    let (x_row, y_row, z_row) = (&mut x_row[..width], &mut y_row[..width], &mut z_row[..width]);
+    let obliqueness = &mut obliqueness[..width];
+    let value = [&sums.value[0][..padded], &sums.value[1][..padded]];
+    let known = [&sums.known[0][..padded], &sums.known[1][..padded]];
+    for x in 0..width {
+        let slope = [mean(value[0], known[0], x), mean(value[1], known[1], x)];
+        let n = normal(depth[x], slope, across[x], down, sights.focal);
+        (x_row[x], y_row[x], z_row[x]) = (n[0], n[1], n[2]);
+        obliqueness[x] = length(n);
+    }
+}
+
+/// Mean of what is known in the columns of the narrow window.
+#[inline(always)]
+fn mean(value: &[f32], known: &[u8], x: usize) -> f32 {
+    let (mut sum, mut count) = (value[x], known[x]);
+    for k in 1..WINDOW {
+        sum += value[x + k];
+        count += known[x + k];
+    }
+    sum / f32::from(if count > 0 { count } else { 1 })
+}
+
+/// The normal, with d ln z = −z d(1/z).
+#[inline(always)]
+fn normal(depth: f32, slope: [f32; 2], across: f32, down: f32, focal: [f32; 2]) -> [f32; 3] {
+    let (x, y) = (-focal[0] * depth * slope[0], -focal[1] * depth * slope[1]);
+    [x, y, -(1.0 + across * x + down * y)]
+}
+
+#[inline(always)]
+fn length([x, y, z]: [f32; 3]) -> f32 {
+    (x * x + y * y + z * z).sqrt()
+}
+
+by_processor! {
+    fn drop_row(depth: &mut [f32], oblique: &[f32], torn: &[u8], across: &[f32], down: f32, cosine: f32) = drop
+}
+
+#[inline(always)]
+fn drop(depth: &mut [f32], oblique: &[f32], torn: &[u8], across: &[f32], down: f32, cosine: f32) {
+    let width = depth.len();
+    let (oblique, torn, across) = (&oblique[..width], &torn[..width], &across[..width]);
+    for x in 0..width {
+        // Cosine of the angle of sight: 1 / (obliqueness · length of the ray).
+        let sight = (1.0 + across[x] * across[x] + down * down).sqrt();
+        let is_dropped = (torn[x] != 0) | (oblique[x] * sight * cosine > 1.0);
+        depth[x] = if is_dropped { 0.0 } else { depth[x] };
+    }
+}
+
+/// Sums over the rows of the wide window, of each column.
+struct Columns {
+    value: [Vec<f64>; 2],
+    known: [Vec<i32>; 2],
+}
+
+impl Columns {
+    fn new(width: usize) -> Self {
+        Self { value: [0, 1].map(|_| vec![0.0; width]), known: [0, 1].map(|_| vec![0; width]) }
+    }
+
+    /// Add a row once, or take it away.
+    fn change(&mut self, differences: &Differences, y: usize, times: i32) {
+        let own = y * differences.width..(y + 1) * differences.width;
+        let [across, down] = &mut self.value;
+        change_row(across, &differences.across[own.clone()], times.into());
+        change_row(down, &differences.down[own.clone()], times.into());
+        let known = [&differences.known_across[own.clone()], &differences.known_down[own]];
+        for (count, known) in self.known.iter_mut().zip(known) {
+            count.iter_mut().zip(known).for_each(|(count, &known)| *count += times * i32::from(known));
+        }
+    }
+
+    /// Mean of what is known in some columns.
+    fn mean(&self, columns: std::ops::Range<usize>) -> [f32; 2] {
+        [0, 1].map(|axis| {
+            let sum: f64 = self.value[axis][columns.clone()].iter().sum();
+            let count: i32 = self.known[axis][columns.clone()].iter().sum();
+            (sum / f64::from(count.max(1))) as f32
+        })
+    }
+}
+
+by_processor! {
+    fn change_row(sum: &mut [f64], value: &[f32], times: f64) = add_times
+}
+
+#[inline(always)]
+fn add_times(sum: &mut [f64], value: &[f32], times: f64) {
+    sum.iter_mut().zip(value).for_each(|(sum, &value)| *sum += times * f64::from(value));
+}

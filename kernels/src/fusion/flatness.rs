@@ -1,0 +1,131 @@
+//! Where a depth map shows planes.
+//!
+//! What a voxel before the surface is told is its distance to the plane through what its pixel saw. Where the surface is
+//! curved and seen obliquely, that is more or less than its distance to the surface, by the square of how far beside it
+//! the pixel looks.
+
+use crate::base::by_processor::by_processor;
+
+/// Pixels along the sides of a cell, and cells from one to the next of three that are compared.
+pub const CELL: usize = 4;
+const APART: usize = 3;
+/// A plane's inverse depth is linear. From this change of its slope on, as a share of the slope, a surface counts as a little
+/// curved, and from that on as curved.
+const BEGUN: f32 = 0.1;
+const CURVED: f32 = 0.3;
+
+/// How flat the surface is in each cell of 4 × 4 pixels: 1 for a plane, 0 for what is curved, or too small to be told.
+#[derive(Debug)]
+pub struct Flatness {
+    cells: Vec<f32>,
+    columns: usize,
+}
+
+impl Flatness {
+    /// Of a depth map, row by row, not positive where it is missing.
+    pub fn new(depth: &[f32], width: usize, height: usize) -> Self {
+        let (columns, rows) = (width.div_ceil(CELL), height.div_ceil(CELL));
+        let inverse = means(depth, width, height);
+        let mut cells = vec![0.0; columns * rows];
+        for y in 0..rows {
+            for x in 0..columns {
+                let at = y * columns + x;
+                let along = |place: usize, count: usize, step: usize| {
+                    let is_inside = place >= APART && place + APART < count;
+                    is_inside.then(|| [inverse[at - APART * step], inverse[at], inverse[at + APART * step]])
+                };
+                if let (Some(across), Some(down)) = (along(x, columns, 1), along(y, rows, columns)) {
+                    cells[at] = flat(across, down);
+                }
+            }
+        }
+        Self { cells, columns }
+    }
+
+    /// Of the cells in a row of pixels.
+    pub fn row(&self, y: usize) -> &[f32] {
+        &self.cells[y / CELL * self.columns..][..self.columns]
+    }
+}
+
+/// Mean inverse depth of cells, NaN where a pixel is missing.
+fn means(depth: &[f32], width: usize, height: usize) -> Vec<f32> {
+    let columns = width.div_ceil(CELL);
+    let mut means = vec![0.0; columns * height.div_ceil(CELL)];
+    let mut inverse = vec![0.0; columns * CELL];
+    for (y, row) in depth.chunks(width.max(1)).enumerate() {
+        add_row(row, &mut inverse, &mut means[y / CELL * columns..][..columns]);
+    }
+    // Cells beyond the last whole one are smaller, but nothing is compared with them from both sides.
+    means.iter_mut().for_each(|mean| *mean /= (CELL * CELL) as f32);
+    means
+}
+
+by_processor! {
+    fn add_row(depth: &[f32], inverse: &mut [f32], sums: &mut [f32]) = add
+}
+
+#[inline(always)]
+fn add(depth: &[f32], inverse: &mut [f32], sums: &mut [f32]) {
+    for (inverse, &z) in inverse.iter_mut().zip(depth) {
+        *inverse = if z > 0.0 { 1.0 / z } else { f32::NAN };
+    }
+    for (sum, cell) in sums.iter_mut().zip(inverse.chunks_exact(CELL)) {
+        *sum += cell[0] + cell[1] + cell[2] + cell[3];
+    }
+}
+
+/// From three inverse depths across and three down.
+fn flat(across: [f32; 3], down: [f32; 3]) -> f32 {
+    let bend = |[a, b, c]: [f32; 3]| a + c - 2.0 * b;
+    let slope = |[a, _, c]: [f32; 3]| (c - a) / 2.0;
+    let bends = bend(across) * bend(across) + bend(down) * bend(down);
+    let slopes = slope(across) * slope(across) + slope(down) * slope(down);
+    let share = (bends / slopes).sqrt();
+    let flat = (CURVED - share) / (CURVED - BEGUN);
+    // What is not a number is not flat.
+    if flat > 0.0 { flat.min(1.0) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: usize = 64;
+
+    fn map(depth: impl Fn(f32, f32) -> f32) -> Flatness {
+        let at = |i: usize| ((i % SIZE) as f32 / 60.0 - 0.5, (i / SIZE) as f32 / 60.0 - 0.5);
+        let depth: Vec<f32> = (0..SIZE * SIZE).map(|i| depth(at(i).0, at(i).1)).collect();
+        Flatness::new(&depth, SIZE, SIZE)
+    }
+
+    /// Without the cells at the rim, of which nothing is said.
+    fn inner(flatness: &Flatness) -> Vec<f32> {
+        let cells = SIZE / CELL;
+        (APART..cells - APART).flat_map(|y| flatness.row(y * CELL)[APART..cells - APART].to_vec()).collect()
+    }
+
+    #[test]
+    fn planes_are_flat_however_obliquely_they_are_seen() {
+        for slope in [0.3, 1.0, 1.9] {
+            assert!(inner(&map(|x, y| 2.0 / (1.0 + slope * y - 0.1 * x))).iter().all(|&flat| flat > 0.99));
+        }
+    }
+
+    #[test]
+    fn balls_are_not_where_they_are_seen_obliquely() {
+        let ball = map(|x, y| 3.0 - (0.6f32.powi(2) - x * x - y * y).max(0.0).sqrt());
+        let row = &ball.row(SIZE / 2)[APART..SIZE / CELL - APART];
+        assert!(row.iter().all(|&flat| flat < 0.01), "{row:?}");
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_not_flat() {
+        let holed = map(|x, y| if x.abs() < 0.02 { 0.0 } else { 2.0 / (1.0 + y) });
+        // Holes, and what is compared with them.
+        let row = holed.row(SIZE / 2);
+        assert!(row[SIZE / CELL / 2 - APART - 2] > 0.99 && row[SIZE / CELL / 2 - 1] == 0.0);
+        assert_eq!((row[0], row[APART - 1]), (0.0, 0.0));
+        assert_eq!(Flatness::new(&[1.0; 6], 3, 2).row(1), [0.0]);
+    }
+}

@@ -1,0 +1,196 @@
+//! Which blocks a frame has something to say of.
+//!
+//! Those that hold a place of the surface, or one half a truncation before or behind it along its normal. Pixels are looked
+//! at that are close enough on the surface; so whether a block is touched depends on the frame alone, and not on which
+//! blocks there are or are asked for.
+
+use super::field::SIDE;
+use super::order::{REACH, block, key};
+use super::surface::BlockBox;
+use super::view::Camera;
+use crate::base::by_processor::by_processor;
+use crate::base::errors::KernelError;
+
+/// Pixels looked at are nearer to each other on the surface than this, in blocks.
+const SPACING: f32 = 0.25;
+/// Pixels along the sides of a cell; of a cell's pixels one at least is looked at.
+const CELL: usize = 8;
+
+/// Blocks that are remembered, so that nearly all are named once: the next pixel is mostly in the same ones.
+const RECENT: usize = 1 << 12;
+
+/// Places that are looked at together.
+const BATCH: usize = 64;
+
+/// A surface that a camera measured, image by image, row by row.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface<'a> {
+    /// Metres, not positive where missing.
+    pub depth: &'a [f32],
+    /// Normals in camera axes, as long as `obliqueness`.
+    pub normal: [&'a [f32]; 3],
+    pub obliqueness: &'a [f32],
+    /// The pixels whose surface is to be in the field.
+    pub wanted: &'a [bool],
+}
+
+/// Keys of the blocks that a surface touches, sorted; with `within`, of those there alone.
+///
+/// # Errors
+/// [`KernelError::BeyondReach`] if a place is farther from the field's origin than blocks have numbers.
+pub fn touched(
+    camera: &Camera,
+    surface: Surface<'_>,
+    voxel_size: f64,
+    truncation: f32,
+    within: Option<BlockBox>,
+) -> Result<Vec<u64>, KernelError> {
+    let side = voxel_size * SIDE as f64;
+    let finest = (SPACING * side as f32) * camera.focal[0].min(camera.focal[1]) as f32;
+    let sights = [0, 1].map(|axis| {
+        let count = [camera.width, camera.height][axis];
+        (0..count).map(|k| ((k as f64 - camera.centre[axis]) / camera.focal[axis]) as f32).collect::<Vec<_>>()
+    });
+    let to_blocks = camera.pose.map(|row| row.map(|x| (x / side) as f32));
+    let mut found = Found { keys: vec![], recent: vec![[i32::MIN; 3]; RECENT] };
+    let mut batch = Batch::default();
+    let mut widest = vec![0f32; camera.width.div_ceil(CELL)];
+    for top in (0..camera.height).step_by(CELL) {
+        let rows = top..camera.height.min(top + CELL);
+        widest.fill(0.0);
+        for y in rows.clone() {
+            let own = y * camera.width..(y + 1) * camera.width;
+            let cells = surface.depth[own.clone()].chunks(CELL).zip(surface.obliqueness[own].chunks(CELL));
+            for (widest, (depth, oblique)) in widest.iter_mut().zip(cells) {
+                *widest = depth.iter().zip(oblique).fold(*widest, |most, (z, o)| most.max(z * o));
+            }
+        }
+        for (cell, &widest) in widest.iter().enumerate() {
+            if widest <= 0.0 {
+                continue;
+            }
+            let step = step(finest / widest);
+            let columns = cell * CELL..camera.width.min((cell + 1) * CELL);
+            for y in rows.clone().step_by(step) {
+                for x in columns.clone().step_by(step) {
+                    let i = y * camera.width + x;
+                    let z = surface.depth[i];
+                    if !surface.wanted[i] || z.is_nan() || z <= 0.0 {
+                        continue;
+                    }
+                    let offset = truncation / 2.0 / surface.obliqueness[i];
+                    let on = [sights[0][x] * z, sights[1][y] * z, z];
+                    let [p, q, r] = surface.normal;
+                    batch.push(on, [offset * p[i], offset * q[i], offset * r[i]]);
+                    if batch.count == BATCH {
+                        found.add(&mut batch, &to_blocks)?;
+                    }
+                }
+            }
+        }
+    }
+    found.add(&mut batch, &to_blocks)?;
+    let mut keys = found.keys;
+    keys.sort_unstable();
+    keys.dedup();
+    if let Some(within) = within {
+        keys.retain(|&key| within.contains(block(key)));
+    }
+    Ok(keys)
+}
+
+/// Where a block is remembered.
+#[inline(always)]
+fn number([x, y, z]: [i32; 3]) -> usize {
+    (x ^ y << 4 ^ z << 8) as usize % RECENT
+}
+
+/// How many pixels on a next one is looked at, if they may be `apart` from each other: a power of two, a cell at most.
+fn step(apart: f32) -> usize {
+    let mut step = CELL;
+    while step > 1 && step as f32 > apart {
+        step /= 2;
+    }
+    step
+}
+
+/// Places on the surface, in camera axes, and how far along the normal the field reaches there.
+struct Batch {
+    on: [[f32; BATCH]; 3],
+    offset: [[f32; BATCH]; 3],
+    count: usize,
+}
+
+impl Default for Batch {
+    fn default() -> Self {
+        Self { on: [[0.0; BATCH]; 3], offset: [[0.0; BATCH]; 3], count: 0 }
+    }
+}
+
+impl Batch {
+    fn push(&mut self, on: [f32; 3], offset: [f32; 3]) {
+        for axis in 0..3 {
+            self.on[axis][self.count] = on[axis];
+            self.offset[axis][self.count] = offset[axis];
+        }
+        self.count += 1;
+    }
+}
+
+/// Keys of blocks, most of them once.
+struct Found {
+    keys: Vec<u64>,
+    recent: Vec<[i32; 3]>,
+}
+
+impl Found {
+    /// Take the blocks of a batch, which is empty then.
+    fn add(&mut self, batch: &mut Batch, to_blocks: &Affine) -> Result<(), KernelError> {
+        for way in [0.0, -1.0, 1.0] {
+            let mut places = [[0; BATCH]; 3];
+            if !places_of(batch, to_blocks, way, &mut places) {
+                return Err(KernelError::BeyondReach { blocks: REACH as usize });
+            }
+            let [x, y, z] = &places;
+            for ((&x, &y), &z) in x.iter().zip(y).zip(z).take(batch.count) {
+                let place = [x, y, z];
+                let recent = &mut self.recent[number(place)];
+                if *recent != place {
+                    *recent = place;
+                    self.keys.push(key(place));
+                }
+            }
+        }
+        batch.count = 0;
+        Ok(())
+    }
+}
+
+/// From camera axes to blocks of the field.
+type Affine = [[f32; 4]; 3];
+
+by_processor! {
+    /// The blocks of places moved along the normal; false if one is beyond reach.
+    fn places_of(batch: &Batch, to_blocks: &Affine, way: f32, places: &mut [[i32; BATCH]; 3]) -> bool = blocks_of
+}
+
+#[inline(always)]
+fn blocks_of(batch: &Batch, to_blocks: &Affine, way: f32, places: &mut [[i32; BATCH]; 3]) -> bool {
+    let mut is_near = true;
+    for (row, places) in to_blocks.iter().zip(places) {
+        for (i, place) in places.iter_mut().enumerate() {
+            let moved = |axis: usize| batch.on[axis][i] + way * batch.offset[axis][i];
+            let at = row[0] * moved(0) + row[1] * moved(1) + row[2] * moved(2) + row[3];
+            let most = REACH as f32 - 1.0;
+            // False for what is not a number.
+            let is_one = (at > -most) & (at < most);
+            // What is left over from batches before counts for nothing.
+            is_near &= is_one | (i >= batch.count);
+            // SAFETY: it is a number of a size below 2³¹.
+            let cut: i32 = unsafe { if is_one { at } else { 0.0 }.to_int_unchecked() };
+            // Down, where a fraction is cut off.
+            *place = cut - i32::from(at < cut as f32);
+        }
+    }
+    is_near
+}

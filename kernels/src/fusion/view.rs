@@ -1,0 +1,151 @@
+//! A depth map as it goes into a field: what each pixel measured, how exactly, and its colour.
+
+use super::flatness::{CELL, Flatness};
+use super::voxel::{HEAVIEST, UNIT};
+use crate::base::by_processor::by_processor;
+use crate::base::geometry::{cross, dot};
+use crate::base::parallel::each;
+
+/// A camera without distortion, and where it stands.
+#[derive(Clone, Copy, Debug)]
+pub struct Camera {
+    pub width: usize,
+    pub height: usize,
+    /// Focal lengths along x and y, and the principal point, pixels.
+    pub focal: [f64; 2],
+    pub centre: [f64; 2],
+    /// From the camera's axes (x right, y down, z forward) to the field's, and back.
+    pub pose: Affine,
+    pub inverse: Affine,
+}
+
+/// The first three rows of a matrix.
+pub type Affine = [[f64; 4]; 3];
+
+impl Camera {
+    /// A camera with a pose that is nearly a turn and a shift.
+    pub fn new((width, height): (usize, usize), focal: [f64; 2], centre: [f64; 2], pose: Affine) -> Self {
+        Self { width, height, focal, centre, pose, inverse: inverse(&pose) }
+    }
+}
+
+fn inverse(pose: &Affine) -> Affine {
+    let column = |k: usize| [0, 1, 2].map(|i| pose[i][k]);
+    let [a, b, c] = [0, 1, 2].map(column);
+    let volume = dot(&a, &cross(&b, &c));
+    let rows = [cross(&b, &c), cross(&c, &a), cross(&a, &b)].map(|row| row.map(|x| x / volume));
+    rows.map(|row| [row[0], row[1], row[2], -dot(&row, &column(3))])
+}
+
+/// How much a measurement at depth z counts: (typical / (constant + quadratic z²))², and where the surface is curved, times the
+/// square of the cosine that it is seen at.
+#[derive(Clone, Copy, Debug)]
+pub struct Weighing {
+    /// Standard deviation of what weighs 1, along the normal, metres.
+    pub typical: f32,
+    /// Standard deviation of depth z, metres, and metres per metre squared.
+    pub constant: f32,
+    pub quadratic: f32,
+}
+
+/// Images of a camera's size, row by row.
+#[derive(Clone, Copy, Debug)]
+pub struct Images<'a> {
+    /// Metres, not positive where missing.
+    pub depth: &'a [f32],
+    /// Metres along the optical axis for one along the surface's normal.
+    pub obliqueness: &'a [f32],
+    /// Red, green and blue of each pixel, one after another.
+    pub color: Option<&'a [u8]>,
+}
+
+/// Inverse depth, NaN where missing, and truncations along the normal for one metre along the optical axis.
+pub type Measure = [f32; 2];
+
+/// What voxels are projected into. Rows are one pixel longer than the image, and there is one more, so that each pixel has
+/// neighbours to interpolate with.
+#[derive(Debug)]
+pub struct View {
+    pub camera: Camera,
+    pub measures: Vec<Measure>,
+    /// Red, green, blue from below, then the weight in [`UNIT`]s.
+    pub looks: Vec<u32>,
+}
+
+impl View {
+    /// Prepare images for a field with a truncation, metres along the normal.
+    pub fn new(
+        camera: Camera,
+        images: Images<'_>,
+        weighing: Weighing,
+        truncation: f32,
+        threads: usize,
+    ) -> Self {
+        let (width, height) = (camera.width, camera.height);
+        let stride = width + 1;
+        let mut measures = vec![[f32::NAN, 1.0]; stride * (height + 1)];
+        let mut looks = vec![0u32; stride * (height + 1)];
+        let flatness = Flatness::new(images.depth, width, height);
+        let rows = measures.chunks_mut(stride).zip(looks.chunks_mut(stride)).take(height).enumerate();
+        // A thread takes many rows at once.
+        let mut parts: Vec<Vec<_>> = (0..threads.max(1)).map(|_| vec![]).collect();
+        rows.for_each(|row| parts[row.0 * threads.max(1) / height].push(row));
+        each(parts, threads, |rows| {
+            for (y, (measures, looks)) in rows {
+                let own = y * width..(y + 1) * width;
+                let row = Row {
+                    depth: &images.depth[own.clone()],
+                    obliqueness: &images.obliqueness[own.clone()],
+                    flatness: flatness.row(y),
+                    color: images.color.map(|color| &color[3 * own.start..3 * own.end]),
+                };
+                prepare_row(row, weighing, truncation, measures, looks);
+                measures[width] = measures[width - 1];
+            }
+        });
+        let (above, last) = measures.split_at_mut(stride * height);
+        last.copy_from_slice(&above[stride * (height - 1)..]);
+        Self { camera, measures, looks }
+    }
+
+    /// Pixels from a row to the next.
+    #[inline]
+    pub fn stride(&self) -> usize {
+        self.camera.width + 1
+    }
+}
+
+/// A row of the images.
+#[derive(Clone, Copy)]
+struct Row<'a> {
+    depth: &'a [f32],
+    obliqueness: &'a [f32],
+    flatness: &'a [f32],
+    color: Option<&'a [u8]>,
+}
+
+by_processor! {
+    fn prepare_row(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Measure], looks: &mut [u32]) = prepare
+}
+
+#[inline(always)]
+fn prepare(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Measure], looks: &mut [u32]) {
+    let width = row.depth.len();
+    let (depth, obliqueness) = (&row.depth[..width], &row.obliqueness[..width]);
+    let (measures, looks) = (&mut measures[..width], &mut looks[..width]);
+    for x in 0..width {
+        let (z, oblique) = (depth[x], obliqueness[x]);
+        let inverse = 1.0 / z;
+        let is_there = z > 0.0 && inverse > 0.0 && inverse < f32::MAX && oblique > 0.0 && oblique < f32::MAX;
+        measures[x] = [if is_there { inverse } else { f32::NAN }, 1.0 / (oblique * truncation)];
+        let share = weighing.typical / (weighing.constant + weighing.quadratic * (z * z));
+        let flat = row.flatness[x / CELL];
+        let worth = flat + (1.0 - flat) / (oblique * oblique);
+        looks[x] = ((UNIT * (share * share) * worth + 0.5).clamp(1.0, HEAVIEST) as u32) << 24;
+    }
+    if let Some(color) = row.color {
+        for (look, color) in looks.iter_mut().zip(color.chunks_exact(3)) {
+            *look |= u32::from(color[0]) | u32::from(color[1]) << 8 | u32::from(color[2]) << 16;
+        }
+    }
+}

@@ -1,0 +1,276 @@
+"""The same field in Open3D's VoxelBlockGrid: for its CUDA devices, and to compare with.
+
+Open3D measures a voxel's distance to the surface along the optical axis. Seen at a grazing angle that is
+many times the true distance: voxels just behind a road lie metres behind it along the axis, fall out of the
+truncation band, and the road is torn. Here a depth map is integrated in layers of like obliqueness, each
+with its truncation stretched accordingly. Since Open3D stores distance divided by truncation, what adds up
+in a voxel is the distance along the surface's normal, for all layers and frames alike.
+
+References
+----------
+Curless and Levoy, A Volumetric Method for Building Complex Models from Range Images, 1996.
+Dong, Park, Yang and Kaess, ASH: A Modern Framework for Parallel Spatial Hashing in 3D Perception, 2022.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._open3d import open3d
+from stages.fusion.posed_depth import PosedDepth
+from stages.fusion.voxels import BLOCK, outgrown
+from stages.scans.scan import ColorImage, Pose
+from stages.surface.mesh import Mesh
+
+# Distance, weight and three colour channels in float32, or without the colour.
+_VOXEL_BYTES = {True: 20, False: 8}
+# Obliqueness grows by this factor from layer to layer: truncation along the normal then stays within a
+# factor of √3 of what was asked for, and nearly all pixels of an indoor scan fall into one layer.
+_LAYER_RATIO = 3.0
+# The blocks that a layer touches are found from pixels this share of a block apart on the surface.
+_TOUCH_SPACING = 0.5
+# No voxel is nearer to the surface than this many voxels: zero would put the vertices of several edges in
+# one place, which makes triangles without area and leaves the order of vertices open.
+_LEAST_DISTANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """The pixels of a depth map that are about equally oblique.
+
+    Attributes
+    ----------
+    depth : (h, w) uint16 in units of max_depth / 65535, 0 at all other pixels.
+    points : (n, 3) float32 metres, camera axes; a sample of the band that has to be in the volume.
+    stretch : truncation along the optical axis, in truncations along the normal.
+    """
+
+    depth: NDArray[np.uint16]
+    points: NDArray[np.float32]
+    stretch: float
+
+
+def layers(
+    view: PosedDepth, wanted: NDArray[np.bool_], *, voxel_size: float, truncation: float, max_depth: float
+) -> list[Layer]:
+    """Split a depth map into layers of like obliqueness, without what is farther than `max_depth`.
+
+    Only the surface at the pixels that are `wanted` (h, w) has to be in the volume; what others show tells
+    that nothing is before it.
+    """
+    surface = view.surface
+    valid = (surface.depth > 0) & (surface.depth <= max_depth)
+    level = np.where(valid, np.int8(0), np.int8(-1))
+    steepest = float(surface.obliqueness[valid].max(initial=1))
+    for k in range(1, int(math.log(steepest, _LAYER_RATIO)) + 1):
+        level += valid & (surface.obliqueness >= _LAYER_RATIO**k)
+    depth = np.where(valid, np.rint(surface.depth * np.float32(65535 / max_depth)), 0).astype(np.uint16)
+    sample = _sample(view, _TOUCH_SPACING * BLOCK * voxel_size)
+    result = []
+    for k in range(int(level.max()) + 1):
+        here = level == k
+        points = _band(view, here & sample & wanted, truncation)
+        if len(points):
+            result.append(Layer(np.where(here, depth, np.uint16(0)), points, _LAYER_RATIO ** (k + 0.5)))
+    return result
+
+
+def _sample(view: PosedDepth, spacing: float) -> NDArray[np.bool_]:
+    """Choose pixels, every eighth to every one, whose places on the surface are within `spacing` metres."""
+    apart = view.surface.depth * view.surface.obliqueness * np.float32(1 / view.camera.fx)
+    chosen = np.zeros(apart.shape, bool)
+    for step in (8, 4, 2, 1):
+        grid = np.s_[::step, ::step]
+        chosen[grid] |= apart[grid] > (spacing / (2 * step) if step < 8 else 0)
+    return chosen
+
+
+def _band(view: PosedDepth, here: NDArray[np.bool_], truncation: float) -> NDArray[np.float32]:
+    """Points on the surface, and half a truncation to either side along its normal."""
+    rows, columns = np.nonzero(here)
+    on = view.camera_points(rows, columns)
+    normal = np.stack([axis[rows, columns] for axis in view.surface.normal], axis=1)
+    offset = normal * (np.float32(truncation / 2) / view.surface.obliqueness[rows, columns])[:, None]
+    return np.concatenate([on, on + offset, on - offset])
+
+
+def _moved(points: NDArray[np.float32], pose: Pose) -> NDArray[np.float32]:
+    return np.asarray(points @ pose[:3, :3].T.astype(np.float32) + pose[:3, 3].astype(np.float32))
+
+
+class Open3DVolume:
+    """The field; it grows by the blocks that layers touch.
+
+    Parameters
+    ----------
+    voxel_size, truncation : metres; truncation along the surface's normal.
+    max_depth : metres, the longest depth of any layer.
+    color : whether voxels have a colour.
+    blocks : how many blocks to make room for at first.
+    max_bytes : the field may not grow past this.
+    device : "CPU:0" or "CUDA:0".
+    """
+
+    def __init__(
+        self,
+        voxel_size: float,
+        truncation: float,
+        max_depth: float,
+        *,
+        color: bool,
+        blocks: int,
+        max_bytes: float,
+        device: str,
+    ) -> None:
+        o3d = open3d()
+        self._voxel_size = voxel_size
+        self._truncation = truncation
+        self._depth_scale = 65535 / max_depth
+        self._device = o3d.core.Device(device)
+        self._max_depth = max_depth
+        self._block_bytes = BLOCK**3 * _VOXEL_BYTES[color]
+        self._max_blocks = max(int(max_bytes / self._block_bytes), 1)
+        names = ("tsdf", "weight", "color") if color else ("tsdf", "weight")
+        self._grid = o3d.t.geometry.VoxelBlockGrid(
+            attr_names=names,
+            attr_dtypes=(o3d.core.float32,) * len(names),
+            attr_channels=((1), (1), (3))[: len(names)],
+            voxel_size=voxel_size,
+            block_resolution=BLOCK,
+            block_count=min(max(blocks, 1), self._max_blocks),
+            device=self._device,
+        )
+
+    @property
+    def blocks(self) -> int:
+        """Return the number of blocks in use."""
+        return int(self._grid.hashmap().size())
+
+    @property
+    def bytes(self) -> int:
+        """Return the memory the field takes, with the room made for its growth."""
+        return int(self._grid.hashmap().capacity()) * self._block_bytes
+
+    def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> list[Layer]:  # noqa: ARG002
+        """Return what of a frame is integrated; see `layers`."""
+        return layers(
+            view,
+            wanted,
+            voxel_size=self._voxel_size,
+            truncation=self._truncation,
+            max_depth=self._max_depth,
+        )
+
+    def integrate(self, view: PosedDepth, parts: list[Layer], pose: Pose, color: ColorImage | None) -> None:
+        """Add one frame.
+
+        Parameters
+        ----------
+        parts : of it, prepared.
+        pose : (4, 4), camera to the field's axes; the field is kept in float32, so its origin must be near.
+        color : (h, w, 3) uint8 of the depth map's size; required when voxels have a colour.
+
+        Raises
+        ------
+        StageError
+            If the field would outgrow its memory.
+        """
+        o3d = open3d()
+        extrinsic = o3d.core.Tensor(np.linalg.inv(pose))
+        # Open3D cuts a pixel's coordinates off where they have to be rounded.
+        matrix = view.camera.matrix
+        matrix[:2, 2] += 0.5
+        intrinsic = o3d.core.Tensor(matrix)
+        images = [] if color is None else [self._image(color)]
+        for part in parts:
+            blocks = self._touched(_moved(part.points, pose))
+            stretch = part.stretch * self._truncation / self._voxel_size
+            depth = self._image(part.depth)
+            self._grid.integrate(
+                blocks, depth, *images, intrinsic, extrinsic, self._depth_scale, math.inf, stretch
+            )
+
+    def _image(self, pixels: NDArray[Any]) -> Any:
+        o3d = open3d()
+        return o3d.t.geometry.Image(o3d.core.Tensor(pixels, device=self._device))
+
+    def _touched(self, points: NDArray[np.float32]) -> Any:
+        o3d = open3d()
+        cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(points, device=self._device))
+        touched = self._grid.compute_unique_block_coordinates(cloud, 0.0)
+        self._make_room(len(touched))
+        return touched
+
+    def _make_room(self, more: int) -> None:
+        """Grow by half when `more` blocks might not fit. Left to itself, Open3D doubles."""
+        blocks = self._grid.hashmap()
+        needed = blocks.size() + more
+        if needed <= blocks.capacity():
+            return
+        if needed > self._max_blocks:
+            raise outgrown(self._max_blocks * self._block_bytes, self._voxel_size)
+        blocks.reserve(min(max(needed, blocks.capacity() * 3 // 2), self._max_blocks))
+
+    def typical_frames(self) -> float:
+        """Return how many times the median voxel near the surface was seen."""
+        used = self._used_blocks()
+        # Every seventh voxel of each block: enough for a median, and the same whatever the blocks' order.
+        weight, distance = (
+            self._grid.attribute(name)[:used].cpu().numpy().reshape(used, BLOCK**3)[:, ::7]
+            for name in ("weight", "tsdf")
+        )
+        near = weight[(weight > 0) & (np.abs(distance) < 0.5)]
+        return float(np.median(near)) if len(near) else 0.0
+
+    def mesh(self, min_weight: int) -> Mesh:
+        """Extract the surface through voxels seen at least `min_weight` times, in an order of its own.
+
+        Open3D numbers vertices as its threads come by; here they are put into the order of their places,
+        so that equal fields give equal arrays.
+        """
+        self._keep_off_zero()
+        extracted = self._grid.extract_triangle_mesh(min_weight - 0.5).cpu()
+        if "indices" not in extracted.triangle or len(extracted.triangle.indices) == 0:
+            return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+        vertices = extracted.vertex.positions.numpy()
+        triangles = extracted.triangle.indices.numpy()
+        order = self._vertex_order(vertices)
+        colors = None
+        if "colors" in extracted.vertex:
+            colors = np.rint(extracted.vertex.colors.numpy()[order] * 255).clip(0, 255).astype(np.uint8)
+        rank = np.empty(len(order), np.int32)
+        rank[order] = np.arange(len(order), dtype=np.int32)
+        return Mesh(vertices[order].astype(np.float64), _in_order(rank[triangles]), colors)
+
+    def _used_blocks(self) -> int:
+        """Return how far from its start the buffer is in use."""
+        active = self._grid.hashmap().active_buf_indices()
+        return int(active.cpu().numpy().max(initial=-1)) + 1
+
+    def _keep_off_zero(self) -> None:
+        least = np.float32(_LEAST_DISTANCE * self._voxel_size / self._truncation)
+        tsdf = self._grid.attribute("tsdf")
+        for start in range(0, self._used_blocks(), 1024):
+            part = tsdf[start : start + 1024]
+            distance = part.cpu().numpy()
+            distance[np.abs(distance) < least] = least
+            if not part.is_cpu:
+                tsdf[start : start + 1024] = open3d().core.Tensor(distance, device=self._device)
+
+    def _vertex_order(self, vertices: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Block by block, so that neighbours in space are near in memory; inside a block by coordinates."""
+        cell = np.floor(vertices / np.float32(BLOCK * self._voxel_size)).astype(np.int64)
+        block = (cell[:, 0] << 42) + (cell[:, 1] << 21) + cell[:, 2]
+        return np.lexsort((vertices[:, 2], vertices[:, 1], vertices[:, 0], block))
+
+
+def _in_order(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Turn each triangle to begin with its smallest vertex, and sort them."""
+    first = triangles.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
+    return np.ascontiguousarray(turned[np.lexsort((turned[:, 2], turned[:, 1], turned[:, 0]))])

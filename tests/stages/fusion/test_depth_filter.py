@@ -1,0 +1,103 @@
+"""The kernel that filters depth maps, beside the same in NumPy and OpenCV."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.fusion import depth_filter
+from stages.scans.images import read_depth
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, pinhole
+from tests.stages.fusion import numpy_filter
+
+LIMITS = {"max_jump": 0.05, "max_angle": 87.0}
+CAMERA = Camera(97, 71, 80.0, 82.0, 47.3, 36.1)
+
+
+def scene(seed: int) -> NDArray[np.float32]:
+    """A wall, a floor at a grazing angle, a ball before both; noise, holes, gaps of one pixel."""
+    draw = np.random.default_rng(seed)
+    rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
+    x, y = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
+    inverse = np.maximum(1 / 3 + 0.1 * x, y / 0.3)
+    away = np.hypot(x - 0.1, y + 0.05) / 0.25
+    ball = 1 / (2 - 0.4 * np.sqrt(np.maximum(1 - away**2, 0)))
+    depth = 1 / np.where(away < 1, ball, inverse)
+    depth *= 1 + 0.004 * draw.standard_normal(depth.shape)
+    depth[draw.random(depth.shape) < 0.03] = 0
+    depth[20:30, 5:25] = 0
+    depth[::9] = 0
+    return depth.astype(np.float32)
+
+
+def assert_alike(depth: NDArray[np.float32], camera: Camera) -> None:
+    """What counts is the same but for rounding; where that decides, pixels may be dropped by one alone."""
+    found = depth_filter.surface(depth, camera, **LIMITS)
+    expected = numpy_filter.surface(depth, camera, **LIMITS)
+    assert ((found.depth > 0) != (expected.depth > 0)).mean() < 1e-4
+    both = (found.depth > 0) & (expected.depth > 0)
+    assert both.mean() > 0.3
+    np.testing.assert_array_equal(found.depth[both], expected.depth[both])
+    # Means over windows are summed in another order: what is left is small against slopes around.
+    off = np.abs(found.obliqueness - expected.obliqueness)[both] / expected.obliqueness[both]
+    assert np.quantile(off, 0.999) < 1e-5
+    for axis, other in zip(found.normal, expected.normal, strict=True):
+        assert np.quantile(np.abs(axis - other)[both] / expected.obliqueness[both], 0.999) < 1e-5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_kernel_does_what_numpy_does(seed: int) -> None:
+    depth = scene(seed)
+    found = depth_filter.surface(depth, CAMERA, **LIMITS)
+    steep = (found.depth > 0) & (found.obliqueness > 2.9)
+    # Both ways of what is steep are taken: the floor is believed, the ball's rim is not.
+    assert steep.sum() > 50
+    assert (np.abs(found.obliqueness - 2.9) < 1e-4).sum() > 10
+    assert_alike(depth, CAMERA)
+
+
+def test_and_on_frames_of_a_sensor(shared_data: Path) -> None:
+    frame = read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[40]
+    depth = read_depth(frame)
+    assert depth is not None
+    assert_alike(depth, pinhole(frame.camera))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (2, 2), (3, 60)])
+def test_images_of_few_pixels(shape: tuple[int, int]) -> None:
+    camera = Camera(shape[1], shape[0], 50.0, 50.0, shape[1] / 2, shape[0] / 2)
+    depth = np.full(shape, 2, np.float32)
+    depth[0, 0] = 0
+    found = depth_filter.surface(depth, camera, **LIMITS)
+    expected = numpy_filter.surface(depth, camera, **LIMITS)
+    np.testing.assert_array_equal(found.depth, expected.depth)
+    np.testing.assert_allclose(found.obliqueness, expected.obliqueness, rtol=1e-6)
+
+
+def test_what_is_out_of_the_limits_or_no_number_is_missing() -> None:
+    depth = np.full((71, 97), 2, np.float32)
+    for k, value in enumerate((np.nan, np.inf, -1, 0.3, 7)):
+        depth[10 * k + 5 : 10 * k + 9, 20:40] = value
+    found = depth_filter.surface(depth, CAMERA, **LIMITS, min_depth=0.5, max_depth=5.0)
+    assert set(np.unique(found.depth)) == {0, 2}
+    assert all(np.isfinite(image).all() for image in (*found.normal, found.obliqueness))
+    for k in range(5):
+        assert (found.depth[10 * k + 5 : 10 * k + 9, 20:40] == 0).all()
+
+
+def test_any_number_of_threads_gives_the_same_bits() -> None:
+    depth = np.tile(scene(1), (4, 1))
+    pixels = (CAMERA.fx, CAMERA.fy, CAMERA.cx, 2.0 * CAMERA.height, CAMERA.width, 4 * CAMERA.height)
+
+    def run(threads: int) -> bytes:
+        found, normal, length = _kernels.oriented_depth(
+            depth, pixels, limits=(0.0, np.inf, 0.05, 0.05), wanted_threads=threads
+        )
+        return b"".join(image.tobytes() for image in (found, *normal, length))
+
+    assert run(1) == run(2) == run(7)

@@ -1,0 +1,176 @@
+"""The field of our own: beside Open3D's, in bricks, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from stages import _kernels
+from stages.errors import StageError, UsageError
+from stages.fusion.fuse import fuse
+from stages.fusion.params import FuseParams
+from stages.fusion.plan import limits_of
+from stages.fusion.posed_depth import read_posed_depth
+from stages.fusion.voxels import Volume, Weighing, block_bytes, touched_blocks
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame
+from stages.surface.mesh import Mesh
+
+VOXEL = 0.02
+CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
+
+
+def plate(x: float, far: float = 3.0) -> Frame:
+    """A plate of half a metre at a distance of one, before a wall, seen from `x` to its side."""
+    rows, columns = np.mgrid[:120, :160]
+    across, down = (columns - CAMERA.cx) / CAMERA.fx + x, (rows - CAMERA.cy) / CAMERA.fy
+    depth = np.where((abs(across) < 0.25) & (abs(down) < 0.25), 1, far).astype(np.float32)
+    color = np.where(depth[..., None] < 2, np.uint8([200, 40, 30]), np.uint8([20, 60, 220]))
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return Frame(f"{x}", CAMERA, color=color, depth=depth, world_from_camera=pose)
+
+
+def apart(one: Mesh, other: Mesh) -> NDArray[np.float64]:
+    """Distances of vertices to the nearest of the other mesh."""
+    return np.asarray(cKDTree(other.vertices).query(one.vertices)[0])
+
+
+def test_on_a_real_kitchen_it_is_where_open3d_has_it(shared_data: Path) -> None:
+    frames = read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:40:5]
+    own, other = (fuse(frames, voxel_size=0.02, min_weight=2, backend=name) for name in ("own", "open3d"))
+    for one, two in ((own, other), (other, own)):
+        assert np.median(apart(one.mesh, two.mesh)) < 0.15 * 0.02
+        assert np.quantile(apart(one.mesh, two.mesh), 0.8) < 0.5 * 0.02
+    assert own.volume_bytes < 0.7 * other.volume_bytes
+    nearest = cKDTree(other.mesh.vertices).query(own.mesh.vertices)[1]
+    assert own.mesh.colors is not None
+    assert other.mesh.colors is not None
+    off = np.abs(own.mesh.colors.astype(int) - other.mesh.colors[nearest].astype(int))
+    assert np.median(off) <= 5
+
+
+def test_what_nobody_measured_is_left_open() -> None:
+    """Behind the rim of a plate is what its sides would be, were it thick: no frame says that it is."""
+    mesh = fuse([plate(0.02 * k) for k in range(4)], voxel_size=VOXEL, min_weight=1).mesh
+    near = mesh.vertices[mesh.vertices[:, 2] < 2]
+    assert np.abs(near[:, 2] - 1).max() < 0.05 * VOXEL
+    assert near[:, :2].min() < -0.2
+    assert near[:, :2].max() > 0.2
+
+
+def test_near_depth_counts_more_than_far_depth() -> None:
+    """Two frames disagree by a centimetre, and one of them is four times as far."""
+    camera = Camera(40, 40, 100.0, 100.0, 19.5, 19.5)
+    volume = Volume(VOXEL, 3 * VOXEL, Weighing(1.0, 1.0), color=False, max_bytes=1e8, threads=1)
+    limits = limits_of(FuseParams())
+    for z, off in ((1.0, 0.0), (2.0, 0.01)):
+        pose = np.eye(4)
+        pose[2, 3] = -z
+        wall = np.full((40, 40), z + off, np.float32)
+        view = read_posed_depth(Frame("0", camera, depth=wall, world_from_camera=pose), limits)
+        here = np.ones_like(wall, bool)
+        volume.integrate(view, volume.prepared(view, here, pose), pose, None)
+    # Weights of 1 and 1/16.
+    vertices = volume.mesh(2).vertices
+    np.testing.assert_allclose(vertices[:, 2], 0.01 / 17, atol=1e-4)
+
+
+def test_a_voxel_takes_as_few_bytes_as_are_said() -> None:
+    for color in (False, True):
+        fused = fuse([plate(0.02 * k) for k in range(4)], voxel_size=VOXEL, color=color)
+        assert fused.volume_bytes % (64 * block_bytes(color=color)) == 0
+    assert block_bytes(color=True) == 12 * 8**3
+
+
+def test_blocks_of_bricks_are_those_of_the_whole() -> None:
+    view = read_posed_depth(plate(0.1), limits_of(FuseParams()))
+    wanted = view.surface.depth > 0
+    whole = touched_blocks(view, wanted, view.pose, voxel_size=VOXEL, truncation=0.06)
+    camera = (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 160, 120), view.pose
+    surface = view.surface
+    parts = [
+        _kernels.touched_blocks(
+            camera,
+            surface.depth,
+            surface.normal,
+            surface.obliqueness,
+            wanted,
+            voxel_size=VOXEL,
+            truncation=0.06,
+            within=bounds,
+        )
+        for bounds in (((-1000, -1000, -1000), (0, 1000, 1000)), ((0, -1000, -1000), (1000, 1000, 1000)))
+    ]
+    assert all(len(part) for part in parts)
+    np.testing.assert_array_equal(np.sort(np.concatenate(parts)), whole)
+
+
+def test_a_pose_far_away_is_told() -> None:
+    far = np.eye(4)
+    far[0, 3] = 1e6
+    view = read_posed_depth(plate(0.0), limits_of(FuseParams()))
+    with pytest.raises(StageError, match=r"more than 168 km from the other cameras.*Check the poses"):
+        touched_blocks(view, view.surface.depth > 0, far, voxel_size=VOXEL, truncation=0.06)
+
+
+def test_a_cuda_device_is_none_of_our_own() -> None:
+    with pytest.raises(UsageError, match="backend 'own' knows nothing of"):
+        fuse([plate(0.0)], backend="own", device="cuda")
+    assert fuse([plate(0.1 * k) for k in range(3)], backend="own", device="auto").device == "CPU:0"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"depth": np.ones((7, 7), np.float32)}, "of another size"),
+        ({"depth": np.ones((240, 160), np.float32)[::2]}, "not contiguous"),
+        ({"color": np.zeros((120, 160, 4), np.uint8)}, "h × w × 3"),
+        ({"color": None}, "the frame has none"),
+        ({"pose": np.full((4, 4), np.nan)}, "finite"),
+        ({"pose": np.eye(3)}, "4 × 4"),
+        ({"pixels": (0.0, 140.0, 80.0, 60.0, 160, 120)}, "focal"),
+        ({"pixels": (140.0, 140.0, 80.0, 60.0, 1 << 20, 1 << 20)}, "2³⁰"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(wrong: dict[str, object], message: str) -> None:
+    volume = _kernels.Volume(VOXEL, 0.06, color=True, most_blocks=100)
+    given = {
+        "pixels": (140.0, 140.0, 80.0, 60.0, 160, 120),
+        "pose": np.eye(4),
+        "depth": np.ones((120, 160), np.float32),
+        "color": np.zeros((120, 160, 3), np.uint8),
+        **wrong,
+    }
+    with pytest.raises(ValueError, match=message):
+        volume.integrate(
+            np.zeros(1, np.uint64),
+            (given["pixels"], given["pose"]),  # type: ignore[arg-type]
+            given["depth"],  # type: ignore[arg-type]
+            np.ones((120, 160), np.float32),
+            given["color"],  # type: ignore[arg-type]
+            weighing=(1.0, 1.0, 0.0),
+            wanted_threads=1,
+        )
+    assert volume.blocks == 0
+
+
+def test_depth_that_means_nothing_changes_nothing() -> None:
+    """No number, infinite, negative, tiny: all as if it were not there."""
+    frames = [plate(0.02 * k) for k in range(4)]
+    good, bad = [], []
+    for frame in frames:
+        depth = np.array(frame.depth)
+        depth[40:50, 60:70] = 0
+        good.append(replace(frame, depth=depth.copy()))
+        depth[40:50, 60:70] = np.resize([np.nan, np.inf, -1, 1e-42], (10, 10))
+        bad.append(replace(frame, depth=depth))
+    given = {"voxel_size": VOXEL, "truncation": 0.06, "max_depth": 2.0, "min_weight": 1}
+    one, other = (fuse(frames, **given).mesh for frames in (good, bad))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(one.vertices, other.vertices)
+    np.testing.assert_array_equal(one.triangles, other.triangles)
