@@ -11,7 +11,7 @@ import numpy as np
 
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
-from stages.fusion.crop import Crop, cut
+from stages.fusion.crop import Crop, corners_of, cut, inside, part_of
 from stages.fusion.params import FuseKeywords, FuseParams
 from stages.fusion.plan import Plan, make_plan
 from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
@@ -19,7 +19,7 @@ from stages.fusion.relief import evened_alone, read_whole, relief
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise
 from stages.fusion.upsampling import upsampled_alone, upsampled_frame
-from stages.fusion.voxels import Field, Volume
+from stages.fusion.voxels import Field, Seen, Volume
 from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
@@ -55,6 +55,8 @@ class Fused:
     outside : how many frames show nothing of what was fused; they are not among `frames`.
     warnings : of what was left out.
     upsampled : how many times as wide the depth maps were made first; 1 for not at all.
+    seen : (n,) float32, how many frames saw each vertex, 255 for more; None of a frame alone, and from
+        Open3D's voxels.
     """
 
     mesh: Mesh
@@ -74,6 +76,7 @@ class Fused:
     outside: int
     warnings: tuple[str, ...]
     upsampled: int = 1
+    seen: Seen | None = None
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -215,8 +218,12 @@ def fuse(
         progress(done, len(frames))
 
     min_weight = params.min_weight or _least_weight(volume.typical_frames(), frames)
-    mesh = volume.mesh(min_weight)
-    mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
+    mesh, seen = volume.mesh(min_weight)
+    mesh = mesh.with_(vertices=mesh.vertices + plan.origin)
+    if plan.crop:
+        kept = inside(mesh, plan.crop)
+        seen = None if seen is None else seen[corners_of(mesh, kept)]
+        mesh = part_of(mesh, kept)
     used_frames = len(frames) - len(skipped) - outside
     if len(mesh.triangles) == 0:
         raise InputError(
@@ -243,6 +250,7 @@ def fuse(
         outside=outside,
         warnings=plan.warnings,
         upsampled=factor,
+        seen=seen,
     )
 
 

@@ -28,6 +28,7 @@ BLOCK = 8
 _VOXEL_BYTES = {True: 12, False: 7}
 
 Keys = NDArray[np.uint64]
+Seen = NDArray[np.float32]
 
 
 def block_bytes(*, color: bool) -> int:
@@ -73,8 +74,11 @@ class Field(Protocol):
     def typical_frames(self) -> float:
         """Return how many frames saw the median voxel near the surface."""
 
-    def mesh(self, min_weight: int) -> Mesh:
-        """Return the surface through voxels that so many frames have seen, in the field's axes."""
+    def mesh(self, min_weight: int) -> tuple[Mesh, Seen | None]:
+        """Return the surface through voxels that so many frames have seen, in the field's axes.
+
+        With it, how many frames saw each vertex (n,), where that is known.
+        """
 
 
 def touched_blocks(
@@ -185,11 +189,14 @@ class Volume:
         """Return how many frames saw the median voxel near the surface."""
         return self._field.typical_frames()
 
-    def mesh(self, min_weight: int) -> Mesh:
-        """Return the surface through voxels seen by at least `min_weight` frames, blocks in Z-order."""
-        places, triangles, levels, _ = self._field.surface(min_weight, wanted_threads=self._threads)
+    def mesh(self, min_weight: int) -> tuple[Mesh, Seen | None]:
+        """Return the surface through voxels seen by at least `min_weight` frames, blocks in Z-order.
+
+        With it, how many frames saw each vertex (n,): the mean of both voxels beside it, which count to 255.
+        """
+        places, triangles, levels, seen = self._field.surface(min_weight, wanted_threads=self._threads)
         colors = np.rint(levels).astype(np.uint8) if self._color else None
-        return Mesh(places * self._voxel_size, triangles, colors)
+        return Mesh(places * self._voxel_size, triangles, colors), seen
 
 
 def _posed(
