@@ -200,10 +200,11 @@ impl Volume {
     /// 0 to 255, and mean frames (n,).
     #[pyo3(signature = (least, *, wanted_threads))]
     fn surface(&self, py: Python<'_>, least: u32, wanted_threads: usize) -> PyResult<Extracted> {
-        let volume = self.locked();
-        guarded(volume.blocks().count().saturating_mul(VOXELS / 8), || {
+        let count = self.locked().blocks().count();
+        guarded(count.saturating_mul(VOXELS / 8), || {
+            // Locked by the thread that works, which needs no GIL to end.
             let found = detached(py, None, false, |progress| {
-                surface(&*volume, least, None, threads(wanted_threads), progress)
+                surface(&*self.locked(), least, None, threads(wanted_threads), progress)
             })?;
             let count = found.positions.len();
             let places = found.positions.into_iter().flatten().collect();
