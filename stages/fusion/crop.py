@@ -78,17 +78,24 @@ def cropped(view: PosedDepth, crop: Crop) -> PosedDepth:
 
 def cut(mesh: Mesh, crop: Crop) -> Mesh:
     """Return the triangles of a mesh with vertex colours that have all corners inside, in the same order."""
-    if not crop:
-        return mesh
-    inside = crop.outside(mesh.vertices) <= 0
-    return part_of(mesh, np.asarray(inside[mesh.triangles].all(axis=1)))
+    return part_of(mesh, within(mesh, crop)) if crop else mesh
+
+
+def within(mesh: Mesh, crop: Crop) -> Mask:
+    """Return which triangles (m,) of a mesh have all corners inside of a crop."""
+    return np.asarray((crop.outside(mesh.vertices) <= 0)[mesh.triangles].all(axis=1))
 
 
 def part_of(mesh: Mesh, kept: Mask) -> Mesh:
     """Return the triangles of a mesh with vertex colours that are kept (m,), in the same order."""
-    triangles = mesh.triangles[kept]
-    used = np.zeros(len(mesh.vertices), np.bool_)
-    used[triangles] = True
+    triangles, used = mesh.triangles[kept], corners_of(mesh, kept)
     rank = np.cumsum(used, dtype=np.int32) - 1
     colors = None if mesh.colors is None else mesh.colors[used]
     return Mesh(mesh.vertices[used], rank[triangles].astype(np.int32), colors)
+
+
+def corners_of(mesh: Mesh, kept: Mask) -> Mask:
+    """Return which vertices (n,) are corners of the triangles that are kept (m,)."""
+    used = np.zeros(len(mesh.vertices), np.bool_)
+    used[mesh.triangles[kept]] = True
+    return used

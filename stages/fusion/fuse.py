@@ -20,13 +20,13 @@ from stages.fusion.adding import (
     nothing_fused,
     own_volume,
 )
-from stages.fusion.crop import cut
+from stages.fusion.crop import corners_of, cut, part_of, within
 from stages.fusion.facts import Facts, MeshFigures
 from stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
 from stages.fusion.params import FuseKeywords, FuseParams
 from stages.fusion.posed_depth import read_matching_color
 from stages.fusion.relief import read_whole, relief
-from stages.fusion.voxels import Field, OutgrownError, block_bytes
+from stages.fusion.voxels import Field, OutgrownError, Seen, block_bytes
 from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
@@ -47,9 +47,12 @@ class Fused(Facts):
     Attributes
     ----------
     mesh : with uint8 vertex colours where the frames have colour.
+    seen : (n,) float32, how many frames saw each vertex, 255 for more; None of a frame alone, from Open3D's
+        voxels and where space was cut in bricks.
     """
 
     mesh: Mesh
+    seen: Seen | None = None
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -163,12 +166,16 @@ def _in_one_piece(work: Work, device: str, progress: Progress) -> Fused:
     volume = _volume(work, device)
     added = add_frames(work, volume, work.frames, progress)
     min_weight = work.params.min_weight or least_weight(volume.typical_frames(), work.frames)
-    mesh = volume.mesh(min_weight)
+    mesh, seen = volume.mesh(min_weight)
     plan = work.plan
-    mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
+    mesh = mesh.with_(vertices=mesh.vertices + plan.origin)
+    if plan.crop:
+        kept = within(mesh, plan.crop)
+        seen = None if seen is None else seen[corners_of(mesh, kept)]
+        mesh = part_of(mesh, kept)
     if len(mesh.triangles) == 0:
         raise nothing_fused(work, added, min_weight)
-    return Fused(mesh=mesh, **facts_of(work, added, min_weight, volume.bytes, device))
+    return Fused(mesh=mesh, seen=seen, **facts_of(work, added, min_weight, volume.bytes, device))
 
 
 def _volume(work: Work, device: str) -> Field:

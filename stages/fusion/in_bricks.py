@@ -225,7 +225,7 @@ def _write_brick(volume: Volume, min_weight: int, brick: Cube, folder: Path) -> 
     """Write a brick's surface, and how often its voxels were seen."""
     within = brick.low, brick.high
     np.save(folder / _COUNTS, volume.frame_counts(within))
-    mesh, joints = volume.surface(min_weight, within)
+    mesh, _, joints = volume.surface(min_weight, within)
     write_piece(folder / _PIECE, Piece(mesh.vertices, mesh.triangles, mesh.colors, joints))
 
 

@@ -227,7 +227,7 @@ class Open3DVolume:
         near = weight[(weight > 0) & (np.abs(distance) < 0.5)]
         return float(np.median(near)) if len(near) else 0.0
 
-    def mesh(self, min_weight: int) -> Mesh:
+    def mesh(self, min_weight: int) -> tuple[Mesh, None]:
         """Extract the surface through voxels seen at least `min_weight` times, in an order of its own.
 
         Open3D numbers vertices as its threads come by; here they are put into the order of their places,
@@ -236,7 +236,7 @@ class Open3DVolume:
         self._keep_off_zero()
         extracted = self._grid.extract_triangle_mesh(min_weight - 0.5).cpu()
         if "indices" not in extracted.triangle or len(extracted.triangle.indices) == 0:
-            return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+            return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), None
         vertices = extracted.vertex.positions.numpy()
         triangles = extracted.triangle.indices.numpy()
         order = self._vertex_order(vertices)
@@ -245,7 +245,7 @@ class Open3DVolume:
             colors = np.rint(extracted.vertex.colors.numpy()[order] * 255).clip(0, 255).astype(np.uint8)
         rank = np.empty(len(order), np.int32)
         rank[order] = np.arange(len(order), dtype=np.int32)
-        return Mesh(vertices[order].astype(np.float64), _in_order(rank[triangles]), colors)
+        return Mesh(vertices[order].astype(np.float64), _in_order(rank[triangles]), colors), None
 
     def _used_blocks(self) -> int:
         """Return how far from its start the buffer is in use."""

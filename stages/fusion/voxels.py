@@ -27,6 +27,8 @@ BLOCK = 8
 # Distance, weight, count of frames and colour, or without the colour.
 _VOXEL_BYTES = {True: 12, False: 7}
 
+# How many frames saw each vertex.
+Seen = NDArray[np.float32]
 # Places of blocks in Z-order.
 Keys = NDArray[np.uint64]
 # The first block of a box along each axis, and the one after its last.
@@ -80,8 +82,11 @@ class Field(Protocol):
     def typical_frames(self) -> float:
         """Return how many frames saw the median voxel near the surface."""
 
-    def mesh(self, min_weight: int) -> Mesh:
-        """Return the surface through voxels that so many frames have seen, in the field's axes."""
+    def mesh(self, min_weight: int) -> tuple[Mesh, Seen | None]:
+        """Return the surface through voxels that so many frames have seen, in the field's axes.
+
+        With it, how many frames saw each vertex (n,), where that is known.
+        """
 
 
 def touched_blocks(
@@ -213,24 +218,27 @@ class Volume:
         """Return of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
         return self._field.frame_counts(within=within).astype(np.int64)
 
-    def mesh(self, min_weight: int) -> Mesh:
-        """Return the surface through voxels seen by at least `min_weight` frames, blocks in Z-order."""
-        mesh, _ = self.surface(min_weight, None)
-        return mesh
+    def mesh(self, min_weight: int) -> tuple[Mesh, Seen | None]:
+        """Return the surface through voxels seen by at least `min_weight` frames, blocks in Z-order.
 
-    def surface(self, min_weight: int, within: Box | None) -> tuple[Mesh, list[Keys]]:
+        With it, how many frames saw each vertex (n,): the mean of both voxels beside it, which count to 255.
+        """
+        mesh, seen, _ = self.surface(min_weight, None)
+        return mesh, seen
+
+    def surface(self, min_weight: int, within: Box | None) -> tuple[Mesh, Seen, list[Keys]]:
         """Return the surface in a box of blocks, and how it is joined to that of others.
 
         Returns
         -------
-        The mesh, whose triangles name vertices of others by numbers from that of its own upward; and of these
-        the blocks (k,) and the codes of their edges (k,); and of those that others may name blocks, codes and
+        The mesh, whose triangles name vertices of others by numbers from that of its own upward; how many
+        frames saw each vertex (n,); and of the others' vertices the blocks (k,) and the codes of their edges (k,); and of those that others may name blocks, codes and
         numbers (j,).
         """
         found, joints = self._field.surface(min_weight, within=within, wanted_threads=self._threads)
-        places, triangles, levels, _ = found
+        places, triangles, levels, seen = found
         colors = np.rint(levels).astype(np.uint8) if self._color else None
-        return Mesh(places * self._voxel_size, triangles, colors), joints
+        return Mesh(places * self._voxel_size, triangles, colors), seen, joints
 
 
 def median_of(counts: NDArray[np.int64]) -> float:

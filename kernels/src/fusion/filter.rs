@@ -435,3 +435,77 @@ by_processor! {
 fn add_times(sum: &mut [f64], value: &[f32], times: f64) {
     sum.iter_mut().zip(value).for_each(|(sum, &value)| *sum += times * f64::from(value));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDTH: usize = 90;
+    const HEIGHT: usize = 130;
+
+    /// A floor at a grazing angle before a wall, with holes, gaps, steps and noise.
+    fn depth() -> Vec<f32> {
+        let at = |i: usize| {
+            let (x, y) = (i % WIDTH, i / WIDTH);
+            let noise = 1.0 + 0.002 * ((i * 7919 % 1000) as f32 / 1000.0 - 0.5);
+            let floor = 40.0 / (y as f32 + 1.0);
+            if x % 11 == 0 || (30..40).contains(&y) && x > 60 { 0.0 } else { floor.min(2.5) * noise }
+        };
+        (0..WIDTH * HEIGHT).map(at).collect()
+    }
+
+    fn filtered(threads: usize) -> Oriented {
+        let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+        let camera = Camera::new((WIDTH, HEIGHT), [80.0, 80.0], [45.0, 10.0], pose);
+        let limits = Limits { nearest: 0.1, farthest: 9.0, jump: 0.05, cosine: 0.05 };
+        oriented(depth(), &camera, limits, threads)
+    }
+
+    fn bits(found: &Oriented) -> Vec<u32> {
+        let images = found.normal.iter().chain([&found.depth, &found.obliqueness]);
+        images.flatten().map(|value| value.to_bits()).collect()
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_bits() {
+        let one = filtered(1);
+        assert!(one.depth.iter().filter(|&&z| z > 0.0).count() > one.depth.len() / 2);
+        assert!(one.obliqueness.iter().any(|&o| o > STEEP));
+        assert!(bits(&one) == bits(&filtered(2)) && bits(&one) == bits(&filtered(5)));
+    }
+
+    #[test]
+    fn wide_instructions_give_the_bits_of_plain_ones() {
+        let depth = depth();
+        let limits = Limits { nearest: 0.1, farthest: 9.0, jump: 0.05, cosine: 0.05 };
+        let inverted = |invert: fn(&mut [f32], &mut [f32], Limits)| {
+            let (mut depth, mut inverse) = (depth.clone(), vec![0.0; depth.len()]);
+            invert(&mut depth, &mut inverse, limits);
+            inverse
+        };
+        let inverse = inverted(invert);
+        assert_eq!(inverse, inverted(invert_row));
+        let stepped = |step: fn(&[f32], &[f32], f32, &mut [f32], &mut [u8], &mut [u8])| {
+            let (mut value, mut known, mut jumps) = (vec![0.0; WIDTH], vec![0; WIDTH], vec![0; WIDTH]);
+            step(&inverse[..WIDTH], &inverse[WIDTH..2 * WIDTH], 0.05, &mut value, &mut known, &mut jumps);
+            (value, known, jumps)
+        };
+        assert_eq!(stepped(step), stepped(step_row));
+        let sights = Sights {
+            across: (0..WIDTH).map(|x| x as f32 / 80.0 - 0.5).collect(),
+            down: vec![],
+            focal: [80.0, 81.0],
+        };
+        let padded = WIDTH + WINDOW - 1;
+        let sums = Sums {
+            value: [0, 1].map(|k| (0..padded).map(|x| ((x * 31 + k) % 17) as f32 / 99.0).collect()),
+            known: [0, 1].map(|k| (0..padded).map(|x| ((x + k) % 6) as u8).collect()),
+        };
+        let orientated = |orient: fn(&[f32], &Sums, &Sights, f32, [&mut [f32]; 3], &mut [f32])| {
+            let [mut x, mut y, mut z, mut length] = [0, 1, 2, 3].map(|_| vec![0.0; WIDTH]);
+            orient(&depth[..WIDTH], &sums, &sights, 0.3, [&mut x, &mut y, &mut z], &mut length);
+            [x, y, z, length].concat().iter().map(|value| value.to_bits()).collect::<Vec<_>>()
+        };
+        assert_eq!(orientated(orient), orientated(orient_row));
+    }
+}

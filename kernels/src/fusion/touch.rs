@@ -194,3 +194,32 @@ fn blocks_of(batch: &Batch, to_blocks: &Affine, way: f32, places: &mut [[i32; BA
     }
     is_near
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_are_cut_off_downwards_and_wide_instructions_do_the_same() {
+        let mut batch = Batch::default();
+        for i in 0..BATCH {
+            batch.push([i as f32 * 0.37 - 9.0, 1.5, 4.0], [0.0, 0.25, 0.0]);
+        }
+        let turn = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, -2.0], [0.3, 0.0, 0.5, 0.01]];
+        let run = |find: fn(&Batch, &Affine, f32, &mut [[i32; BATCH]; 3]) -> bool| {
+            let mut places = [[0; BATCH]; 3];
+            (find(&batch, &turn, -1.0, &mut places), places)
+        };
+        let (is_near, places) = run(places_of);
+        assert!(is_near);
+        for (i, &x) in places[0].iter().enumerate() {
+            assert_eq!((x, places[1][i]), ((i as f32 * 0.37 - 9.0).floor() as i32, -1));
+        }
+        assert_eq!((is_near, places), run(blocks_of));
+    }
+
+    #[test]
+    fn grids_are_as_fine_as_is_asked_for() {
+        assert_eq!([100.0, 8.0, 7.9, 3.0, 2.0, 0.1].map(step), [8, 8, 4, 2, 2, 1]);
+    }
+}

@@ -149,3 +149,37 @@ fn prepare(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Me
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_and_its_inverse_cancel() {
+        let pose = [[0.6, -0.8, 0.0, 3.0], [0.8, 0.6, 0.0, -1.0], [0.0, 0.0, 1.0, 7.0]];
+        let camera = Camera::new((4, 3), [5.0, 5.0], [2.0, 1.0], pose);
+        let apply = |m: &Affine, p: [f64; 3]| m.map(|r| r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + r[3]);
+        let back = apply(&camera.inverse, apply(&pose, [0.3, -0.2, 2.5]));
+        assert!((0..3).all(|k| (back[k] - [0.3, -0.2, 2.5][k]).abs() < 1e-12));
+    }
+
+    #[test]
+    fn wide_instructions_give_the_bits_of_plain_ones() {
+        let width = 101;
+        let depth: Vec<f32> =
+            (0..width).map(|x| if x % 7 == 0 { 0.0 } else { 0.3 + 0.113 * x as f32 }).collect();
+        let obliqueness: Vec<f32> = (0..width).map(|x| 1.0 + (x * 37 % 90) as f32 / 11.0).collect();
+        let flatness: Vec<f32> = (0..width).map(|x| (x % 5) as f32 / 4.0).collect();
+        let color: Vec<u8> = (0..3 * width).map(|i| (i * 29 % 256) as u8).collect();
+        let row = Row { depth: &depth, obliqueness: &obliqueness, flatness: &flatness, color: Some(&color) };
+        let weighing = Weighing { typical: 0.01, constant: 0.002, quadratic: 0.003 };
+        let run = |prepare: fn(Row<'_>, Weighing, f32, &mut [Measure], &mut [u32])| {
+            let (mut measures, mut looks) = (vec![[0.0; 2]; width], vec![0; width]);
+            prepare(row, weighing, 0.07, &mut measures, &mut looks);
+            (measures.as_flattened().iter().map(|m| m.to_bits()).collect::<Vec<_>>(), looks)
+        };
+        let (measures, looks) = run(prepare_row);
+        assert_eq!((measures, looks.clone()), run(prepare));
+        assert!(looks.iter().any(|look| look >> 24 == 255) && looks.iter().any(|look| look >> 24 < 9));
+    }
+}

@@ -218,10 +218,11 @@ impl Volume {
         within: Option<Corners>,
         wanted_threads: usize,
     ) -> PyResult<(Extracted, Joints)> {
-        let volume = self.locked();
-        guarded(volume.blocks().count().saturating_mul(VOXELS / 8), || {
+        let count = self.locked().blocks().count();
+        guarded(count.saturating_mul(VOXELS / 8), || {
+            // Locked by the thread that works, which needs no GIL to end.
             let found = detached(py, None, false, |progress| {
-                surface(&*volume, least, within.map(boxed), threads(wanted_threads), progress)
+                surface(&*self.locked(), least, within.map(boxed), threads(wanted_threads), progress)
             })?;
             let count = found.positions.len();
             let places = found.positions.into_iter().flatten().collect();

@@ -64,6 +64,21 @@ def test_what_nobody_measured_is_left_open() -> None:
     assert near[:, :2].max() > 0.2
 
 
+def test_each_vertex_knows_how_many_frames_saw_it() -> None:
+    frames = [plate(0.1 * k) for k in range(4)]
+    whole = fuse(frames, voxel_size=VOXEL, min_weight=1)
+    assert whole.seen is not None
+    assert whole.seen.shape == (len(whole.mesh.vertices),)
+    near = whole.mesh.vertices[:, 2] < 2
+    # The plate is in all images, the wall's left end in the first one's alone.
+    assert np.median(whole.seen[near]) == 4
+    assert np.median(whole.seen[~near & (whole.mesh.vertices[:, 0] < -1.65)]) == 1
+    part = fuse(frames, voxel_size=VOXEL, min_weight=1, box=(-1, -1, 0.5, 1, 1, 1.5))
+    assert part.seen is not None
+    assert len(part.seen) == len(part.mesh.vertices) < near.sum() + 1
+    assert fuse(frames, voxel_size=VOXEL, backend="open3d").seen is None
+
+
 def test_near_depth_counts_more_than_far_depth() -> None:
     """Two frames disagree by a centimetre, and one of them is four times as far."""
     camera = Camera(40, 40, 100.0, 100.0, 19.5, 19.5)
@@ -77,7 +92,7 @@ def test_near_depth_counts_more_than_far_depth() -> None:
         here = np.ones_like(wall, bool)
         volume.integrate(view, volume.prepared(view, here, pose), pose, None)
     # Weights of 1 and 1/16.
-    vertices = volume.mesh(2).vertices
+    vertices = volume.mesh(2)[0].vertices
     np.testing.assert_allclose(vertices[:, 2], 0.01 / 17, atol=1e-4)
 
 
