@@ -232,8 +232,8 @@ class Volume:
         Returns
         -------
         The mesh, whose triangles name vertices of others by numbers from that of its own upward; how many
-        frames saw each vertex (n,); and of the others' vertices the blocks (k,) and the codes of their edges (k,); and of those that others may name blocks, codes and
-        numbers (j,).
+        frames saw each vertex (n,); and of the others' vertices the blocks (k,) and the codes of their edges
+        (k,), and of those that others may name blocks, codes and numbers (j,).
         """
         found, joints = self._field.surface(min_weight, within=within, wanted_threads=self._threads)
         places, triangles, levels, seen = found
