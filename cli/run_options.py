@@ -142,5 +142,5 @@ def bytes_or_none(size: str | None, option: str) -> int | None:
         return None
     count = bytes_of(size, option)
     if count == 0:
-        raise UsageError(f"{option} is {size}; it must be more than nothing.")
+        raise UsageError(f"a limit of nothing ({option} {size}) lets no scan through; leave it out.")
     return count

@@ -201,7 +201,11 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
         (("batch", "scans", "-o", "out", "--jobs", "many"), 2, "--jobs is 'many'; it must be a number"),
         (("batch", "scans", "-o", "out", "--jobs", "0"), 2, "--jobs is '0'"),
         (("batch", "scans", "-o", "out", "--memory", "lots"), 2, "--memory is 'lots'; it must be a size"),
-        (("batch", "scans", "-o", "out", "--memory", "0"), 2, "it must be more than nothing"),
+        (
+            ("batch", "scans", "-o", "out", "--memory", "0"),
+            2,
+            "a limit of nothing (--memory 0) lets no scan through",
+        ),
         (("batch", "scans", "-o", "out", "--until", "cleen"), 2, "did you mean clean?"),
         (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only works on nothing"),
         (("batch", "scans", "-o", "out", "--executor", "ray"), 2, "--executor is 'ray'"),
