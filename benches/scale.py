@@ -1,8 +1,9 @@
-"""How work spreads: over workers of a batch.
+"""How work grows and spreads: over the bricks of a building, and over the workers of a batch.
 
+    python benches/scale.py bricks [--frames 100 1000 10000] [--building FOLDER] [--memory 500]
     python benches/scale.py batch [--scans 1000] [--jobs 10000] [--seed 3]
 
-Prints Markdown; each bench says in its own module what it does: `benches/scale_batch.py`.
+Prints Markdown; each bench says in its own module what it does: `benches/scale_bricks.py`, `scale_batch.py`.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from __future__ import annotations
 import argparse
 
 import scale_batch
+import scale_bricks
 
 
 def main() -> None:
     """Run the bench that is named."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     commands = parser.add_subparsers(required=True)
+    scale_bricks.add_to(commands)
     scale_batch.add_to(commands)
     words = vars(parser.parse_args())
     words.pop("bench")(**words)

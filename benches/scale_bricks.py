@@ -1,0 +1,146 @@
+"""A made building fused in bricks: what a frame costs and how much memory it takes, from few frames to many.
+
+Makes the building (or takes one that `benches/building.py` has made: --building FOLDER), and fuses its first
+frames at 1 cm, each number of them in a process of its own. "killed": the same by runs that are killed
+(`kill -9`) at random until one ends; how many bricks it took over, and whether the mesh is that of a quiet run.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from building import make_building
+from markdown_tables import print_head, print_row
+
+from pipeline.digest import file_digest
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.read import read_scan
+
+SCANLOOM = [sys.executable, "-m", "cli.app"]
+VOXEL_SIZE = 0.01
+
+
+def bricks(building: Path | None, frames: list[int], memory: float, seed: int, rooms: int) -> None:
+    """Print the table of `bricks`."""
+    with tempfile.TemporaryDirectory() as scratch:
+        if building is None:
+            building = Path(scratch) / "building"
+            make_building(building, rooms, max(frames), os.cpu_count() or 1)
+        head = (
+            "frames",
+            "CPU",
+            "a frame",
+            "peak memory",
+            "bricks",
+            "triangles",
+            "killed",
+            "taken over",
+            "same bytes",
+        )
+        print_head(head, 0)
+        for count in frames:
+            scan = first_frames(building, Path(scratch) / f"scan-{count}", count)
+            quiet, figures, cpu = fused(scan, Path(scratch) / f"quiet-{count}", memory)
+            kills, again, taken = fused_under_kills(scan, Path(scratch) / f"killed-{count}", memory, seed)
+            print_row(
+                (
+                    f"{count:,}",
+                    f"{cpu:.0f} s",
+                    f"{1000 * cpu / count:.1f} ms",
+                    f"{figures['peak_memory_mb']:.0f} MB",
+                    f"{figures['figures']['bricks']}",
+                    f"{figures['figures']['triangles']:,}",
+                    f"{kills}×",
+                    f"{taken}",
+                    "yes" if file_digest(quiet / "fused.ply") == file_digest(again / "fused.ply") else "NO",
+                )
+            )
+
+
+def first_frames(building: Path, folder: Path, count: int) -> Path:
+    """Write a scan of the first frames of a building, whose images are links."""
+    folder.mkdir()
+    for kind in ("color", "depth"):
+        (folder / kind).symlink_to(building / kind)
+    written = []
+    for frame in read_scan(building).frames[:count]:
+        assert isinstance(frame.color, Path)
+        assert isinstance(frame.depth, Path)
+        color, depth = folder / "color" / frame.color.name, folder / "depth" / frame.depth.name
+        written.append(replace(frame, color=color, depth=depth))
+    write_scan_json(folder, written)
+    return folder
+
+
+def command(scan: Path, out: Path, memory: float) -> list[str]:
+    """Return the command that fuses a scan in bricks, with a cache of its own."""
+    settings = (
+        f"fuse.voxel_size={VOXEL_SIZE}",
+        "fuse.brick_size=4",
+        f"fuse.memory={memory}",
+        "adjust.enabled=false",
+    )
+    sets = [word for setting in settings for word in ("--set", setting)]
+    return [
+        *SCANLOOM,
+        "run",
+        str(scan),
+        "-o",
+        str(out),
+        "--cache",
+        f"{out}-cache",
+        "--quiet",
+        "--until",
+        "fuse",
+        *sets,
+    ]
+
+
+def fused(scan: Path, out: Path, memory: float) -> tuple[Path, Any, float]:
+    """Fuse a scan in peace; return the folder, the stage's part of the report, and processor seconds."""
+    before = os.times()
+    subprocess.run(command(scan, out, memory), check=True)
+    after = os.times()
+    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    return out, json.loads((out / "report.json").read_text())["stages"]["fuse"], cpu
+
+
+def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[int, Path, int]:
+    """Fuse a scan by runs that are killed at random, until one ends; return kills, folder, bricks taken."""
+    draw, kills, longest = random.Random(seed), 0, 4.0
+    while True:
+        run = subprocess.Popen(command(scan, out, memory))
+        limit = draw.uniform(1.0, longest)
+        started = time.monotonic()
+        while run.poll() is None and time.monotonic() - started < limit:
+            time.sleep(0.05)
+        if run.poll() is not None:
+            break
+        os.kill(run.pid, signal.SIGKILL)
+        run.wait()
+        kills += 1
+        # It has to end some time, however large it is.
+        longest *= 1.5
+    figures = json.loads((out / "report.json").read_text())["stages"]["fuse"]["figures"]
+    return kills, out, figures["bricks"] - figures["bricks_fused"]
+
+
+def add_to(commands: Any) -> None:
+    """Add the command `bricks` to those of a parser."""
+    parser = commands.add_parser("bricks", description=__doc__)
+    parser.add_argument("--building", type=Path, help="made by benches/building.py")
+    parser.add_argument("--frames", type=int, nargs="+", default=[100, 1000, 10_000])
+    parser.add_argument("--memory", type=float, default=500, help="MB of voxels at a time")
+    parser.add_argument("--rooms", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.set_defaults(bench=bricks)
