@@ -2,7 +2,7 @@
 
 Makes the building (or takes one that `benches/building.py` has made: --building FOLDER), and fuses its first
 frames at 1 cm, each number of them in a process of its own. "killed": the same by runs that are killed
-(`kill -9`) at random until one ends; how many bricks it took over, and whether the mesh is that of a quiet run.
+(`kill -9`) at random until one ends; how many bricks it took over, and if the mesh is that of a quiet run.
 """
 
 from __future__ import annotations
