@@ -26,7 +26,10 @@ demo: $(READY)
 check: lint
 	$(BIN)/pytest -n auto --dist worksteal --quiet -m "not slow"
 
-# What needs no Python, and what is only fetched, goes on while the kernels are compiled, which is one core's work.
+# What needs no Python, and what is only fetched, goes on while the kernels are compiled. A machine with nothing prepared
+# compiles them for the tests alone: to optimise the crate as one whole takes minutes, and changes no result.
+test: export CARGO_PROFILE_RELEASE_LTO = off
+test: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS = 16
 test:
 	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target python-lint clippy rust-tests browser packages
 	$(BIN)/pytest -n auto --dist worksteal

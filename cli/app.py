@@ -24,12 +24,14 @@ from cli import errors, exit_codes
 from cli.commands import (
     adjust,
     bake,
+    batch,
     cache,
     certify,
     check,
     clean,
     compare,
     config,
+    coverage,
     decode,
     depth,
     doctor,
@@ -49,6 +51,7 @@ from cli.commands import (
     texture,
     tradeoff,
     view,
+    worker,
 )
 from cli.one_line import one_line
 from cli.options import with_options
@@ -59,7 +62,7 @@ from stages.params import RenamedWarning
 
 # What the help lists under each heading, in this order; a command has the name of its function.
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "From scan to mesh": (inspect.inspect, run.run, config.config),
+    "From scan to mesh": (inspect.inspect, run.run, batch.batch, worker.worker, config.config),
     "One stage at a time": (
         depth.depth,
         register.register,
@@ -80,6 +83,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         compare.compare,
         tradeoff.tradeoff,
         certify.certify,
+        coverage.coverage,
         render.render,
         view.view,
         probe.probe,

@@ -10,7 +10,7 @@ import typer
 from cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
 from cli.interrupts import SENTENCE
 from cli.options import as_typed
-from stages.errors import InputError, UsageError, is_lack_of_memory
+from stages.errors import InputError, UsageError, bug_explained, is_lack_of_memory
 
 # What typer raises for a wrong command line; its base class has no public name of its own.
 TyperUsageError: type[Exception] = next(k for k in typer.BadParameter.__mro__ if k.__name__ == "UsageError")
@@ -63,11 +63,7 @@ def failure_of(error: BaseException) -> Failure:
 
 def bug_of(error: BaseException) -> Failure:
     """Return the sentence for an exception nobody foresaw."""
-    what = f"{type(error).__name__}: {error}".rstrip(": ").replace("\n", " ")
-    return Failure(
-        f"This is a bug in scanloom ({what}). Please report it with what --debug adds to the same command.",
-        FAILED,
-    )
+    return Failure(bug_explained(error), FAILED)
 
 
 def _usage_sentence(error: Exception) -> str:

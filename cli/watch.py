@@ -29,6 +29,7 @@ _UNITS = {
     "scan": "files",
     "depth": "pairs",
     "fuse": "frames",
+    "coverage": "frames",
     "simplify": "triangles",
     "remesh": "levels",
     "lod": "triangles",
@@ -52,6 +53,7 @@ _HEADLINES = {
     "lod": "{levels} levels above {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
     "{file_bytes:,} bytes",
     "tiles": "{tiles:,} tiles; {total_bytes:,} bytes, the root {root_bytes:,}",
+    "coverage": "{places} places to go again",
     "report": "{pictures} pictures",
 }
 # Of a frame alone the pixels are joined, without voxels or a field.

@@ -4,14 +4,15 @@
       CACHEDIR.TAG             tells backup programs to leave the folder out
       names.lock               held for moments, by whoever adds, moves or looks up an entry
       fuse/<key>/              an entry: the stage's files, manifest.json and in-use.lock
-      drafts/fuse-k3j2…/       an entry being made or removed, locked by the process that does it
+      drafts/fuse-m1f0…-k3j2…/ an entry being made or removed, locked by the process that does it
       runs/<output>.json       which entries the latest run of each output folder used
       runs/<output>.lock       held by the run that works into that folder
 
 An entry is made in `drafts`, flushed to disk and moved to its place in one rename, so it is whole or it is
 not there. Who reads an entry holds a shared lock on its `in-use.lock`; who removes one must first get it
 exclusively. The system releases the locks of a killed process, which is how its drafts are told from those
-of a living one.
+of a living one; in a folder that several machines share, each looks after its own. Where such a folder has no
+locks, entries are whole or absent all the same.
 
 Nothing in the folder is believed to be what it should: a link or a file in the place of an entry or a lock
 is removed, one in the place of a folder of entries is refused, and none is followed. Where the folder may
@@ -21,6 +22,7 @@ only be read, what it holds is used.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -38,6 +40,7 @@ from pipeline.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, s
 from pipeline.failures import explained
 from pipeline.files import write_whole
 from pipeline.locks import READ_ONLY, Lock, is_folder, take_folder, take_lock, try_folder, try_lock
+from pipeline.machine_mark import is_of_another_machine, machine_mark
 from pipeline.own_paths import from_there
 from pipeline.system import flush
 from stages.errors import StageError
@@ -64,7 +67,7 @@ class Listed:
 
 
 class Cache:
-    """A folder of entries, shared safely by any number of processes on one machine.
+    """A folder of entries, shared safely by any number of processes.
 
     Parameters
     ----------
@@ -137,11 +140,20 @@ class Cache:
                 self.remove_abandoned()
             return Entry(self._place(recipe), read_manifest(self._place(recipe)), held)
 
-    def remove_abandoned(self) -> None:
-        """Remove what killed processes left half-made, and what was dropped while another was reading it."""
+    def remove_abandoned(self, *, everywhere: bool = False) -> None:
+        """Remove what killed processes left half-made, and what was dropped while another was reading it.
+
+        Parameters
+        ----------
+        everywhere : what processes of other machines left, too; none of them may be at work where the shared
+            folder has no locks between machines.
+        """
         with explained(f"the cache folder {self.folder} cannot be used"):
             drafts = self.folder / _DRAFTS
             for draft in drafts.iterdir() if is_folder(drafts) else ():
+                # Locks of shared folders may hold on one machine only: what others make is theirs to remove.
+                if is_of_another_machine(draft.name) and not everywhere:
+                    continue
                 with self._names():
                     # A draft and its lock are made together under the names lock: without one it is debris.
                     lock = try_lock(draft / IN_USE) if is_folder(draft) else None
@@ -164,6 +176,7 @@ class Cache:
         older_than: float | None = None,
         max_size: int | None = None,
         dry_run: bool = False,
+        everywhere: bool = False,
     ) -> list[Listed]:
         """Remove entries and return them; those another process is using stay.
 
@@ -174,6 +187,7 @@ class Cache:
         max_size : bytes; then remove what was unused longest until the rest is no larger, or only what
             latest runs used is left.
         dry_run : only say what would be removed.
+        everywhere : see `remove_abandoned`.
         """
         entries = sorted(self.ls(), key=lambda entry: entry.last_used)
         now = datetime.now(timezone.utc)
@@ -193,7 +207,7 @@ class Cache:
             return chosen
         with explained(f"the cache folder {self.folder} cannot be pruned"):
             removed = [entry for entry in chosen if self._remove(entry)]
-        self.remove_abandoned()
+        self.remove_abandoned(everywhere=everywhere)
         return removed
 
     def limit(self, max_size: int) -> None:
@@ -312,7 +326,7 @@ class Cache:
             return draft, take_lock(draft / IN_USE)
 
     def _fresh_folder(self, stage: str) -> Path:
-        folder = Path(tempfile.mkdtemp(prefix=f"{stage}-", dir=self.folder / _DRAFTS))
+        folder = Path(tempfile.mkdtemp(prefix=f"{stage}-{machine_mark()}-", dir=self.folder / _DRAFTS))
         # mkdtemp shuts everybody else out; an entry is as open as the folder it will stand in.
         folder.chmod(self.folder.stat().st_mode & 0o777)
         return folder
@@ -328,9 +342,21 @@ class Cache:
             # Nobody else locks an entry or a draft while the names are locked, so there is no gap. Windows
             # moves no folder in which a file is open.
             lock.release()
-            move(draft, place)
+            try:
+                move(draft, place)
+            except OSError as error:
+                # Without locks between machines another may have come first.
+                if error.errno in (errno.ENOTEMPTY, errno.EEXIST) and not replace:
+                    return None
+                raise
+            held = take_lock(place / IN_USE, shared=True)
+        # Whoever waits for the names need not wait for the disk, too: all of the entry is on it already.
+        try:
             flush(place.parent)
-            return take_lock(place / IN_USE, shared=True)
+        except BaseException:
+            held.release()
+            raise
+        return held
 
     def _drop(self, place: Path, lock: Lock) -> bool:
         """Put a damaged entry aside unless another process has done so; `lock` is given up."""

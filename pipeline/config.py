@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from pipeline.baking import BakeSection
 from pipeline.cache_size import CacheParams
+from pipeline.covering import CoverageSection
 from pipeline.exporting import ExportSection
 from pipeline.levels import LodSection
 from pipeline.quality import QUALITIES
@@ -52,6 +53,7 @@ class Config(Sections):
     lod: LodSection = field(default_factory=LodSection)
     tiles: TilesSection = field(default_factory=TilesSection)
     export: ExportSection = field(default_factory=ExportSection)
+    coverage: CoverageSection = field(default_factory=CoverageSection)
     # Fewer samples than `compare` alone takes: a report waits for them in every run.
     compare: CompareParams = field(default_factory=lambda: CompareParams(samples=200_000))
     report: ReportParams = field(default_factory=ReportParams)

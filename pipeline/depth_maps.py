@@ -13,7 +13,6 @@ Frames are numbered, not named after their files: names decide nothing, so a res
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from stages.errors import InputError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.scans.threads import threads_to_use
 from stages.stereo.completed_scan import completed_scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.stereo.views_depth import views_depth
@@ -85,7 +85,7 @@ def write_depth_maps(
     def write(item: tuple[int, Frame, DepthMap]) -> _Written:
         return _write(folder, *item, budget)
 
-    threads = os.cpu_count() or 1
+    threads = threads_to_use()
     written = list(read_ahead(write, usable(), threads=threads, ahead=threads + 1))
     if not written:
         first = f" The first, {skipped[0].name}: {skipped[0].reason}" if skipped else ""

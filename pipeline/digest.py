@@ -11,7 +11,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from stages.errors import StageError
 from stages.files.opening import opened
 from stages.progress import Progress, silent
 from stages.scans.scan import Frame, Packed, Scan
+from stages.scans.threads import threads_to_use
 
 # Few stages look at these, or none: names and times are shown to people. See `label_digests`.
 _DIGESTED_APART = frozenset({"name", "timestamp", "up"})
@@ -80,7 +80,7 @@ def file_digest(path: Path) -> str:
 
 def file_digests(paths: Iterable[Path]) -> list[str]:
     """Digests of many files, read on all cores."""
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(threads_to_use()) as threads:
         return list(threads.map(file_digest, paths))
 
 
@@ -118,7 +118,7 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
     paths = sorted({value for value in held if isinstance(value, Path)})
     signatures = [_signature(path) for path in paths]
     contents: dict[Path, str] = {}
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(threads_to_use()) as threads:
         for path, one in zip(paths, threads.map(content, paths), strict=True):
             contents[path] = one
             progress(len(contents), len(paths))

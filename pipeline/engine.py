@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pipeline.cache import Cache
 from pipeline.entry import Entry, Recipe
@@ -33,12 +33,15 @@ class Job:
     inputs : what it reads, by name: the scan, or the folder of an earlier stage's files.
     config : every section; a stage uses those it declares.
     folder : where it writes its files.
+    get, store : of the cache, for parts of the stage's work; their entries are held to the end of the run.
     """
 
     inputs: Mapping[str, Any]
     config: Any
     folder: Path
     progress: Progress
+    get: Callable[[Recipe], Entry | None]
+    store: Callable[[Recipe, Callable[[Path], Mapping[str, Any]]], Entry]
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,19 @@ class Outcome:
     unmet: tuple[str, ...] = ()
 
 
+class Guard(Protocol):
+    """Ends a run that takes more than it may, by raising StageError."""
+
+    def before(self, stage: str) -> None:
+        """Look before a stage works."""
+
+    def during(self, stage: str, folder: Path, share: float) -> None:
+        """Look while it works, at the files it has written so far too; `share` of its work is done."""
+
+    def kept(self, stage: str, entry: Entry) -> None:
+        """Look at what it left."""
+
+
 class Engine:
     """One run: the stages of a plan, over the sources, into an output folder.
 
@@ -131,6 +147,7 @@ class Engine:
         *,
         overwrite: bool = False,
         megapixels: float | None = None,
+        guard: Guard | None = None,
     ) -> None:
         self._plan = plan
         self._config = config
@@ -140,6 +157,7 @@ class Engine:
         self._events = events
         self._overwrite = overwrite
         self._megapixels = megapixels
+        self._guard = guard
         self._entries: list[Entry] = []
 
     def __enter__(self) -> Engine:
@@ -184,10 +202,14 @@ class Engine:
         decided = {"recipe": recipe.as_json(), "parts": parts}
         if entry is None:
             why = "forced" if forced else reason(decided, self.results.decided(stage.name))
+            if self._guard is not None:
+                self._guard.before(stage.name)
             self._events(StageStarted(stage.name, why))
             # Files of this stage and the later ones belong to another run from here on.
             self.results.withdraw(stage.name for stage in following)
             entry = self._cache.store(recipe, lambda folder: self._make(stage, folder), replace=forced)
+            if self._guard is not None:
+                self._guard.kept(stage.name, entry)
         self._add(stage, entry)
         placed = self.results.place(stage.name, entry, stage.results, decided)
         seconds = time.perf_counter() - started
@@ -212,13 +234,17 @@ class Engine:
 
     def _make(self, stage: Stage, folder: Path) -> dict[str, Any]:
         def progress(done: int, total: int) -> None:
+            if self._guard is not None:
+                self._guard.during(stage.name, folder, done / max(total, 1))
             self._events(StageProgress(stage.name, done, total))
 
         inputs = _values(stage, self._sources)
         reset_peak()
         started = time.perf_counter()
         with explained(f"{stage.name} failed"):
-            figures = stage.make(Job(inputs, self._config, folder, progress))
+            figures = stage.make(
+                Job(inputs, self._config, folder, progress, get=self._get_part, store=self._store_part)
+            )
         made = {
             "seconds": round(time.perf_counter() - started, 3),
             "peak_memory_bytes": peak_bytes(),
@@ -229,9 +255,23 @@ class Engine:
             self._sources[name].require_unchanged()
         return {"figures": as_json(figures), "made": made}
 
-    def _add(self, stage: Stage, entry: Entry) -> None:
+    def _get_part(self, recipe: Recipe) -> Entry | None:
+        entry = self._cache.get(recipe)
+        if entry is not None:
+            self._hold(entry)
+        return entry
+
+    def _store_part(self, recipe: Recipe, make: Callable[[Path], Mapping[str, Any]]) -> Entry:
+        entry = self._cache.store(recipe, make)
+        self._hold(entry)
+        return entry
+
+    def _hold(self, entry: Entry) -> None:
         self._entries.append(entry)
         self.results.keep(entry)
+
+    def _add(self, stage: Stage, entry: Entry) -> None:
+        self._hold(entry)
         self._sources[stage.writes] = Source(entry.digest, entry.folder, entry.files)
 
 

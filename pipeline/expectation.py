@@ -20,12 +20,17 @@ class Cost:
     ----------
     seconds, seconds_per_megapixel : on two cores without a GPU.
     bytes, bytes_per_megapixel : beyond what the process holds anyway.
+    disk, disk_per_megapixel : bytes that are written, into the cache and the output folder.
+    by_voxels : memory and disk follow from how fine the voxels are.
     """
 
     seconds: float = 0.5
     seconds_per_megapixel: float = 0.1
     bytes: float = 0.0
     bytes_per_megapixel: float = 20e6
+    disk: float = 1e6
+    disk_per_megapixel: float = 2e6
+    by_voxels: bool = True
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,13 @@ class Expectation:
     seconds: float
     memory_bytes: int
     basis: str
+    disk_bytes: int = 0
+
+    def scaled(self, factor: float) -> Expectation:
+        """Return what so many times as much work of the same kind will take."""
+        beyond = max(self.memory_bytes - BASE_BYTES, 0)
+        memory = int(min(self.memory_bytes, BASE_BYTES) + factor * beyond)
+        return Expectation(self.seconds * factor, memory, self.basis, int(self.disk_bytes * factor))
 
 
 def megapixels(scan: Scan) -> float:
@@ -67,21 +79,25 @@ def expected(
     same_stage = [one for one in earlier if one["recipe"]["stage"] == stage and "seconds" in one["made"]]
     for one in same_stage:
         if inputs is not None and one["recipe"]["inputs"] == inputs:
-            return _as_before(one["made"], 1.0, "measured")
+            return as_before(one, 1.0, "measured")
     for one in same_stage:
         then = one["made"].get("megapixels")
         if then:
-            return _as_before(one["made"], size / then, "scaled")
+            return as_before(one, size / then, "scaled")
     if same_stage:
-        return _as_before(same_stage[0]["made"], 1.0, "scaled")
+        return as_before(same_stage[0], 1.0, "scaled")
     return Expectation(
         cost.seconds + cost.seconds_per_megapixel * size,
         int(BASE_BYTES + cost.bytes + cost.bytes_per_megapixel * size),
         "estimated",
+        int(cost.disk + cost.disk_per_megapixel * size),
     )
 
 
-def _as_before(made: Mapping[str, Any], factor: float, basis: str) -> Expectation:
-    peak = float(made.get("peak_memory_bytes", BASE_BYTES))
-    grown = min(peak, BASE_BYTES) + factor * max(peak - BASE_BYTES, 0)
-    return Expectation(made["seconds"] * factor, int(grown), basis)
+def as_before(manifest: Mapping[str, Any], factor: float, basis: str) -> Expectation:
+    """Return what a stage will take that does so many times the work of a result in the cache."""
+    made = manifest["made"]
+    # The result, and its copy in the output folder.
+    disk = 2 * sum(about["size"] for about in manifest.get("files", {}).values())
+    peak = int(made.get("peak_memory_bytes", BASE_BYTES))
+    return Expectation(made["seconds"], peak, basis, disk).scaled(factor)

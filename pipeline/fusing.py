@@ -1,6 +1,7 @@
 """The stage `fuse`: its mesh, the plane that was left out of it, and what could not be joined to it.
 
 fused.ply
+fused.pieces.json      which of it is of which brick, if space was cut in bricks
 plane.json             what is up from the plane that things stand on, if one was found and left out
 pieces/fused-N.ply     frames that poses could not join to those that are used
 """
@@ -14,21 +15,26 @@ from pipeline import registering
 from pipeline.standing import Up
 from stages.errors import InputError, UsageError
 from stages.files.documents import read_document
-from stages.fusion.fuse import Fused, fuse
+from stages.fusion.fuse import Fused, fuse, fuse_to_file
+from stages.fusion.in_bricks import FusedInBricks, Kept
 from stages.fusion.params import FuseParams
+from stages.progress import Progress
 from stages.scans.scan import Scan
 from stages.surface.formats.ply import write_ply
 
 _PLANE = "plane.json"
 
 
-def write(folder: Path, fused: Fused) -> None:
-    """Write what was fused."""
-    write_ply(folder / "fused.ply", fused.mesh)
+def make(
+    folder: Path, scan: Scan, params: FuseParams, kept: Kept, progress: Progress
+) -> Fused | FusedInBricks:
+    """Fuse a scan, and write what comes out."""
+    fused = fuse_to_file(scan, params, folder / "fused.ply", kept=kept, progress=progress)
     if fused.support is not None:
         (folder / _PLANE).write_text(
             json.dumps({"up": fused.support.normal}) + "\n", encoding="utf-8", newline="\n"
         )
+    return fused
 
 
 def up_from_plane(folder: Path) -> Up | None:

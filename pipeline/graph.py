@@ -6,13 +6,14 @@ pairs ──depth──▶ frames ──────────fuse──▶ fu
                                                                 └─lod─▶ levels └──bake──▶ baked
                                                                           └─tiles─▶ tileset
 (upright makes `standing` of clean, and of the plane that fuse may have left out; all read it that write glTF
-or tiles: texture, bake, tiles, export; export makes of simplified, or textured, what other programs open)
-(an RGB-D scan is frames from the start, and has no depth stage, unless a network fills in its depth; single
-views with poses go the way of pairs; depth reads the `network` of `depth.model`, if it is set;
-register is there where poses are missing; adjust where frames have colour and measured depth, from what
-register found; texture where frames have colour; bake, remesh and lod if they are enabled; bake reads clean,
-too, tiles clean and textured; texture, lod, tiles and report what fuse reads, and report frames that were
-`held_out`)
+or tiles: texture, bake, tiles, export, coverage; export makes of simplified, or textured, what other programs
+open)
+(an RGB-D scan is frames from the start, and has no depth stage, unless a network fills in its depth;
+single views with poses go the way of pairs; depth reads the `network` of `depth.model`, if it is set;
+coverage reads clean and what fuse reads, if it is enabled; register is there where poses are missing; adjust
+where frames have colour and measured depth, from what register found; texture where frames have colour; bake,
+remesh and lod if they are enabled; bake reads clean, too, tiles clean and textured; texture, lod, tiles and
+report what fuse reads, and report frames that were `held_out`)
 
 Stages that read the scan itself also read its `names` and `times`, if their results tell of them, and what is
 known of its `world`: upright makes use of it, and depth hands it on.
@@ -28,6 +29,7 @@ from typing import Any, cast
 from pipeline import (
     adjusting,
     baking,
+    covering,
     exporting,
     fusing,
     holding_out,
@@ -40,18 +42,21 @@ from pipeline import (
     upright,
     versions,
 )
+from pipeline.bricks import KeptBricks
 from pipeline.depth_maps import measure_of, write_depth_maps
 from pipeline.engine import Job, Stage
 from pipeline.expectation import Cost
+from pipeline.large import is_large, some_of, whole
 from pipeline.own_paths import from_folder
 from pipeline.skipped import said_of_skipped
 from pipeline.standing import Up, read_up
 from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
+from stages.cleaning.clean_in_pieces import clean_in_pieces
 from stages.comparing.compare import compare_surfaces
 from stages.comparing.left_out import left_out as left_out_of_all
 from stages.exporting.export import export
-from stages.fusion.fuse import fuse
+from stages.inspecting.coverage.coverage import coverage
 from stages.inspecting.libraries import installed
 from stages.inspecting.sanity import require_poses
 from stages.lod.slod import read_slod
@@ -60,7 +65,9 @@ from stages.normal_meshes.unmet import unmet as not_close
 from stages.registration.register import register
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Scan
+from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
+from stages.simplification.simplify_in_pieces import InPieces, simplify_in_pieces
 from stages.simplification.unmet import unmet as not_simplified
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh_files import read_mesh
@@ -112,8 +119,8 @@ def _fuse(job: Job) -> Mapping[str, Any]:
     unplaced = _scan(job)
     scan = _placed(unplaced, job)
     doubts = require_poses(scan) if job.config.scan.check_poses else []
-    fused = fuse(scan, job.config.fuse, progress=job.progress)
-    fusing.write(job.folder, fused)
+    kept = KeptBricks(job, scan, versions.of_fuse({}, job.config), installed("opencv"))
+    fused = fusing.make(job.folder, scan, job.config.fuse, kept, job.progress)
     figures = fused.figures()
     if "posed" in job.inputs:
         doubts += fusing.fuse_apart(job.folder, unplaced, job.inputs["posed"], job.config.fuse)
@@ -122,14 +129,17 @@ def _fuse(job: Job) -> Mapping[str, Any]:
 
 
 def _clean(job: Job) -> Mapping[str, Any]:
-    cleaned = clean(read_ply(job.inputs["fused"] / "fused.ply"), job.config.clean)
-    write_ply(job.folder / "clean.ply", cleaned.mesh)
+    fused, result = job.inputs["fused"] / "fused.ply", job.folder / "clean.ply"
+    if is_large(fused):
+        return clean_in_pieces(fused, result, job.config.clean, progress=job.progress)
+    cleaned = clean(read_ply(fused), job.config.clean)
+    write_ply(result, cleaned.mesh)
     told = {} if cleaned.repaired is None else {"warnings": list(cleaned.repaired.mesh.notes)}
     return {**cleaned.figures(), **told}
 
 
 def _upright(job: Job) -> Mapping[str, Any]:
-    mesh = read_ply(job.inputs["clean"] / "clean.ply")
+    mesh = some_of(job.inputs["clean"] / "clean.ply")
     plane = fusing.up_from_plane(job.inputs["fused"])
     return upright.make(job.folder, mesh, _frames(job), plane, job.config.upright)
 
@@ -139,8 +149,12 @@ def _up(job: Job) -> Up | None:
 
 
 def _simplify(job: Job) -> Mapping[str, Any]:
-    mesh = read_ply(job.inputs["clean"] / "clean.ply")
-    simplified = simplify(mesh, job.config.simplify, progress=job.progress)
+    path = job.inputs["clean"] / "clean.ply"
+    simplified: Simplified[Any] | InPieces
+    if is_large(path):
+        simplified = simplify_in_pieces(path, job.config.simplify, progress=job.progress)
+    else:
+        simplified = simplify(read_ply(path), job.config.simplify, progress=job.progress)
     write_ply(job.folder / "simplified.ply", simplified.mesh)
     return simplified.figures()
 
@@ -153,7 +167,8 @@ def _texture(job: Job) -> Mapping[str, Any]:
 
 
 def _bake(job: Job) -> Mapping[str, Any]:
-    light, original = (read_ply(job.inputs[name] / f"{name}.ply") for name in ("simplified", "clean"))
+    light = read_ply(job.inputs["simplified"] / "simplified.ply")
+    original = whole(job.inputs["clean"] / "clean.ply", "bake")
     return baking.make(job.folder, light, original, _up(job), job.config.bake, job.progress)
 
 
@@ -163,7 +178,7 @@ def _remesh(job: Job) -> Mapping[str, Any]:
 
 
 def _lod(job: Job) -> Mapping[str, Any]:
-    mesh = read_ply(job.inputs["clean"] / "clean.ply").with_(up=_up(job))
+    mesh = whole(job.inputs["clean"] / "clean.ply", "lod").with_(up=_up(job))
     return levels.make(job.folder, mesh, _frames(job).frames, job.config.lod, job.progress)
 
 
@@ -181,9 +196,16 @@ def _export(job: Job) -> Mapping[str, Any]:
     return exporting.make(job.folder, mesh.with_(up=_up(job)), name, job.config.export)
 
 
+def _coverage(job: Job) -> Mapping[str, Any]:
+    scan = _frames(job)
+    mesh = whole(job.inputs["clean"] / "clean.ply", "coverage")
+    figures = covering.make(job.folder, mesh, scan.frames, job.config.coverage, _up(job), job.progress)
+    return from_folder(_with_skipped(figures), scan.folder)
+
+
 def _report(job: Job) -> Mapping[str, Any]:
     names = ("fused", "clean", "simplified")
-    meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
+    meshes = {name: whole(job.inputs[name] / f"{name}.ply", "report") for name in names}
     by_photo = None
     if "textured" in job.inputs:
         meshes["textured"] = read_mesh(job.inputs["textured"] / texturing.FILE)
@@ -255,7 +277,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of_depth,
         libraries=installed("opencv"),
         results=("points.ply",),
-        cost=Cost(seconds_per_megapixel=0.5, bytes=500e6, bytes_per_megapixel=1e6),
+        cost=Cost(seconds_per_megapixel=0.5, bytes=500e6, bytes_per_megapixel=1e6, by_voxels=False),
     ),
     Stage(
         name="register",
@@ -266,7 +288,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(register),
         libraries=installed("opencv", "open3d"),
         results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
-        cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6),
+        cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6, by_voxels=False),
     ),
     Stage(
         name="adjust",
@@ -277,7 +299,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of_adjust,
         libraries=installed("opencv", "scipy"),
         results=(f"{_ADJUSTED}/",),
-        cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6),
+        cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6, by_voxels=False),
     ),
     Stage(
         name="fuse",
@@ -330,7 +352,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(texture),
         libraries=installed("scanloom", "opencv"),
         results=(texturing.FILE, f"{texturing.MAPS}/"),
-        cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=1e9, bytes_per_megapixel=3e6),
+        cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=1e9, bytes_per_megapixel=3e6, by_voxels=False),
     ),
     Stage(
         name="bake",
@@ -387,6 +409,17 @@ STAGES: tuple[Stage, ...] = (
         libraries=installed("scanloom", "opencv"),
         results=(exporting.FILE, exporting.WEB),
         cost=Cost(seconds=1, bytes=300e6),
+    ),
+    Stage(
+        name="coverage",
+        reads=("frames", "posed", "adjusted", "clean", "standing", "names"),
+        writes="covered",
+        sections=("coverage",),
+        make=_coverage,
+        versions=versions.of(coverage),
+        libraries=installed("open3d", "opencv", "scipy"),
+        results=(covering.MESH, covering.MODEL, covering.FILE),
+        cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6),
     ),
     Stage(
         name="report",

@@ -9,7 +9,9 @@ from pathlib import Path
 
 from pipeline.system import lock, open_folder_lock, open_lock
 
-# What the system says where nothing may be written.
+# What the system says where there are no locks, as in some shared folders.
+_NO_LOCKS = frozenset({errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS})
+# What it says where nothing may be written.
 READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
 
 
@@ -92,7 +94,15 @@ def _locked(path: Path, *, shared: bool, wait: bool) -> Lock:
 
 def _held(path: Path, descriptor: int, *, shared: bool, wait: bool) -> Lock:
     try:
-        lock(descriptor, shared=shared, wait=wait)
+        try:
+            lock(descriptor, shared=shared, wait=wait)
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+            # What is waited for is then held with others: entries are whole or absent all the same, and the
+            # same work may be done twice. What is only tried could be in use, and is let be.
+            if not wait:
+                raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)) from error
     except BaseException:
         os.close(descriptor)
         raise

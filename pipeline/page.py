@@ -11,6 +11,7 @@ import numpy as np
 import stages
 from pipeline.deviations import FIGURES, Kept, kept_of, read_deviations
 from pipeline.page_cameras import as_runs_write, cameras_of
+from pipeline.page_coverage import missing_of
 from pipeline.page_paints import confidence_paint, deviation_paint
 from pipeline.page_told import at, deviation_tables, skipped_in, told_of
 from pipeline.report import PICTURES, SIGNED_SAMPLES
@@ -72,6 +73,10 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
                 *deviation_tables(figures, proven, places, is_metric=is_metric),
                 *told.get("tables", ()),
             ]
+    missing = missing_of(folder, result.up, turn, is_metric=at(report, "scan", "metric", otherwise=True))
+    if missing is not None:
+        models["what is missing"] = missing.shown
+        told["tables"] = [missing.table, *told.get("tables", ())]
     confidence = confidence_paint(result, folder / MAPS)
     if confidence is not None:
         paints["confidence"] = confidence

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_photo
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, pinhole
+from stages.scans.threads import threads_to_use
 
 FILE, PHOTOS = "cameras.json", "photos"
 
@@ -57,7 +57,7 @@ def write_photos(folder: Path, frames: Sequence[Frame], count: int, held_out: Se
         (folder / name).write_bytes(encoded_image(np.asarray(small, np.uint8), "jpeg", _QUALITY))
         return number, name
 
-    threads = os.cpu_count() or 1
+    threads = threads_to_use()
     photos = dict(read_ahead(written, chosen, threads=threads, ahead=threads))
     cameras = [
         {**_told(frame, photos.get(number)), "held_out": shown[number] >= last}

@@ -71,6 +71,8 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         reasons["tiles"] = "is switched off; set tiles.enabled=true"
     elif not config.lod.enabled:
         reasons["tiles"] = "is made of levels of detail, which are not enabled; set lod.enabled=true"
+    if not config.coverage.enabled:
+        reasons["coverage"] = "is not enabled; set coverage.enabled=true"
     if not config.report.enabled:
         reasons["report"] = "is switched off; set report.enabled=true"
     if "texture" not in reasons and not config.export.web:

@@ -45,6 +45,7 @@ class Results:
         record = cache.latest_run(out)
         self._stages = _sound(record.get("stages")) if record.get("schema") == _FORMAT_VERSION else {}
         self._keys: list[str] = []
+        self._asked: Mapping[str, Any] | None = None
         self._contents: dict[tuple[Path, int, int, int, int], str] = {}
         # What a run with another cache placed, or one whose cache is gone.
         self._reported = _reported(out / REPORT)
@@ -57,6 +58,10 @@ class Results:
     def keep(self, entry: Entry) -> None:
         """Record that this run uses an entry."""
         self._keys.append(entry.key)
+
+    def note(self, asked: Mapping[str, Any]) -> None:
+        """Have the record say what the run was asked for; see `pipeline.asked`."""
+        self._asked = asked
 
     def require_replaceable(self, names: Iterable[str]) -> None:
         """Refuse, before any work, files that a run is going to replace and that none has placed.
@@ -227,7 +232,7 @@ class Results:
             )
 
     def _remember(self) -> None:
-        record = {"schema": _FORMAT_VERSION, "keys": self._keys, "stages": self._stages}
+        record = {"schema": _FORMAT_VERSION, "keys": self._keys, "stages": self._stages, "asked": self._asked}
         self._cache.remember_run(self._out, record)
 
     def _remove(self, stage: str, besides: Iterable[str] = ()) -> None:

@@ -11,6 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from pipeline.asked import Asked, from_anywhere
 from pipeline.cache import Cache
 from pipeline.config import Config
 from pipeline.digest import digest
@@ -19,6 +20,8 @@ from pipeline.events import Events, RunStarted, StageProgress, Warned, unwatched
 from pipeline.expectation import megapixels
 from pipeline.failures import explained
 from pipeline.graph import STAGES
+from pipeline.limits import NO_LIMITS, LimitGuard, Limits, within
+from pipeline.needs import expected_of
 from pipeline.page import page_of_run
 from pipeline.plan import is_adjusted, is_registered, left_out, plan_for
 from pipeline.report import ReportParams, compose
@@ -108,6 +111,7 @@ def run(
     force: Collection[str] = (),
     cache_dir: Path | str | None = None,
     overwrite: bool = False,
+    limits: Limits = NO_LIMITS,
     events: Events = unwatched,
 ) -> RunResult:
     """Take a scan from its folder to a light mesh and a report; stages that need not run are not run.
@@ -125,6 +129,7 @@ def run(
     force : stages to run even though their results are cached.
     cache_dir : see `cache_folder`.
     overwrite : also replace files in `out` that no run has placed there, or that were changed since.
+    limits : what it may take of memory and disk.
     events : told what happens, from this thread.
 
     Raises
@@ -134,11 +139,11 @@ def run(
     UsageError
         For an unknown stage, a wrong parameter, or an output folder that is the scan itself.
     StageError
-        If a stage fails, or the machine runs out of disk or memory.
+        If a stage fails, or the machine runs out of disk or memory, or the run of what it may take.
     """
     cache = Cache(cache_folder(Path(out).resolve(), cache_dir), lambda text: events(Warned(text)))
     wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
-    return _run(wanted, cache, overwrite, events)
+    return run_wanted(wanted, cache, overwrite=overwrite, limits=limits, events=events)
 
 
 @dataclass(frozen=True)
@@ -178,9 +183,7 @@ def wanted_of(
             raise UsageError(
                 f"{folder}: the {what} folder is the scan itself, which is only read; name another."
             )
-    known = [stage.name for stage in STAGES]
-    for name in (*force, *([] if until is None else [until])):
-        _require_stage(name, known)
+    require_stages([*force, *([] if until is None else [until])])
     scan = read_scan(scan_folder, config.scan, complete=False)
     require_complete(scan, scan_folder, posed=not is_registered(scan, config))
     if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
@@ -223,8 +226,17 @@ def cache_folder(out: Path, given: Path | str | None = None) -> Path:
     return Path(chosen).resolve() if chosen else out / "cache"
 
 
-def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunResult:
-    scan, out, config, planned = wanted.scan, wanted.out, wanted.config, wanted.planned
+def run_wanted(
+    wanted: Wanted,
+    cache: Cache,
+    *,
+    overwrite: bool = False,
+    limits: Limits = NO_LIMITS,
+    events: Events = unwatched,
+) -> RunResult:
+    """Run what `wanted_of` returned; see `run`."""
+    scan, out, planned = wanted.scan, wanted.out, wanted.planned
+    config = within(wanted.config, limits)
     events(RunStarted(scan.layout, len(scan.frames), wanted.warnings, planned, scan.is_metric))
     with explained(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
@@ -241,7 +253,10 @@ def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunRe
         events,
         overwrite=overwrite,
         megapixels=megapixels(scan),
+        guard=_guard(wanted, cache, limits, events),
     ) as engine:
+        if scan.folder is not None:
+            engine.results.note(Asked(scan.folder.absolute(), from_anywhere(config), planned[-1]).record())
         engine.results.require_replaceable(placed_by(wanted))
         engine.results.withdraw_others([stage.name for stage in wanted.plan])
         outcomes = tuple(engine.run(planned[-1], wanted.force))
@@ -252,6 +267,14 @@ def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunRe
     if config.cache.max_bytes is not None:
         cache.limit(config.cache.max_bytes)
     return RunResult(out, cache.folder, outcomes, written, page)
+
+
+def _guard(wanted: Wanted, cache: Cache, limits: Limits, events: Events) -> LimitGuard | None:
+    if not limits:
+        return None
+    expected = expected_of(wanted.scan, wanted.config, wanted.planned, cache.folder)
+    by_voxels = [stage.name for stage in wanted.plan if stage.cost.by_voxels]
+    return LimitGuard(limits, wanted.config, expected, by_voxels, lambda text: events(Warned(text)))
 
 
 def _page(
@@ -287,10 +310,13 @@ def placed_by(wanted: Wanted) -> list[str]:
     ]
 
 
-def _require_stage(name: str, known: Sequence[str]) -> None:
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        raise UsageError(
-            f"there is no stage {name!r}; "
-            + (f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}.")
-        )
+def require_stages(names: Sequence[str]) -> None:
+    """Raise UsageError for a name that is not of a stage."""
+    known = [stage.name for stage in STAGES]
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            raise UsageError(
+                f"there is no stage {name!r}; "
+                + (f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}.")
+            )

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from stages.exporting.presets import preset
     from stages.fusion.fuse import Fused, fuse
     from stages.fusion.params import FuseParams
+    from stages.inspecting.coverage.coverage import coverage
+    from stages.inspecting.coverage.covered import Coverage
+    from stages.inspecting.coverage.params import CoverageParams
+    from stages.inspecting.coverage.place import Place
     from stages.inspecting.inspect import inspect
     from stages.inspecting.inspection import Inspection
     from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
@@ -82,6 +86,10 @@ _NAMES_OF = {
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
     "comparing.tradeoff": ("Tradeoff", "TradeoffParams", "tradeoff"),
+    "inspecting.coverage.coverage": ("coverage",),
+    "inspecting.coverage.covered": ("Coverage",),
+    "inspecting.coverage.params": ("CoverageParams",),
+    "inspecting.coverage.place": ("Place",),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
     "exporting.export": ("ExportParams", "Exported", "export"),
     "exporting.presets": ("preset",),
@@ -146,6 +154,8 @@ __all__ = [
     "CollapseRecord",
     "CompareParams",
     "Comparison",
+    "Coverage",
+    "CoverageParams",
     "DepthMap",
     "DepthParams",
     "DeviationParams",
@@ -168,6 +178,7 @@ __all__ = [
     "Page",
     "PatchParams",
     "Patches",
+    "Place",
     "RegisterParams",
     "Registration",
     "RemeshParams",
@@ -204,6 +215,7 @@ __all__ = [
     "compare",
     "compare_views",
     "completed_scan",
+    "coverage",
     "decode",
     "depth",
     "depth_scan",

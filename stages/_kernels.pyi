@@ -217,6 +217,8 @@ def weld_sheets(sets: NDArray[np.int32], triangles: NDArray[np.int32]) -> Welded
 # (n, k): levels of colour, or numbers.
 _Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]
 # fx, fy, cx, cy, width and height; and the (4, 4) matrix that takes the world to the camera.
+# The first block of a box along each axis, and the one after its last.
+_Blocks: TypeAlias = tuple[Sequence[int], Sequence[int]]
 _Camera: TypeAlias = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
 _Soup: TypeAlias = tuple[NDArray[np.float64], _Attributes, NDArray[np.int32]]
 
@@ -408,13 +410,20 @@ class Volume:
         weighing: tuple[float, float, float],
         wanted_threads: int,
     ) -> None:
-        """Add a frame to the blocks with some keys; LimitError where there would be too many blocks."""
-    def typical_frames(self) -> float:
-        """How many frames saw the median voxel near the surface."""
+        """Add a frame to the blocks with some keys; raises LimitError where there would be too many."""
+    def frame_counts(self, *, within: _Blocks | None) -> NDArray[np.uint64]:
+        """Of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
     def surface(
-        self, least: int, *, wanted_threads: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-        """Vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) 0 to 255, mean frames (n,)."""
+        self, least: int, *, within: _Blocks | None, wanted_threads: int
+    ) -> tuple[
+        tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]],
+        list[NDArray[np.uint64]],
+    ]:
+        """Vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3) 0 to 255, mean frames (n,).
+
+        With a box of blocks, of these alone; triangles name vertices of others from n upward. Then of these
+        the blocks, and codes of edges; and of those that others may name blocks, codes and numbers.
+        """
     def voxels(
         self,
     ) -> tuple[
@@ -447,12 +456,14 @@ class View:
         cls,
         photo: Photo,
         mesh_camera: _Camera,
+        mesh_nearest: NDArray[np.float32],
         mesh_depth: NDArray[np.float32],
         mesh_triangles: NDArray[np.int32],
         *,
         reach: tuple[float, float],
-        measured: tuple[_Camera, NDArray[np.float32]] | None,
+        measured: tuple[_Camera, NDArray[np.float32], NDArray[np.float32]] | None,
         worth: float,
+        flattest: float,
     ) -> View: ...
 
 @final
@@ -480,6 +491,9 @@ class SurfacePoints:
 
     def density(self) -> NDArray[np.float32]:
         """Return pixels a metre in the nearest view (n,), 0 where none shows a point."""
+
+    def flat(self) -> NDArray[np.bool_]:
+        """Return which points (n,) are seen, but flatter than anybody would want it."""
 
     def blend(
         self, *, blurred: int, details: int, deviations: float, levels: float, wanted_threads: int
@@ -638,7 +652,7 @@ def touched_blocks(
     *,
     voxel_size: float,
     truncation: float,
-    within: tuple[Sequence[int], Sequence[int]] | None,
+    within: _Blocks | None,
 ) -> NDArray[np.uint64]:
     """List the keys of the blocks that a frame touches, sorted."""
 

@@ -51,6 +51,12 @@ class StageError(ScanloomError):
     """A stage failed on input that looked sound, or the machine ran out of something (exit code 1)."""
 
 
+def bug_explained(error: BaseException) -> str:
+    """Return what a person is told of an exception that nobody foresaw."""
+    what = f"{type(error).__name__}: {error}".rstrip(": ").replace("\n", " ")
+    return f"This is a bug in scanloom ({what}). Please report it with what --debug adds to the same command."
+
+
 def is_lack_of_memory(error: BaseException) -> bool:
     """Whether an exception, of whatever library, says that there is not enough memory."""
     if isinstance(error, MemoryError):

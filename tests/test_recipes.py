@@ -97,5 +97,19 @@ def test_a_notebook_of_its_cells_runs_and_shows(tmp_path: Path, monkeypatch: pyt
     assert shown[6].startswith('<iframe title="out"')
 
 
+def test_the_snakefile_calls_run_with_words_it_understands() -> None:
+    from typer.main import get_command
+
+    from cli.app import app
+
+    rule = (RECIPES / "Snakefile").read_text().partition("shell:")[2]
+    command = "".join(re.findall(r'"([^"]*)"', rule)).partition("scanloom run ")[2].partition("2>")[0]
+    words = re.sub(r"\{resources\.\w+\}", "4000", re.sub(r"\{WORDS\}", "--quality draft", command)).split()
+    context = get_command(app).commands["run"].make_context("run", list(words))  # type: ignore[attr-defined]
+    assert context.params["memory"] == "4000"
+    assert context.params["cache"] is not None
+    assert "--cache" in words
+
+
 def test_pictures_of_recipes_are_small() -> None:
     assert all(path.stat().st_size < 150_000 for path in RECIPES.glob("*.png"))

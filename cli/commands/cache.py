@@ -87,6 +87,7 @@ def prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
         older_than=0.0 if params.all else None if params.older_than is None else params.older_than * _DAY,
         max_size=None if params.max_size is None else bytes_of(params.max_size, "max_size"),
         dry_run=params.dry_run,
+        everywhere=True,
     )
     _print_entries(cache.folder, removed, out, "would be removed" if params.dry_run else "removed")
 

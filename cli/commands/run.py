@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli import completing
 from cli.options import Changes, as_typed
 from cli.output import Output, size_of, table_of
 from cli.paths import require_scan, require_writable
 from cli.plot_option import plot_option, require_plot
-from cli.quality import QualityOption, config_of
+from cli.quality import QualityOption
+from cli.run_options import (
+    CacheOption,
+    ConfigOption,
+    DiskOption,
+    ForceOption,
+    MemoryOption,
+    OverwriteOption,
+    PageOption,
+    ReportOption,
+    SetOption,
+    UntilOption,
+    bytes_or_none,
+    run_config,
+)
 from cli.watch import watching
 from stages import ScanParams, UsageError
 
@@ -37,48 +49,12 @@ def run(
     ],
     scan_options: Changes[ScanParams],
     out: Output,
-    config_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--config", metavar="FILE", help="Parameters as TOML; see scanloom config.", show_default=False
-        ),
-    ] = None,
+    config_file: ConfigOption = None,
     quality: QualityOption = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="STAGE.PARAM=VALUE",
-            autocompletion=completing.settings,
-            help="Change one parameter, after --quality and --config; may be given many times.",
-            show_default=False,
-        ),
-    ] = None,
-    until: Annotated[
-        str | None,
-        typer.Option(
-            metavar="STAGE",
-            help="Stop after this stage.",
-            autocompletion=completing.stage_names,
-            show_default=False,
-        ),
-    ] = None,
-    force: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="STAGE",
-            autocompletion=completing.stage_names,
-            help="Run this stage even though its result is cached; may be given many times.",
-            show_default=False,
-        ),
-    ] = None,
-    overwrite: Annotated[
-        bool,
-        typer.Option(
-            "--overwrite",
-            help="Also replace files in OUT that no run has placed there, or that were changed since.",
-        ),
-    ] = False,
+    settings: SetOption = None,
+    until: UntilOption = None,
+    force: ForceOption = None,
+    overwrite: OverwriteOption = False,
     dry_run: Annotated[
         bool,
         typer.Option(
@@ -87,31 +63,11 @@ def run(
             "why the others are not, and the seconds and memory to expect.",
         ),
     ] = False,
-    cache: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Where the results of stages are kept; $SCANLOOM_CACHE, or OUT/cache, if not given.",
-            show_default=False,
-        ),
-    ] = None,
-    page: Annotated[
-        bool | None,
-        typer.Option(
-            "--page/--no-page",
-            help="Write report.html, a page that shows the result, which is the default. As report.page.",
-            show_default=False,
-        ),
-    ] = None,
-    report: Annotated[
-        bool | None,
-        typer.Option(
-            "--report/--no-report",
-            help="Measure the result and draw it, which is the default; without, there is no page either. "
-            "As report.enabled.",
-            show_default=False,
-        ),
-    ] = None,
+    cache: CacheOption = None,
+    page: PageOption = None,
+    report: ReportOption = None,
+    memory: MemoryOption = None,
+    disk: DiskOption = None,
     plot: Annotated[Path | None, plot_option("how long each stage took")] = None,
 ) -> None:
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
@@ -127,24 +83,22 @@ def run(
     same as 3D Tiles in tiles/. Where frames have no colour, simplified.glb stands for textured.glb; both are
     turned upright. With --set export.web=true it holds web.glb, of a few bytes for viewers of the web.
 
+    --memory and --disk end a run that would take more, and say with which voxel size it would not.
+
     --quality draft is for a first look, best for what is kept; --config and --set win over it.
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """
     from pipeline.dry_run import foresee
+    from pipeline.limits import Limits
     from pipeline.run import run as run_pipeline
-    from stages.simplification.auto import chosen
 
     require_scan(scan)
     if dry_run and plot is not None:
         raise UsageError("--plot draws how long stages took; --dry-run writes nothing.")
     require_plot(plot)
-    config = config_of(config_file, quality, out)
-    switched = {"report.page": page, "report.enabled": report}
-    switches = [f"{name}={str(on).lower()}" for name, on in switched.items() if on is not None]
-    config = config.set((*(settings or ()), *switches))
-    config = replace(config, scan=replace(config.scan, **scan_options))
-    chosen(config.simplify)  # what does not go together is said now, not after hours of fusion
+    config = run_config(config_file, quality, settings, scan_options, page, report, out)
+    limits = Limits(bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk"))
     require_writable(target)
     how: dict[str, Any] = {
         "until": until,
@@ -156,7 +110,7 @@ def run(
         _tell_dry_run(foresee(scan, target, config, **how), out)
         return
     with watching(out) as events:
-        result = run_pipeline(scan, target, config, **how, events=events)
+        result = run_pipeline(scan, target, config, **how, limits=limits, events=events)
     if plot is not None:
         _plot(plot, result)
     for sentence in result.unmet:

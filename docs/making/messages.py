@@ -28,7 +28,7 @@ PAGES = ROOT / "docs" / "when-it-goes-wrong"
 
 # What is called with a text that a person reads.
 _CALLS = {
-    "InputError", "MeshError", "StageError", "UsageError", "_MalformedError",
+    "InputError", "MeshError", "OutgrownError", "StageError", "UsageError", "_MalformedError",
     "Failure", "NoMotion", "Refused", "SkippedFrame", "Warned",
     "_apart", "_refuse", "_warn", "explained", "note", "refuse", "tell", "unmet", "warn", "without_depth",
 }  # fmt: skip

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.cleaning.check import CheckParams
 from stages.cleaning.degenerate import without_degenerate
@@ -273,7 +274,15 @@ def _without_islands(traced: Traced, params: CleanParams, counts: dict[str, int]
     tails, heads = triangles[:, :2].reshape(-1), triangles[:, 1:].reshape(-1)
     _, labels = components(len(traced.mesh.vertices), tails, heads)
     piece = labels[triangles[:, 0]]
-    area = np.bincount(piece, areas(traced.mesh.vertices, triangles))
+    area = np.bincount(piece, areas(traced.mesh.vertices, triangles)).astype(np.float64)
+    kept, min_area = is_large(area, params)
+    counts["islands"] = int(np.count_nonzero(~kept & (np.bincount(piece) > 0)))
+    counts["island_triangles"] = int(np.count_nonzero(~kept[piece]))
+    return traced.keep(kept[piece]), min_area
+
+
+def is_large(area: NDArray[np.float64], params: CleanParams) -> tuple[NDArray[np.bool_], float]:
+    """Return which pieces (k,) stay, by their areas in m², and the area they had to have."""
     min_area = params.min_island_area
     if min_area is None:
         min_area = _ISLAND_SHARE * float(area.max(initial=0.0))
@@ -281,6 +290,4 @@ def _without_islands(traced: Traced, params: CleanParams, counts: dict[str, int]
     if params.keep_largest and len(area):
         kept[:] = False
         kept[area.argmax()] = True
-    counts["islands"] = int(np.count_nonzero(~kept & (np.bincount(piece) > 0)))
-    counts["island_triangles"] = int(np.count_nonzero(~kept[piece]))
-    return traced.keep(kept[piece]), min_area
+    return kept, min_area

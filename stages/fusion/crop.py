@@ -78,10 +78,10 @@ def cropped(view: PosedDepth, crop: Crop) -> PosedDepth:
 
 def cut(mesh: Mesh, crop: Crop) -> Mesh:
     """Return the triangles of a mesh with vertex colours that have all corners inside, in the same order."""
-    return part_of(mesh, inside(mesh, crop)) if crop else mesh
+    return part_of(mesh, within(mesh, crop)) if crop else mesh
 
 
-def inside(mesh: Mesh, crop: Crop) -> Mask:
+def within(mesh: Mesh, crop: Crop) -> Mask:
     """Return which triangles (m,) of a mesh have all corners inside of a crop."""
     return np.asarray((crop.outside(mesh.vertices) <= 0)[mesh.triangles].all(axis=1))
 

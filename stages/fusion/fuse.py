@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from stages._open3d import open3d
 from stages.errors import InputError, UsageError
-from stages.fusion.crop import Crop, corners_of, cut, inside, part_of
+from stages.fusion.adding import (
+    Work,
+    add_frames,
+    begun,
+    device_of,
+    facts_of,
+    inside,
+    least_weight,
+    nothing_fused,
+    own_volume,
+)
+from stages.fusion.crop import corners_of, cut, part_of, within
+from stages.fusion.facts import Facts, MeshFigures
+from stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
 from stages.fusion.params import FuseKeywords, FuseParams
-from stages.fusion.plan import Plan, make_plan
-from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
-from stages.fusion.relief import evened_alone, read_whole, relief
-from stages.fusion.support import Support
-from stages.fusion.survey import Noise
-from stages.fusion.upsampling import upsampled_alone, upsampled_frame
-from stages.fusion.voxels import Field, Seen, Volume
+from stages.fusion.posed_depth import read_matching_color
+from stages.fusion.relief import read_whole, relief
+from stages.fusion.voxels import Field, OutgrownError, Seen, block_bytes
 from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import ColorImage, Frame, Scan, SkippedFrame
+from stages.scans.scan import Frame, Scan
+from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -34,48 +41,17 @@ RESULT_VERSION = 6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Fused:
+class Fused(Facts):
     """A fused mesh, and how it came about.
 
     Attributes
     ----------
     mesh : with uint8 vertex colours where the frames have colour.
-    voxel_size, truncation, max_depth : metres, as given or derived; truncation is 0 for a frame alone, whose
-        pixels are joined without a field.
-    min_weight : frames, as given or derived.
-    noise : depth noise measured between neighbouring frames.
-    frames : how many frames were fused.
-    skipped : which were not, and why.
-    pixels_valid : share of the fused frames' pixels that had a depth.
-    pixels_used : share of them that went into the volume.
-    volume_bytes : memory of the volume at its end.
-    device : "CPU:0" or "CUDA:0".
-    crop : what was fused of the scan.
-    support : the plane that was left out, with what is below it.
-    outside : how many frames show nothing of what was fused; they are not among `frames`.
-    warnings : of what was left out.
-    upsampled : how many times as wide the depth maps were made first; 1 for not at all.
-    seen : (n,) float32, how many frames saw each vertex, 255 for more; None of a frame alone, and from
-        Open3D's voxels.
+    seen : (n,) float32, how many frames saw each vertex, 255 for more; None of a frame alone, from Open3D's
+        voxels and where space was cut in bricks.
     """
 
     mesh: Mesh
-    voxel_size: float
-    truncation: float
-    max_depth: float
-    min_weight: int
-    noise: Noise
-    frames: int
-    skipped: tuple[SkippedFrame, ...]
-    pixels_valid: float
-    pixels_used: float
-    volume_bytes: int
-    device: str
-    crop: Crop
-    support: Support | None
-    outside: int
-    warnings: tuple[str, ...]
-    upsampled: int = 1
     seen: Seen | None = None
 
     __repr__ = by_figures
@@ -83,55 +59,10 @@ class Fused:
 
     def figures(self) -> dict[str, Any]:
         """Return the figures for a report, JSON-able, units in the names."""
-        return {
-            "voxel_size_m": self.voxel_size,
-            "truncation_m": self.truncation,
-            "max_depth_m": self.max_depth,
-            "min_weight_frames": self.min_weight,
-            "depth_upsampled_times": self.upsampled,
-            "depth_noise_constant_m": self.noise.constant,
-            "depth_noise_quadratic_per_m": self.noise.quadratic,
-            "frames_used": self.frames,
-            "frames_used_share": self.frames / (self.frames + len(self.skipped)),
-            "frames_skipped": [{"frame": s.name, "reason": s.reason} for s in self.skipped],
-            "pixels_valid_share": self.pixels_valid,
-            "pixels_used_share": self.pixels_used,
-            "volume_mb": self.volume_bytes / 1e6,
-            "device": self.device,
-            "crop": self._crop_figures() if self.crop else None,
-            "lowest_m": self.mesh.vertices.min(axis=0).tolist(),
-            "highest_m": self.mesh.vertices.max(axis=0).tolist(),
-            "vertices": len(self.mesh.vertices),
-            "triangles": len(self.mesh.triangles),
-            "warnings": list(self.warnings),
-        }
-
-    def _crop_figures(self) -> dict[str, Any]:
-        crop, support = self.crop, self.support
-        return {
-            "box_m": crop.box,
-            "center_m": crop.center,
-            "radius_m": crop.radius,
-            "plane": support
-            and {
-                "normal": support.normal,
-                "offset_m": support.offset_m,
-                "spread_m": support.spread_m,
-                "points_share": support.share,
-                "margin_m": crop.height - support.offset_m,
-            },
-            "frames_outside": self.outside,
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """A frame ready to be integrated."""
-
-    view: PosedDepth
-    used: int
-    parts: Any
-    color: ColorImage | None
+        vertices = self.mesh.vertices
+        return self.figures_of(
+            MeshFigures(vertices.min(axis=0), vertices.max(axis=0), len(vertices), len(self.mesh.triangles))
+        )
 
 
 def fuse(
@@ -150,7 +81,7 @@ def fuse(
     wide as the field is cut off at; depth outside tells that nothing is before it. The mesh is cut at the
     border: there it is as without a crop. Of a frame alone the pixels are joined instead (see
     stages.fusion.relief). Equal input gives a bit-identical mesh on one machine, whatever the
-    number of threads.
+    number of threads, and whether space was cut in bricks (see stages.fusion.in_bricks).
 
     Parameters
     ----------
@@ -165,129 +96,116 @@ def fuse(
     UsageError
         For a parameter out of its range, a crop that leaves nothing, or a CUDA device that is not there.
     StageError
-        If the volume outgrows its memory.
+        If the volume outgrows its memory, and so does each brick of space, or they are not to be had.
 
     References
     ----------
     Curless and Levoy 1996; the volume is Open3D's VoxelBlockGrid (see stages.fusion.voxels).
     """
     params = resolve(FuseParams, params, changes)
-    device = _device(params)
-    frames = list(scan.frames if isinstance(scan, Scan) else scan)
-    where = scan.folder if isinstance(scan, Scan) else None
-    _require_usable(frames, where)
-    measured = evened_alone(frames, params.max_jump)
-    frames = list(upsampled_alone(measured, params))
-    is_larger = params.upsample == "guided" or frames[0] is not measured[0]
-    threads = workers()
-    plan = make_plan(frames, params, where, threads)
-    color = params.color and any(frame.color is not None for frame in frames)
-    factor = params.upsample_factor if is_larger else 1
-    if len(frames) == 1:
-        fused = _alone(frames[0], plan, factor, color=color)
+    device = device_of(params)
+    work = begun(scan, params)
+    if not _is_in_bricks(work, device):
+        try:
+            return _in_one_piece(work, device, progress)
+        except OutgrownError:
+            if not _has_bricks(work, device):
+                raise
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "fused.ply"
+        fused = fuse_in_bricks(work, path, progress=progress)
+        return Fused(mesh=read_ply(path), **fused.facts())
+
+
+def fuse_to_file(
+    scan: Scan, params: FuseParams, path: Path, *, kept: Kept | None = None, progress: Progress = silent
+) -> Fused | FusedInBricks:
+    """Fuse frames as `fuse` does, and write the mesh to a PLY file; in pieces, if space was cut in bricks.
+
+    Parameters
+    ----------
+    kept : where bricks are kept for the next time; None for nowhere.
+
+    Raises
+    ------
+    InputError, UsageError, StageError
+        As `fuse`.
+    """
+    device = device_of(params)
+    work = begun(scan, params)
+    if not _is_in_bricks(work, device):
+        try:
+            fused = _in_one_piece(work, device, progress)
+            write_ply(path, fused.mesh)
+            return fused
+        except OutgrownError:
+            if not _has_bricks(work, device):
+                raise
+    return fuse_in_bricks(work, path, kept=kept, progress=progress)
+
+
+def _is_in_bricks(work: Work, device: str) -> bool:
+    """Whether space is to be cut in bricks from the start: as asked for, or likely to be needed."""
+    if work.params.brick_size is not None and not _has_bricks(work, device):
+        raise UsageError("brick_size is for scanloom's own voxels; leave out device and backend.")
+    if len(work.frames) == 1 or not _has_bricks(work, device):
+        return False
+    expected = work.plan.blocks * work.plan.spread * block_bytes(color=work.color)
+    return work.params.brick_size is not None or expected > work.params.memory * 1e6
+
+
+def _has_bricks(work: Work, device: str) -> bool:
+    return device == "CPU:0" and work.params.backend != "open3d"
+
+
+def _in_one_piece(work: Work, device: str, progress: Progress) -> Fused:
+    if len(work.frames) == 1:
+        fused = _alone(work)
         progress(1, 1)
         return fused
-    volume = _volume(plan, params, device, threads, color=color)
-
-    def prepare(frame: Frame) -> _Prepared | SkippedFrame:
-        try:
-            if params.upsample == "guided":
-                frame = upsampled_frame(frame, params)
-            view = read_posed_depth(frame, plan.limits)
-            here = plan.fused(view)
-            image = read_matching_color(frame, view.surface.depth) if color and here.any() else None
-        except InputError as error:
-            return SkippedFrame(frame.name, str(error))
-        used = int(np.count_nonzero(here))
-        return _Prepared(view, used, volume.prepared(view, here, plan.local(view.pose)), image)
-
-    skipped: list[SkippedFrame] = []
-    pixels = valid = used = outside = 0
-    for done, item in enumerate(read_ahead(prepare, frames, threads=threads, ahead=threads + 2), 1):
-        if isinstance(item, SkippedFrame):
-            skipped.append(item)
-            _require_share(skipped, len(frames), params.max_bad_share, where)
-        else:
-            view = item.view
-            # Without parts, nothing is added.
-            volume.integrate(view, item.parts, plan.local(view.pose), item.color)
-            outside += item.used == 0
-            pixels += view.surface.depth.size
-            valid += view.valid
-            used += item.used
-        progress(done, len(frames))
-
-    min_weight = params.min_weight or _least_weight(volume.typical_frames(), frames)
+    volume = _volume(work, device)
+    added = add_frames(work, volume, work.frames, progress)
+    min_weight = work.params.min_weight or least_weight(volume.typical_frames(), work.frames)
     mesh, seen = volume.mesh(min_weight)
+    plan = work.plan
     mesh = mesh.with_(vertices=mesh.vertices + plan.origin)
     if plan.crop:
-        kept = inside(mesh, plan.crop)
+        kept = within(mesh, plan.crop)
         seen = None if seen is None else seen[corners_of(mesh, kept)]
         mesh = part_of(mesh, kept)
-    used_frames = len(frames) - len(skipped) - outside
     if len(mesh.triangles) == 0:
-        raise InputError(
-            f"no surface came out of {used_frames} frames at voxels of {plan.voxel_size:g} m: none was seen "
-            f"by {min_weight} of them{_of(plan.crop, used)}. Check poses and depth scale, or lower "
-            "min_weight.",
-            where,
-        )
-    return Fused(
-        mesh=mesh,
-        voxel_size=plan.voxel_size,
-        truncation=plan.truncation,
-        max_depth=plan.max_depth,
-        min_weight=min_weight,
-        noise=plan.noise,
-        frames=used_frames,
-        skipped=tuple(skipped),
-        pixels_valid=valid / pixels,
-        pixels_used=used / pixels,
-        volume_bytes=volume.bytes,
-        device=device,
-        crop=plan.crop,
-        support=plan.support,
-        outside=outside,
-        warnings=plan.warnings,
-        upsampled=factor,
-        seen=seen,
-    )
+        raise nothing_fused(work, added, min_weight)
+    return Fused(mesh=mesh, seen=seen, **facts_of(work, added, min_weight, volume.bytes, device))
 
 
-def _volume(plan: Plan, params: FuseParams, device: str, threads: int, *, color: bool) -> Field:
-    max_bytes = params.memory * 1e6
-    if params.backend == "open3d" or device != "CPU:0":
+def _volume(work: Work, device: str) -> Field:
+    plan, max_bytes = work.plan, work.params.memory * 1e6
+    if work.params.backend == "open3d" or device != "CPU:0":
         from stages.fusion.open3d_voxels import Open3DVolume
 
         return Open3DVolume(
             plan.voxel_size,
             plan.truncation,
             plan.limits.max_depth,
-            color=color,
+            color=work.color,
             blocks=plan.blocks,
             max_bytes=max_bytes,
             device=device,
         )
-    return Volume(
-        plan.voxel_size,
-        plan.truncation,
-        plan.weighing,
-        color=color,
-        max_bytes=max_bytes,
-        threads=threads,
-    )
+    return own_volume(work)
 
 
-def _alone(frame: Frame, plan: Plan, factor: int, *, color: bool) -> Fused:
+def _alone(work: Work) -> Fused:
     """Join the pixels of a frame that no other fills up."""
+    (frame,), plan = work.frames, work.plan
     view = read_whole(frame, plan.limits)
     here = plan.fused(view)
-    image = read_matching_color(frame, view.surface.depth) if color else None
+    image = read_matching_color(frame, view.surface.depth) if work.color else None
     mesh = cut(relief(view, here, image, plan.voxel_size, plan.limits), plan.crop)
     if len(mesh.triangles) == 0:
         raise InputError(
-            f"no surface came out of the frame{_of(plan.crop, int(here.sum()))}. Check the depth scale and "
-            "the calibration.",
+            f"no surface came out of the frame{inside(plan.crop, int(here.sum()))}. Check the depth scale "
+            "and the calibration.",
             f"frame {frame.name}",
         )
     return Fused(
@@ -307,54 +225,5 @@ def _alone(frame: Frame, plan: Plan, factor: int, *, color: bool) -> Fused:
         support=plan.support,
         outside=0,
         warnings=plan.warnings,
-        upsampled=factor,
+        upsampled=work.factor,
     )
-
-
-def _of(crop: Crop, points: int) -> str:
-    return f" inside {crop}, from {points:,} points there" if crop else ""
-
-
-def _device(params: FuseParams) -> str:
-    wanted = params.device
-    if params.backend == "own":
-        if wanted == "cuda":
-            raise UsageError("device is 'cuda', which backend 'own' knows nothing of; choose open3d or auto.")
-        return "CPU:0"
-    if wanted != "cpu" and open3d().core.cuda.is_available():
-        return "CUDA:0"
-    if wanted == "cuda":
-        raise UsageError("device is 'cuda', but Open3D finds no CUDA device; choose cpu or auto.")
-    return "CPU:0"
-
-
-def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
-    if not frames:
-        raise InputError("there are no frames to fuse.", where)
-    if all(frame.world_from_camera is None for frame in frames):
-        raise InputError(
-            f"none of the {len(frames)} frames has a camera pose; fusion needs the pose of each "
-            "(world_from_camera).",
-            where,
-        )
-    if all(frame.depth is None for frame in frames):
-        raise InputError(
-            f"none of the {len(frames)} frames has a depth map; compute depth from stereo pairs first.", where
-        )
-
-
-def _least_weight(typical: float, frames: Sequence[Frame]) -> int:
-    """Return how many frames must have seen a surface, from how many saw the median voxel."""
-    least = int(np.clip(round(typical / 2), 1, 3))
-    # A masked thing is seen from all around, each side by a few frames, and the plate below it by all.
-    is_masked = all(frame.mask is not None for frame in frames)
-    return min(least, max(len(frames) // 4, 1)) if is_masked else least
-
-
-def _require_share(skipped: Sequence[SkippedFrame], count: int, share: float, where: Path | None) -> None:
-    if len(skipped) > share * count:
-        raise InputError(
-            f"{len(skipped)} of {count} frames cannot be used; at most {share:.0%} may be bad "
-            f"(max_bad_share). The first: {skipped[0].reason}",
-            where,
-        )

@@ -117,7 +117,21 @@ class FuseParams:
         0.2, "Share of frames that may be unusable (damaged, without pose or depth).", low=0, high=1
     )
     memory: float = param(
-        4000.0, "The volume may not outgrow this; fusion then stops.", unit="MB", low=1, invalidates=False
+        4000.0,
+        "The volume may not outgrow this: space is cut in bricks that do not.",
+        unit="MB",
+        low=1,
+        invalidates=False,
+    )
+    brick_size: float | None = param(
+        None,
+        "Space is cut in cubes of about this size, of which as many are fused at a time as fit into "
+        "`memory`, and each is kept. The mesh is the same. Derived: 4, where the field does not fit; else "
+        "space is one piece.",
+        unit="m",
+        low=0,
+        low_open=True,
+        invalidates=False,
     )
     backend: str = param(
         "auto",
@@ -161,5 +175,6 @@ class FuseKeywords(TypedDict, total=False):
     color: bool
     max_bad_share: float
     memory: float
+    brick_size: float | None
     backend: str
     device: str

@@ -55,6 +55,7 @@ class Plan:
     origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
     weighing : of depth in the volume; at median depth it weighs 1.
     blocks : how many blocks of voxels are expected.
+    spread : how many times as far as the frames looked at all frames may be spread.
     triangles : how many triangles are expected, roughly.
     scene : where the scan lies, before anything is left out of it.
     crop : what is fused of it.
@@ -76,6 +77,7 @@ class Plan:
     warnings: tuple[str, ...]
     weighing: Weighing
     blocks: int = 0
+    spread: float = 1.0
     triangles: int = 0
 
     def fused(self, view: PosedDepth) -> NDArray[np.bool_]:
@@ -144,7 +146,12 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     )
     # Two triangles for each voxel that the surface passes through.
     triangles = round(2 * found.area / voxel_size**2)
-    return replace(plan, blocks=_expected_blocks(kept.views, plan, len(frames)), triangles=triangles)
+    return replace(
+        plan,
+        blocks=_expected_blocks(kept.views, plan, len(frames)),
+        spread=_spread(frames, centers, found.median),
+        triangles=triangles,
+    )
 
 
 def _weighing(noise: Noise, views: Sequence[PosedDepth], voxel_size: float) -> Weighing:
@@ -228,6 +235,17 @@ def _expected_blocks(views: Sequence[PosedDepth], plan: Plan, frames: int) -> in
     unseen = 0 if frames == len(views) else int((times == 1).sum()) * (len(views) - 1) // len(views)
     # Room for one frame more, since Open3D asks for room before it looks which blocks are new.
     return len(times) + unseen + max(map(len, touched))
+
+
+def _spread(frames: Sequence[Frame], looked_at: NDArray[np.float64], reach: float) -> float:
+    """Return how many times as many places all cameras stood at as those that were looked at (n, 3)."""
+
+    def places(centers: NDArray[np.float64]) -> int:
+        return len(np.unique(np.floor(centers / reach), axis=0))
+
+    poses = [frame.world_from_camera for frame in frames if frame.world_from_camera is not None]
+    centers = np.array([pose[:3, 3] for pose in poses], np.float64)
+    return max(places(centers[np.isfinite(centers).all(axis=1)]) / places(looked_at), 1.0)
 
 
 def _two_digits(length: float) -> float:

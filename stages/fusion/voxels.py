@@ -27,8 +27,12 @@ BLOCK = 8
 # Distance, weight, count of frames and colour, or without the colour.
 _VOXEL_BYTES = {True: 12, False: 7}
 
-Keys = NDArray[np.uint64]
+# How many frames saw each vertex.
 Seen = NDArray[np.float32]
+# Places of blocks in Z-order.
+Keys = NDArray[np.uint64]
+# The first block of a box along each axis, and the one after its last.
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 
 def block_bytes(*, color: bool) -> int:
@@ -36,9 +40,13 @@ def block_bytes(*, color: bool) -> int:
     return BLOCK**3 * _VOXEL_BYTES[color]
 
 
-def outgrown(allowed_bytes: int, voxel_size: float) -> StageError:
+class OutgrownError(StageError):
+    """The volume would take more memory than it may."""
+
+
+def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
     """Return the error of a volume that may not grow further."""
-    return StageError(
+    return OutgrownError(
         f"the volume outgrows its memory of {allowed_bytes / 1e6:.0f} MB at voxels of {voxel_size:g} m. Give "
         "a larger voxel_size, a smaller max_depth or more memory."
     )
@@ -82,7 +90,13 @@ class Field(Protocol):
 
 
 def touched_blocks(
-    view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose, *, voxel_size: float, truncation: float
+    view: PosedDepth,
+    wanted: NDArray[np.bool_],
+    pose: Pose,
+    *,
+    voxel_size: float,
+    truncation: float,
+    within: Box | None = None,
 ) -> Keys:
     """Return sorted keys of the blocks that a frame touches.
 
@@ -91,6 +105,7 @@ def touched_blocks(
     wanted : (h, w), at which pixels the surface has to be in the field; what others show tells that nothing
         is before it.
     pose : (4, 4), camera to the field's axes.
+    within : no others than the blocks of a box.
 
     Raises
     ------
@@ -107,7 +122,7 @@ def touched_blocks(
             wanted,
             voxel_size=voxel_size,
             truncation=truncation,
-            within=None,
+            within=within,
         )
     except _kernels.LimitError as error:
         reach = (1 << 20) * BLOCK * voxel_size
@@ -127,6 +142,7 @@ class Volume:
     color : whether voxels have a colour.
     max_bytes : the field may not grow past this.
     threads : to compute with.
+    within : no others than the blocks of a box; None for all.
     """
 
     def __init__(
@@ -138,7 +154,9 @@ class Volume:
         color: bool,
         max_bytes: float,
         threads: int,
+        within: Box | None = None,
     ) -> None:
+        self._within = within
         self._voxel_size = voxel_size
         self._truncation = truncation
         self._weighing = weighing
@@ -154,7 +172,14 @@ class Volume:
 
     def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> Keys:
         """Return the blocks that a frame touches; see `touched_blocks`."""
-        return touched_blocks(view, wanted, pose, voxel_size=self._voxel_size, truncation=self._truncation)
+        return touched_blocks(
+            view,
+            wanted,
+            pose,
+            voxel_size=self._voxel_size,
+            truncation=self._truncation,
+            within=self._within,
+        )
 
     def integrate(self, view: PosedDepth, parts: Keys, pose: Pose, color: ColorImage | None) -> None:
         """Add one frame to the blocks it touches.
@@ -187,16 +212,42 @@ class Volume:
 
     def typical_frames(self) -> float:
         """Return how many frames saw the median voxel near the surface."""
-        return self._field.typical_frames()
+        return median_of(self.frame_counts(None))
+
+    def frame_counts(self, within: Box | None) -> NDArray[np.int64]:
+        """Return of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
+        return self._field.frame_counts(within=within).astype(np.int64)
 
     def mesh(self, min_weight: int) -> tuple[Mesh, Seen | None]:
         """Return the surface through voxels seen by at least `min_weight` frames, blocks in Z-order.
 
         With it, how many frames saw each vertex (n,): the mean of both voxels beside it, which count to 255.
         """
-        places, triangles, levels, seen = self._field.surface(min_weight, wanted_threads=self._threads)
+        mesh, seen, _ = self.surface(min_weight, None)
+        return mesh, seen
+
+    def surface(self, min_weight: int, within: Box | None) -> tuple[Mesh, Seen, list[Keys]]:
+        """Return the surface in a box of blocks, and how it is joined to that of others.
+
+        Returns
+        -------
+        The mesh, whose triangles name vertices of others by numbers from that of its own upward; how many
+        frames saw each vertex (n,); and of the others' vertices the blocks (k,) and the codes of their edges
+        (k,), and of those that others may name blocks, codes and numbers (j,).
+        """
+        found, joints = self._field.surface(min_weight, within=within, wanted_threads=self._threads)
+        places, triangles, levels, seen = found
         colors = np.rint(levels).astype(np.uint8) if self._color else None
-        return Mesh(places * self._voxel_size, triangles, colors), seen
+        return Mesh(places * self._voxel_size, triangles, colors), seen, joints
+
+
+def median_of(counts: NDArray[np.int64]) -> float:
+    """Return the median of numbers of which it is known how often each is there; 0 of none."""
+    passed = np.cumsum(counts)
+    if not passed[-1]:
+        return 0.0
+    middle = (passed[-1] - 1) // 2, passed[-1] // 2
+    return float(np.searchsorted(passed, middle, side="right").mean())
 
 
 def _posed(

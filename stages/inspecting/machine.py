@@ -20,7 +20,13 @@ from stages.inspecting.system import memory_bytes, oddities, of_processor
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd")
 _LIBRARIES = ("numpy", "open3d", "opencv", "scikit-image", "scipy", "trimesh", "typer")
 # By the extra that brings them.
-_EXTRAS = {"network": "onnxruntime", "plot": "matplotlib", "usd": "usd-core"}
+_EXTRAS = {
+    "batch": "pyarrow",
+    "dask": "distributed",
+    "network": "onnxruntime",
+    "plot": "matplotlib",
+    "usd": "usd-core",
+}
 
 
 def machine() -> dict[str, Any]:

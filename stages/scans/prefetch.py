@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,6 +9,7 @@ from itertools import islice
 from typing import TypeVar
 
 from stages._blas import require_buffers
+from stages.scans.threads import threads_to_use
 
 # More threads than this wait for memory, and hold that many images.
 _MOST_WORKERS = 8
@@ -21,7 +21,7 @@ S = TypeVar("S")
 
 def workers() -> int:
     """Return how many threads are worth having."""
-    return min(os.cpu_count() or 1, _MOST_WORKERS)
+    return min(threads_to_use(), _MOST_WORKERS)
 
 
 def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahead: int) -> Iterator[R]:
@@ -52,8 +52,11 @@ def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahea
 def both(beside: Callable[[], R], here: Callable[[], S]) -> tuple[R, S]:
     """Return what two pieces of work return, the first done in a thread while the caller does the second.
 
-    An exception of the first is raised once the second has ended.
+    An exception of the first is raised once the second has ended. Where one thread is to be used, one comes
+    after the other.
     """
+    if threads_to_use() == 1:
+        return beside(), here()
     require_buffers(2)
     with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
         one = pool.submit(beside)

@@ -140,16 +140,27 @@ def recognise(folder: Path) -> tuple[Layout, str]:
     InputError
         If there is no such folder, it is empty, or of no layout that can be read.
     """
+    found = matching(folder)
+    if found is None:
+        raise InputError(_unknown(folder), folder)
+    return found
+
+
+def matching(folder: Path) -> tuple[Layout, str] | None:
+    """Return the layout of a folder or file and why, as `recognise`, or None if it is of none.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, it cannot be listed, or it is of a layout that cannot be read yet.
+    """
     _require_place(folder, [suffix for one in LAYOUTS for suffix in one.suffixes])
     if folder.is_file():
         return next((one, folder.name) for one in LAYOUTS if folder.suffix.lower() in one.suffixes)
     found = _first_match(DISTINCT, folder)
     if found is None and (known := refused(folder)) is not None:
         raise InputError(f"{_refusal(known)} If it is another layout, name it with scan.layout=NAME.", folder)
-    found = found or _first_match(GENERIC, folder)
-    if found is None:
-        raise InputError(_unknown(folder), folder)
-    return found
+    return found or _first_match(GENERIC, folder)
 
 
 def _require_place(folder: Path, suffixes: Collection[str]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -17,6 +16,7 @@ from stages.progress import Progress, silent
 from stages.scans.images import read_color, read_depth, read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Scan, SkippedFrame, pinhole
+from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
@@ -66,7 +66,7 @@ def completed_scan(
         )
     finest = max([_COARSEST, *(frame.depth_scale for frame in scan.frames)])
     farthest = params.max_depth or _STEPS / finest
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     results = read_ahead(
         partial(_completed_frame, network, params, farthest),
         scan.frames,

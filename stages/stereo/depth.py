@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -19,6 +18,7 @@ from stages.progress import Progress, silent
 from stages.scans import images
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import completed, network_disparity, network_of, warnings_of
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
@@ -127,7 +127,7 @@ def depth_scan(
         network=network_of(params),
     )
     warnings = _first_warnings(stage, scan)
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     total = len(scan.frames)
     skipped = 0
     results = read_ahead(

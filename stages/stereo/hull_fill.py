@@ -8,7 +8,6 @@ hollow stays as the hull has it only where no view measured it.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from stages import _kernels
 from stages.errors import InputError
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import DepthImage, Scan, SkippedFrame
+from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import FILLED
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.kept_maps import KeptMaps
@@ -94,7 +94,7 @@ def filled_in(
             filled=filled if found.filled is None else filled | found.filled,
         )
 
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     yield from read_ahead(fill, range(len(views)), threads=threads, ahead=threads + 2)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from stages.errors import InputError
 from stages.scans.images import read_color, read_mask
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Packed, Scan
+from stages.scans.threads import threads_to_use
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.turned import Corners, corners, turned
@@ -31,7 +31,7 @@ def turned_back(
         except InputError:
             return None  # Reported when its turn comes.
 
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
     places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
     if not places:

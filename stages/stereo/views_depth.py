@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -22,6 +21,7 @@ from stages.scans.depth_range import Range, range_of_points
 from stages.scans.images import read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.scans.threads import threads_to_use
 from stages.stereo.agreement import agreeing_views
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.coverage import Counts, with_warning
@@ -135,7 +135,7 @@ def _results(
     box = scene_box(scan)
     outline = outline_of(scan, views, params.backdrop)
     farthest = max(view.far for view in views)
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     fills = params.on_hull and bool(outline.hull)
     turns = 3 if fills else 2
     total = turns * len(views)
@@ -238,7 +238,7 @@ def _recognised(
         except InputError:
             return None  # Reported when its turn comes.
 
-    threads = params.threads or os.cpu_count() or 1
+    threads = params.threads or threads_to_use()
     points = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
 
     def compare(pair: tuple[int, int]) -> Recognised | None:

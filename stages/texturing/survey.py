@@ -36,6 +36,7 @@ class Survey:
     Attributes
     ----------
     views : (n, k) int32, the photos that show a point best; -1 for none.
+    flat : (n,) whether these are so flat that none would be taken if there were a better one.
     colors : (n, k, 3) uint8, its levels there.
     radii2 : (n, k) squared distance from the middle of the photo, 1 in its corners.
     pixels_per_m : (m,) float32, of each triangle in the photo that shows it best; less where none does.
@@ -43,6 +44,7 @@ class Survey:
     """
 
     views: NDArray[np.int32]
+    flat: NDArray[np.bool_]
     colors: NDArray[np.uint8]
     radii2: NDArray[np.float32]
     pixels_per_m: NDArray[np.float32]
@@ -71,14 +73,19 @@ def survey(mesh: Mesh, normals: Floats, photos: Photos, kept: int, progress: Cal
         raise InputError(
             f"none of the {len(photos)} photos shows the mesh: do poses and mesh belong together?"
         )
-    best = np.zeros(len(mesh.triangles), np.float32)
+    flat = points.flat()
+    straight, best = np.zeros((2, len(mesh.triangles)), np.float32)
+    np.maximum.at(straight, of, np.where(flat, np.float32(0), points.density()))
     np.maximum.at(best, of, points.density())
     area = areas(mesh.vertices, mesh.triangles)
     is_seen = best > 0
-    middle = float(np.median(best[is_seen]))
+    # Flat looks decide nothing for what is seen better.
+    best = np.where(straight > 0, straight, best)
+    middle = float(np.median(straight[straight > 0] if straight.any() else best[is_seen]))
     wanted = np.where(is_seen, np.minimum(best, _MOST_DENSITY * middle), _UNSEEN_DENSITY * middle)
     return Survey(
         views=views,
+        flat=flat,
         colors=colors,
         radii2=_radii2(mesh, of, shares, views, photos),
         pixels_per_m=wanted.astype(np.float32),
@@ -94,7 +101,9 @@ def judged(surveyed: Survey, photos: Photos, correct: bool) -> tuple[Photos, Exp
     correct : find how bright photos are; else all count as equal.
     """
     views, colors, radii2 = surveyed.views, surveyed.colors, surveyed.radii2
-    found = exposures(views, colors, radii2, len(photos))
+    # Photos are compared by what they show well.
+    compared = np.where(surveyed.flat[:, None], np.int32(-1), views)
+    found = exposures(compared, colors, radii2, len(photos))
     unseen = np.bincount(views[views >= 0], minlength=len(photos)) == 0
     wrong = {int(i): "its photo does not show the mesh." for i in np.flatnonzero(unseen)}
     usual = max(float(np.median(found.differences[~unseen])), 1.0)
@@ -106,8 +115,8 @@ def judged(surveyed: Survey, photos: Photos, correct: bool) -> tuple[Photos, Exp
     }
     if wrong:
         # What they show must not count for the others.
-        views = np.where(np.isin(views, list(wrong)), np.int32(-1), views)
-        found = exposures(views, colors, radii2, len(photos))
+        compared = np.where(np.isin(compared, list(wrong)), np.int32(-1), compared)
+        found = exposures(compared, colors, radii2, len(photos))
     if not correct:
         found = found.none()
     return photos.without(wrong), found.without(wrong)

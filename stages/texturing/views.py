@@ -30,6 +30,9 @@ _MOST_DRAWN = 1_500_000
 _MARGIN = 1 / 210
 # Of the mesh's diagonal, before which nothing is seen.
 _NEAR = 1e-4
+# Degrees to the normal beyond which a photo shows nothing of a place, as fusion believes no depth: of several
+# photos, and of one alone.
+_FLATTEST, _FLATTEST_ALONE = 87.0, 89.0
 # Standard deviation of the blur that parts details from the rest, of the photo's width.
 _BLUR = 3 / 640
 
@@ -61,11 +64,12 @@ def see(
     progress : called after each photo.
     """
     near = near_of(mesh)
+    flattest = float(np.cos(np.radians(_FLATTEST_ALONE if len(photos) == 1 else _FLATTEST)))
 
     def prepared(number: int) -> _kernels.View:
         photo = photos.read(number)
         colors = _colors(photo, exposures[number], None if shifts is None else shifts[number])
-        return _view(photo, colors, float(photos.worths[number]), mesh, near)
+        return _view(photo, colors, mesh, near, worth=float(photos.worths[number]), flattest=flattest)
 
     for number, view in enumerate(_each(prepared, photos)):
         points.see(view, number, wanted_threads=0)
@@ -104,7 +108,9 @@ def _colors(photo: Photo, exposure: Exposure, shifts: Shifts | None) -> _kernels
     return _kernels.Photo(camera, image, _blurred(image, photo.seen), warp=shifts)
 
 
-def _view(photo: Photo, colors: _kernels.Photo, worth: float, mesh: Mesh, near: float) -> _kernels.View:
+def _view(
+    photo: Photo, colors: _kernels.Photo, mesh: Mesh, near: float, *, worth: float, flattest: float
+) -> _kernels.View:
     drawn = kernel_camera(_drawing_camera(photo.camera), photo.camera_from_world)
     depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, drawn, near=near)
     nearest, reach = _nearest(depth)
@@ -116,10 +122,12 @@ def _view(photo: Photo, colors: _kernels.Photo, worth: float, mesh: Mesh, near: 
         colors,
         drawn,
         nearest,
+        depth,
         triangles,
         reach=(reach, measured_reach),
         measured=measured,
         worth=worth,
+        flattest=flattest,
     )
 
 
@@ -154,7 +162,7 @@ def _drawing_camera(camera: Camera) -> Camera:
     return scaled(camera, max(round(camera.width * share), 2), max(round(camera.height * share), 2))
 
 
-def _measured(frame: Frame) -> tuple[tuple[KernelCamera, _Map] | None, float]:
+def _measured(frame: Frame) -> tuple[tuple[KernelCamera, _Map, _Map] | None, float]:
     try:
         depth = read_depth(frame)
     except InputError:
@@ -163,7 +171,7 @@ def _measured(frame: Frame) -> tuple[tuple[KernelCamera, _Map] | None, float]:
         return None, 0.0
     pose = inverted(np.asarray(frame.world_from_camera, np.float64))
     nearest, reach = _nearest(np.where(depth > 0, depth, np.float32(np.inf)))
-    return (kernel_camera(pinhole(frame.camera), pose), nearest), reach
+    return (kernel_camera(pinhole(frame.camera), pose), nearest, depth), reach
 
 
 def _nearest(depth: _Map) -> tuple[_Map, float]:

@@ -72,6 +72,14 @@ def photos(count: int = 12, *, with_depth: bool = True) -> list[Frame]:
     ]
 
 
+def flat_photo(number: int, z: float = -0.08, turn: float = -80.0) -> Frame:
+    """A frame from beside the wall, so near to its plane that it is seen at 82° and more; grey beside it."""
+    frame = photo(number, pose(1.6, 0.5, z=z, turn=turn))
+    assert isinstance(frame.color, np.ndarray)
+    shown = frame.color.max(axis=2, keepdims=True) > 0
+    return replace(frame, color=np.where(shown, frame.color, np.uint8(60)))
+
+
 def brighter(frame: Frame, gain: float, bias: float) -> Frame:
     """The frame as another exposure would show it."""
     assert isinstance(frame.color, np.ndarray)

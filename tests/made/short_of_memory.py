@@ -285,7 +285,7 @@ def _integrated(side: int) -> object:
         volume.integrate(
             keys, _before_a_wall(side), wall, wall, color, weighing=(1.0, 1.0, 0.0), wanted_threads=2
         )
-    return volume.surface(1, wanted_threads=2), volume.voxels()
+    return volume.surface(1, within=None, wanted_threads=2), volume.frame_counts(within=None), volume.voxels()
 
 
 def _before_a_wall(side: int) -> tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]:

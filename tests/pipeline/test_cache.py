@@ -264,6 +264,56 @@ def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cac
     assert cache.ls() == []
 
 
+def test_draft_of_another_machine_is_its_own_matter(cache, monkeypatch):
+    # Its lock may be held where this machine cannot see it.
+    with monkeypatch.context() as patched:
+        patched.setattr("pipeline.cache.machine_mark", lambda: "m00000000")
+        cache._new_draft("fuse")[1].release()
+    stored(cache)
+    cache.remove_abandoned()
+    assert [draft.name.split("-")[1] for draft in drafts(cache)] == ["m00000000"]
+    cache.prune(everywhere=True)
+    assert drafts(cache) == []
+
+
+@pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_shared_folder_without_locks_is_used_all_the_same(cache, monkeypatch, code):
+    def refuse(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    first = stored(cache)
+    assert cache.get(RECIPE).folder == first
+    # Nobody can say whether somebody is at it.
+    draft, lock = cache._new_draft("fuse")
+    lock.release()
+    cache.remove_abandoned()
+    assert draft.exists()
+
+
+@pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
+def test_of_two_that_make_one_entry_without_locks_the_first_has_it(cache, monkeypatch):
+    monkeypatch.setattr("fcntl.flock", lambda *_: None)
+
+    usual, looks = cache._is_entry, []
+
+    def look(place):
+        # The other comes in the moment between the look whether it is there and the move.
+        looks.append(place)
+        if len(looks) == 1:
+            stored(Cache(cache.folder))
+            return False
+        return usual(place)
+
+    monkeypatch.setattr(cache, "_is_entry", look)
+    entry = cache.store(RECIPE, make)
+    monkeypatch.undo()
+    assert len(looks) > 1
+    assert entry.folder == cache.get(RECIPE).folder
+    assert drafts(cache) == []
+
+
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 @pytest.mark.parametrize("nth", range(1, 4 if ON_WINDOWS else 5))
 def test_full_disk_is_one_sentence_and_leaves_nothing(cache, monkeypatch, code, nth):

@@ -2,8 +2,8 @@
 //! room for a thread, there are fewer.
 
 use std::mem::MaybeUninit;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Mutex, OnceLock};
 use std::thread::{self, Scope, ScopedJoinHandle};
 
 use super::reserve;
@@ -130,7 +130,17 @@ pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
     run();
 }
 
-/// The number of threads to use when `wanted` is 0: one for each core.
+/// The number of threads to use when `wanted` is 0: what the environment says, where several processes share a machine,
+/// else one for each core.
 pub fn threads(wanted: usize) -> usize {
-    if wanted > 0 { wanted } else { thread::available_parallelism().map_or(1, |n| n.get()) }
+    static USUAL: OnceLock<usize> = OnceLock::new();
+    if wanted > 0 { wanted } else { *USUAL.get_or_init(|| said().unwrap_or_else(cores)) }
+}
+
+fn said() -> Option<usize> {
+    std::env::var("SCANLOOM_THREADS").ok()?.parse().ok().filter(|&count| count > 0)
+}
+
+fn cores() -> usize {
+    thread::available_parallelism().map_or(1, |n| n.get())
 }

@@ -78,7 +78,7 @@ pub fn surface<F: Field>(
     threads: usize,
     progress: &Progress<'_>,
 ) -> Result<Surface, KernelError> {
-    let blocks = Blocks::new(field, least, threads);
+    let blocks = Blocks::new(field, least, own, threads);
     progress.check()?;
     let is_own = |slot: usize| own.is_none_or(|own| own.contains(field.block(slot)));
 
@@ -200,12 +200,19 @@ struct Blocks {
 }
 
 impl Blocks {
-    fn new<F: Field>(field: &F, least: u32, threads: usize) -> Self {
+    /// All of a field, or what a box of it depends on: its own blocks and those next to them.
+    fn new<F: Field>(field: &F, least: u32, own: Option<BlockBox>, threads: usize) -> Self {
         let count = field.count();
-        let mut order: Vec<u32> = (0..count as u32).collect();
+        let near = own.map(|own| BlockBox { low: own.low.map(|c| c - 1), high: own.high.map(|c| c + 1) });
+        let is_near = |slot: usize| near.is_none_or(|near| near.contains(field.block(slot)));
+        let mut order: Vec<u32> = (0..count as u32).filter(|&slot| is_near(slot as usize)).collect();
         order.sort_unstable_by_key(|&slot| order::key(field.block(slot as usize)));
-        let slots: HashMap<[i32; 3], u32> = (0..count).map(|slot| (field.block(slot), slot as u32)).collect();
+        let slots: HashMap<[i32; 3], u32> =
+            order.iter().map(|&slot| (field.block(slot as usize), slot)).collect();
         let sides = parallel::collect(count, threads, |slot| {
+            if !is_near(slot) {
+                return 0;
+            }
             let mut values = [f32::NAN; VOXELS];
             field.distances(slot, least, &mut values);
             let (before, behind) = values

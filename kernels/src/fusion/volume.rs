@@ -4,6 +4,7 @@ use super::blocks::Blocks;
 use super::field::{Field, Sample, VOXELS};
 use super::integrate::{Add, Frame, integrate, versions};
 use super::order::block;
+use super::surface::BlockBox;
 use super::view::View;
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
@@ -50,11 +51,14 @@ impl Volume {
         progress.check()
     }
 
-    /// How many frames saw the median voxel within half a truncation of the surface; 0 if there is none. Every seventh voxel
-    /// of a block is looked at.
-    pub fn typical_frames(&self) -> f64 {
-        let mut counts = [0usize; 256];
+    /// Of how many voxels within half a truncation of the surface each number of frames is, in blocks of a box. Every seventh
+    /// voxel of a block is looked at.
+    pub fn frame_counts(&self, within: Option<BlockBox>) -> [u64; 256] {
+        let mut counts = [0; 256];
         for slot in 0..self.blocks.count() {
+            if !within.is_none_or(|within| within.contains(self.block(slot))) {
+                continue;
+            }
             let distances = self.blocks.distances(slot);
             for voxel in (0..VOXELS).step_by(7) {
                 if distances.of(voxel, 1).abs() < 0.5 {
@@ -62,22 +66,8 @@ impl Volume {
                 }
             }
         }
-        median(&counts)
+        counts
     }
-}
-
-/// Median of numbers of which it is known how often each is there; the mean of both in the middle of an even number.
-fn median(counts: &[usize; 256]) -> f64 {
-    let all: usize = counts.iter().sum();
-    let at = |rank: usize| {
-        let mut passed = 0;
-        let is_before = |count: &&usize| {
-            passed += **count;
-            passed <= rank
-        };
-        counts.iter().take_while(is_before).count()
-    };
-    if all == 0 { 0.0 } else { (at((all - 1) / 2) + at(all / 2)) as f64 / 2.0 }
 }
 
 /// How many frames must have seen a voxel: they are counted no farther than 255.

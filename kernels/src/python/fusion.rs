@@ -13,6 +13,7 @@ use super::arrays::triangle_array;
 use super::atlas::shape;
 use super::detached::detached;
 use super::guarded::guarded;
+use crate::base::memory::give_back;
 use crate::base::parallel::threads;
 use crate::fusion::field::VOXELS;
 use crate::fusion::filter::{Limits, oriented};
@@ -33,6 +34,16 @@ type Voxels =
 
 /// Vertices, triangles, colours and frames.
 type Extracted = (Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray2<f32>>, Py<PyArray1<f32>>);
+
+/// Vertices that others have, by the Z-order of their blocks and the codes of their edges; the same of those that others may
+/// refer to, with their numbers.
+type Joints = [Py<PyArray1<u64>>; 5];
+/// The first block of a box along each axis, and the one after its last.
+type Corners = ([i32; 3], [i32; 3]);
+
+fn boxed((low, high): Corners) -> BlockBox {
+    BlockBox { low, high }
+}
 
 /// More pixels than 32-bit numbers count.
 const MOST_PIXELS: usize = 1 << 30;
@@ -106,7 +117,7 @@ pub fn touched_blocks(
     wanted: PyReadonlyArray2<'_, bool>,
     voxel_size: f64,
     truncation: f32,
-    within: Option<([i32; 3], [i32; 3])>,
+    within: Option<Corners>,
 ) -> PyResult<Py<PyArray1<u64>>> {
     let camera = self::camera(&camera)?;
     guarded(camera.width * camera.height, || {
@@ -116,7 +127,7 @@ pub fn touched_blocks(
             obliqueness: pixels(&obliqueness, &camera)?,
             wanted: pixels(&wanted, &camera)?,
         };
-        let within = within.map(|(low, high)| BlockBox { low, high });
+        let within = within.map(boxed);
         let keys = touched(&camera, surface, voxel_size, truncation, within)?;
         Ok(PyArray1::from_vec(py, keys).unbind())
     })
@@ -156,9 +167,10 @@ impl Volume {
         self.locked().blocks().bytes()
     }
 
-    /// How many frames saw the median voxel near the surface.
-    fn typical_frames(&self) -> f64 {
-        self.locked().typical_frames()
+    /// Of how many voxels near the surface each number (256,) of frames is, in a box of blocks.
+    #[pyo3(signature = (*, within))]
+    fn frame_counts(&self, py: Python<'_>, within: Option<Corners>) -> Py<PyArray1<u64>> {
+        PyArray1::from_slice(py, &self.locked().frame_counts(within.map(boxed))).unbind()
     }
 
     /// Add a frame to the blocks with some keys; images are contiguous. `weighing` holds typical, constant and quadratic.
@@ -197,24 +209,41 @@ impl Volume {
     }
 
     /// The zero surface through voxels that `least` frames have seen: vertices (n, 3) in voxels, triangles (m, 3), colours (n, 3),
-    /// 0 to 255, and mean frames (n,).
-    #[pyo3(signature = (least, *, wanted_threads))]
-    fn surface(&self, py: Python<'_>, least: u32, wanted_threads: usize) -> PyResult<Extracted> {
+    /// 0 to 255, and mean frames (n,). Of the blocks in a box alone, if there is one: see `Joints`.
+    #[pyo3(signature = (least, *, within, wanted_threads))]
+    fn surface(
+        &self,
+        py: Python<'_>,
+        least: u32,
+        within: Option<Corners>,
+        wanted_threads: usize,
+    ) -> PyResult<(Extracted, Joints)> {
         let count = self.locked().blocks().count();
         guarded(count.saturating_mul(VOXELS / 8), || {
             // Locked by the thread that works, which needs no GIL to end.
             let found = detached(py, None, false, |progress| {
-                surface(&*self.locked(), least, None, threads(wanted_threads), progress)
+                surface(&*self.locked(), least, within.map(boxed), threads(wanted_threads), progress)
             })?;
             let count = found.positions.len();
             let places = found.positions.into_iter().flatten().collect();
             let colors = found.samples.iter().flat_map(|sample| sample.color).collect();
             let frames = found.samples.iter().map(|sample| sample.frames).collect();
+            let column = |values: Vec<u64>| PyArray1::from_vec(py, values).unbind();
+            let (foreign, shared) = (&found.foreign, &found.shared);
             Ok((
-                Array2::from_shape_vec((count, 3), places).map_err(shape)?.into_pyarray(py).unbind(),
-                triangle_array(py, &found.triangles)?,
-                Array2::from_shape_vec((count, 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
-                PyArray1::from_vec(py, frames).unbind(),
+                (
+                    Array2::from_shape_vec((count, 3), places).map_err(shape)?.into_pyarray(py).unbind(),
+                    triangle_array(py, &found.triangles)?,
+                    Array2::from_shape_vec((count, 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
+                    PyArray1::from_vec(py, frames).unbind(),
+                ),
+                [
+                    column(foreign.iter().map(|key| key.block).collect()),
+                    column(foreign.iter().map(|key| key.code.into()).collect()),
+                    column(shared.iter().map(|(key, _)| key.block).collect()),
+                    column(shared.iter().map(|(key, _)| key.code.into()).collect()),
+                    column(shared.iter().map(|(_, number)| (*number).into()).collect()),
+                ],
             ))
         })
     }
@@ -246,6 +275,14 @@ impl Volume {
                     .map(|colors| colors.into_pyarray(py).unbind()),
             ))
         })
+    }
+}
+
+impl Drop for Volume {
+    /// Fields come one after the other where space is cut in bricks: none is to leave its memory to the allocator.
+    fn drop(&mut self) {
+        *self.locked() = crate::fusion::volume::Volume::new(1.0, 1.0, false, 0);
+        give_back();
     }
 }
 

@@ -18,7 +18,7 @@ use crate::texture::blend::{NO_VIEW, Weights, blend};
 use crate::texture::pinhole::Pinhole;
 use crate::texture::shade::{Textured, shade as shaded};
 use crate::texture::surface_points::SurfacePoints as Points;
-use crate::texture::view::{Colors, Depths, Photo as Pixels, View as Photographed, Warp};
+use crate::texture::view::{Colors, Depths, Look, Photo as Pixels, View as Photographed, Warp};
 use crate::texture::zbuffer::{NOTHING, zbuffer as drawn};
 
 /// fx, fy, cx, cy, width, height; and the (4, 4) matrix that takes the world to the camera.
@@ -111,23 +111,28 @@ pub struct View(Photographed);
 #[pymethods]
 impl View {
     #[new]
-    #[pyo3(signature = (photo, mesh_camera, mesh_depth, mesh_triangles, *, reach, measured, worth))]
+    #[pyo3(signature = (photo, mesh_camera, mesh_nearest, mesh_depth, mesh_triangles, *, reach, measured, worth, flattest))]
+    #[allow(clippy::too_many_arguments)]
     fn new(
         photo: &Photo,
         mesh_camera: Camera<'_>,
+        mesh_nearest: Map<'_>,
         mesh_depth: Map<'_>,
         mesh_triangles: PyReadonlyArray2<'_, i32>,
         reach: (f64, f64),
-        measured: Option<(Camera<'_>, Map<'_>)>,
+        measured: Option<(Camera<'_>, Map<'_>, Map<'_>)>,
         worth: f32,
+        flattest: f64,
     ) -> PyResult<Self> {
-        let mesh = depths(&mesh_camera, &mesh_depth, reach.0)?;
+        let mesh = depths(&mesh_camera, &mesh_nearest, &mesh_depth, reach.0)?;
         let triangles: Vec<u32> =
             mesh_triangles.as_array().iter().map(|&t| if t < 0 { NOTHING } else { t as u32 }).collect();
-        let measured = measured.map(|(camera, depth)| depths(&camera, &depth, reach.1)).transpose()?;
+        let measured = measured
+            .map(|(camera, nearest, depth)| depths(&camera, &nearest, &depth, reach.1))
+            .transpose()?;
         let colors = Arc::clone(&photo.0);
         let place = colors.camera.place();
-        Ok(Self(Photographed { colors, place, mesh, triangles, measured, worth }))
+        Ok(Self(Photographed { colors, place, mesh, triangles, measured, worth, flattest }))
     }
 }
 
@@ -145,13 +150,14 @@ fn image(image: &Image<'_>) -> PyResult<Pixels> {
     Ok(Pixels { width, height, pixels: levels.map(|c| [c[0], c[1], c[2], 0]).collect() })
 }
 
-fn depths(camera: &Camera<'_>, nearest: &Map<'_>, reach: f64) -> PyResult<Depths> {
+fn depths(camera: &Camera<'_>, nearest: &Map<'_>, exact: &Map<'_>, reach: f64) -> PyResult<Depths> {
     let camera = pinhole(camera)?;
-    let nearest = nearest.as_array();
-    if nearest.shape() != [camera.height, camera.width] {
+    let [nearest, exact] = [nearest, exact].map(|map| map.as_array());
+    if [&nearest, &exact].iter().any(|map| map.shape() != [camera.height, camera.width]) {
         return Err(PyValueError::new_err("depth is of another size than its camera"));
     }
-    Ok(Depths { camera, nearest: nearest.iter().copied().collect(), reach })
+    let [nearest, exact] = [nearest, exact].map(|map| map.iter().copied().collect());
+    Ok(Depths { camera, nearest, exact, reach })
 }
 
 fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
@@ -248,6 +254,12 @@ impl SurfacePoints {
     /// Pixels a metre in the nearest view (n,), 0 where none shows a point.
     fn density(&self, py: Python<'_>) -> Py<PyArray1<f32>> {
         PyArray1::from_slice(py, &self.locked().density).unbind()
+    }
+
+    /// Whether a point (n,) is seen, and so flat that no view would be taken if there were a better one.
+    fn flat(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
+        let points = self.locked();
+        PyArray1::from_vec(py, points.looks.iter().map(|&look| look == Look::Flat).collect()).unbind()
     }
 
     /// Colours (n, 3), the view that counts most (n,), −1 for none, and how many views count (n,).

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::view::{Colors, Known, Seen, View};
+use super::view::{Colors, Known, Look, Seen, View};
 use super::zbuffer::NOTHING;
 use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
@@ -44,6 +44,8 @@ pub struct SurfacePoints {
     looked_at: BTreeMap<u16, Bits>,
     /// Pixels a metre in the photo that is nearest; 0 where none shows the point.
     pub density: Vec<f32>,
+    /// How each point is seen best: samples and density are of such looks alone.
+    pub looks: Vec<Look>,
 }
 
 impl SurfacePoints {
@@ -65,8 +67,21 @@ impl SurfacePoints {
         samples.resize(points.len() * kept, Sample::default());
         let places = points.iter().map(|p| [0, 1, 2].map(|i| (p[i] - origin[i]) as f32)).collect();
         let density = vec![0.0; points.len()];
+        let looks = vec![Look::None; points.len()];
         let looked_at = BTreeMap::new();
-        Ok(Self { places, normals, origin, first, triangles, vertices, samples, kept, looked_at, density })
+        Ok(Self {
+            places,
+            normals,
+            origin,
+            first,
+            triangles,
+            vertices,
+            samples,
+            kept,
+            looked_at,
+            density,
+            looks,
+        })
     }
 
     pub fn len(&self) -> usize {
@@ -101,10 +116,15 @@ impl SurfacePoints {
         let looked_at = self.looked_at(view);
         self.over(&looked_at, threads, |point| {
             let least = point.samples[point.samples.len() - 1].score;
-            let known = Known { score: least, density: *point.density };
+            let known = Known { look: *point.look, score: least, density: *point.density };
             let Some(seen) = view.of(&point.place, &point.normal.map(f64::from), &known) else { return };
+            if seen.look != *point.look {
+                // The first one, or a better one than all before: these count no more.
+                point.samples.fill(Sample::default());
+                (*point.look, *point.density) = (seen.look, 0.0);
+            }
             *point.density = point.density.max(seen.density);
-            if seen.score > least {
+            if seen.score > point.samples[point.samples.len() - 1].score {
                 insert(point.samples, &seen, number);
             }
         });
@@ -168,6 +188,7 @@ impl SurfacePoints {
                         normal: &part.normals[i],
                         samples: &mut part.samples[i * kept..][..kept],
                         density: &mut part.density[i],
+                        look: &mut part.looks[i],
                     });
                 }
             }
@@ -179,6 +200,7 @@ impl SurfacePoints {
         let kept = self.kept;
         let (mut places, mut normals) = (self.places.as_slice(), self.normals.as_slice());
         let (mut samples, mut density) = (self.samples.as_mut_slice(), self.density.as_mut_slice());
+        let mut looks = self.looks.as_mut_slice();
         let (mut parts, mut start) = (vec![], 0);
         while start < self.triangles.len() {
             let begin = self.first[start];
@@ -192,6 +214,7 @@ impl SurfacePoints {
                 normals: split(&mut normals, size),
                 samples: split_mut(&mut samples, size * kept),
                 density: split_mut(&mut density, size),
+                looks: split_mut(&mut looks, size),
             });
             start = end;
         }
@@ -220,6 +243,7 @@ struct Part<'a> {
     normals: &'a [[f32; 3]],
     samples: &'a mut [Sample],
     density: &'a mut [f32],
+    looks: &'a mut [Look],
 }
 
 /// One of them, with what is remembered of it.
@@ -228,6 +252,7 @@ struct Point<'a> {
     normal: &'a [f32; 3],
     samples: &'a mut [Sample],
     density: &'a mut f32,
+    look: &'a mut Look,
 }
 
 /// The nearest whole level.

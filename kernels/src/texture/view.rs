@@ -5,8 +5,8 @@ use std::sync::Arc;
 use super::pinhole::Pinhole;
 use crate::base::geometry::{Vec3, dot, norm2, sub};
 
-/// A surface seen flatter than at this cosine shows nothing worth having.
-const LEAST_COSINE: f64 = 0.15;
+/// What a surface shows that is seen flatter than at this cosine is taken only where no photo shows it better.
+const FLAT: f64 = 0.15;
 /// Surfaces this share of their distance apart are one, and so are the surface and its measured depth.
 const SAME_DEPTH: f64 = 0.016;
 const SAME_MEASURED_DEPTH: f64 = 0.03;
@@ -36,6 +36,8 @@ pub struct Depths {
     pub camera: Pinhole,
     /// The least depth within `reach` pixels; infinite or 0 where there is none.
     pub nearest: Vec<f32>,
+    /// The depth of each pixel alone; infinite or 0 where there is none.
+    pub exact: Vec<f32>,
     pub reach: f64,
 }
 
@@ -94,11 +96,24 @@ pub struct View {
     pub measured: Option<Depths>,
     /// How much it is worth beside other photos: blurred ones less.
     pub worth: f32,
+    /// A surface seen flatter than at this cosine shows nothing at all.
+    pub flattest: f64,
 }
 
-/// What is known of a point from other photos: the worst score that is remembered, and the most pixels a metre.
+/// How a point was seen best so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Look {
+    #[default]
+    None,
+    /// Flatter than anybody would want it.
+    Flat,
+    Straight,
+}
+
+/// What is known of a point from other photos: how these see it, the worst score that is remembered, and the most pixels a metre.
 #[derive(Clone, Copy, Debug)]
 pub struct Known {
+    pub look: Look,
     pub score: f32,
     pub density: f32,
 }
@@ -106,6 +121,8 @@ pub struct Known {
 /// A point in a photo; without colours, and of score 0, where the photo is not among the best.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
+    /// Not [`Look::None`].
+    pub look: Look,
     pub score: f32,
     pub color: [f32; 3],
     pub blurred: [f32; 3],
@@ -130,40 +147,47 @@ impl View {
         let towards = sub(&self.place, place);
         let distance2 = norm2(&towards);
         let cosine = dot(&towards, normal) / distance2.sqrt();
-        if cosine < LEAST_COSINE {
+        if cosine < self.flattest {
             return None;
         }
+        let look = if cosine < FLAT { Look::Flat } else { Look::Straight };
+        let (least, most) = match (look, known.look) {
+            (Look::Flat, Look::Straight) => return None,
+            // What flat looks have shown counts no more.
+            (Look::Straight, Look::Flat) => (0.0, 0.0),
+            _ => (known.score, known.density),
+        };
         let fade = (edge / (FADE * width)).min(1.0);
         let density2 = camera.focal[0] * camera.focal[1] / distance2;
         let value = (cosine * fade * density2) as f32;
         let density = (camera.focal[0] / p[2]) as f32;
-        if value * self.worth * self.worth <= known.score && density <= known.density {
+        if value * self.worth * self.worth <= least && density <= most {
             return None;
         }
-        let tangent = ((1.0 - cosine * cosine).max(0.0).sqrt() / cosine).min(MOST_TANGENT);
+        let tangent = (1.0 - cosine * cosine).max(0.0).sqrt() / cosine;
         // The mesh was drawn from where the photo was taken.
-        if self.mesh.difference(&p, tangent)? < -SAME_DEPTH {
+        if self.mesh.difference(&p, tangent, look)? < -SAME_DEPTH {
             return None;
         }
         let mut worth = self.worth;
         match self
             .measured
             .as_ref()
-            .and_then(|measured| measured.difference(&measured.camera.in_camera(place), tangent))
+            .and_then(|measured| measured.difference(&measured.camera.in_camera(place), tangent, look))
         {
             None if self.measured.is_some() => worth *= UNMEASURED,
             Some(difference) if difference.abs() > SAME_MEASURED_DEPTH => return None,
             _ => {}
         }
         let mut score = value * worth * worth;
-        if score <= known.score {
-            return Some(Seen { score: 0.0, density, color: [0.0; 3], blurred: [0.0; 3] });
+        if score <= least {
+            return Some(Seen { look, score: 0.0, density, color: [0.0; 3], blurred: [0.0; 3] });
         }
         let (color, blurred) = self.colors.at(pixel);
         if color.iter().any(|level| !(DARK..=BRIGHT).contains(level)) {
             score *= CUT_OFF;
         }
-        Some(Seen { score, density, color, blurred })
+        Some(Seen { look, score, density, color, blurred })
     }
 }
 
@@ -178,16 +202,28 @@ fn cell(place: f64, count: usize) -> (usize, f64) {
 impl Depths {
     /// How far behind a point in camera axes the nearest surface around its pixel is, as a share of its depth: negative where something is
     /// in front. None where nothing is known. A surface of the point's own slope counts as no difference.
+    ///
+    /// Around a point that is seen flat, its own surface is much nearer: only what is in its pixel tells, if there is anything.
     #[inline]
-    fn difference(&self, p: &Vec3, tangent: f64) -> Option<f64> {
+    fn difference(&self, p: &Vec3, tangent: f64, look: Look) -> Option<f64> {
         if p[2] <= 0.0 {
             return None;
         }
-        let nearest = f64::from(self.nearest[self.camera.nearest(self.camera.pixel(p))?]);
-        if nearest <= 0.0 || nearest.is_infinite() {
+        let pixel = self.camera.nearest(self.camera.pixel(p))?;
+        let [nearest, exact] = [&self.nearest, &self.exact].map(|depths| f64::from(depths[pixel]));
+        let is_there = |depth: f64| depth > 0.0 && depth.is_finite();
+        if !is_there(nearest) {
             return None;
         }
-        let slope = (self.reach + 0.5) / self.camera.focal[0] * tangent;
+        let focal = self.camera.focal[0];
+        if look == Look::Flat {
+            let (depth, pixels) = if is_there(exact) { (exact, 1.0) } else { (nearest, self.reach + 0.5) };
+            let difference = depth / p[2] - 1.0;
+            let slope = pixels / focal * tangent;
+            // To both sides: within a pixel there is all between.
+            return Some(difference.signum() * (difference.abs() - slope).max(0.0));
+        }
+        let slope = (self.reach + 0.5) / focal * tangent.min(MOST_TANGENT);
         let difference = nearest / p[2] - 1.0;
         Some(if difference < 0.0 { (difference + slope).min(0.0) } else { difference })
     }

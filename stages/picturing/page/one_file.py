@@ -129,8 +129,8 @@ def one_file(
     title : of the page.
     models : one or more.
     told : for JSON: `warnings`, sentences; `tables`, each with `title`, `head`, `rows` of words, and `places`
-        to fly to, `target` (3,) in the upright frame, z up, and how far `away`; `texts`, each with `title`
-        and `text`; `unit`, what lengths are in if it is not metres.
+        to fly to, `target` (3,) in the upright frame, z up, and how far `away`, or from where, `eye` (3,);
+        `texts`, each with `title` and `text`; `unit`, what lengths are in if it is not metres.
     cameras : of the scan, in order.
     """
     content = {

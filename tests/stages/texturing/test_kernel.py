@@ -1,12 +1,14 @@
 """The kernels of texturing against independent ones: what a camera sees, what several threads find."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 from coloured_meshes import ball, of_trimesh
-from photographed import CAMERA, paint, photos, pose, wall
+from photographed import CAMERA, flat_photo, paint, photos, pose, wall
 
-from stages import _kernels
+from stages import Mesh, _kernels
 from stages.progress import silent
 from stages.scans.formats.trajectories import inverted
 from stages.surface.raycasting import Surface
@@ -93,3 +95,69 @@ def test_a_seam_is_seen_in_the_ratio():
     stepped = image + 20 * (labels[..., None] == 1)
     assert seam_ratio([stepped.astype(np.float32)], [labels]) > 2
     assert seam_ratio([image], [np.zeros_like(labels)]) is None
+
+
+def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
+    """Return points all over the wall, seen by some of the frames."""
+    mesh = wall()
+    of = np.repeat(np.arange(len(mesh.triangles), dtype=np.uint32), 20)
+    shares = np.random.default_rng(0).dirichlet((1, 1, 1), len(of)).astype(np.float32)
+    points = _kernels.SurfacePoints(mesh.vertices, vertex_normals(mesh), mesh.triangles, of, shares, kept=3)
+    one = photos_of([frames[number] for number in order], silent)
+    # Sharpness is judged among those taken one after the other: not here.
+    one = replace(one, worths=np.ones(len(one)))
+    see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
+    return points
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [1, 3, 0, 2]])
+def test_a_flat_look_counts_only_where_there_is_no_other(order):
+    frames = [*photos(3), flat_photo(3)]
+    without, flat = looked_at(frames, [n for n in order if n != 3]), looked_at(frames, order)
+    named = [np.append(chosen, -1) for chosen in ([n for n in order if n != 3], order)]
+    straight = without.samples()[0][:, 0] >= 0
+    assert 0.5 < straight.mean() < 1
+    np.testing.assert_array_equal(flat.flat(), ~straight & (flat.density() > 0))
+    assert flat.flat().any()
+    assert not without.flat().any()
+
+    before, after = without.samples(), flat.samples()
+    np.testing.assert_array_equal(named[0][before[0]][straight], named[1][after[0]][straight])
+    for one, other in zip(before[1:], after[1:], strict=True):
+        np.testing.assert_array_equal(one[straight], other[straight])
+    np.testing.assert_array_equal(without.density()[straight], flat.density()[straight])
+    only = named[1][after[0]][flat.flat()]
+    assert (only[:, 0] == 3).all()
+    assert (only[:, 1:] == -1).all()
+
+
+def test_a_photo_alone_may_be_flatter_than_one_of_several():
+    # At 88° and more of the farther half.
+    low = replace(flat_photo(0, z=-0.03, turn=-85), depth=None)
+    away = replace(low, name="away", world_from_camera=pose(9, 9))
+    alone, beside = looked_at([low], [0]), looked_at([low, away], [0, 1])
+    assert alone.flat().mean() > 0.5
+    assert beside.flat().mean() < 0.2 * alone.flat().mean()
+
+
+def test_a_flat_look_does_not_see_through_what_is_before_it():
+    mesh, frame = wall(), replace(flat_photo(0), depth=None)
+    # A board on the wall, square to it, across what is farther from the camera.
+    board = Mesh(
+        np.array([(0.5, 0, 0), (0.5, 1, 0), (0.5, 1, -0.4), (0.5, 0, -0.4)]),
+        np.array([(0, 1, 2), (0, 2, 3), (0, 2, 1), (0, 3, 2)], np.int32),
+    )
+    both = Mesh(
+        np.concatenate([mesh.vertices, board.vertices]),
+        np.concatenate([mesh.triangles, board.triangles + len(mesh.vertices)]).astype(np.int32),
+    )
+    of = np.arange(len(mesh.triangles), dtype=np.uint32)
+    shares = np.full((len(of), 3), 1 / 3, np.float32)
+    points = _kernels.SurfacePoints(both.vertices, vertex_normals(both), both.triangles, of, shares, kept=1)
+    one = photos_of([frame], silent)
+    see(points, both, one, [no_exposure()], None, lambda: None)
+    x = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0]
+    seen = points.density() > 0
+    # By a pixel, which is a tenth of the way there, it may be wrong.
+    assert not seen[x < 0.3].any()
+    assert seen[(x > 0.55) & (x < 0.9)].mean() > 0.4

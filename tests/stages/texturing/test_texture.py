@@ -7,7 +7,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from photographed import CAMERA, brighter, hits, paint, photo, photos, pose, wall
+from photographed import CAMERA, brighter, flat_photo, hits, paint, photo, photos, pose, wall
 
 from stages import InputError, MeshError, UsageError
 from stages.scans.images import read_photo
@@ -259,3 +259,27 @@ def test_what_lies_beyond_the_edge_of_a_distorted_photo_is_not_taken():
     white = [replace(frame, color=np.full_like(np.asarray(frame.color), 200)) for frame in frames]
     colors, _ = shown(texture(wall(), white, format="png").mesh)
     assert colors.min() > 195
+
+
+def test_what_only_an_oblique_photo_shows_has_its_colours_and_is_not_told_as_unseen():
+    flat = flat_photo(0)
+    grey = wall(colors=np.full((13 * 13, 3), 128, np.uint8))
+    found = texture(grey, [flat], format="png")
+    assert found.seen > 0.5
+    assert found.warnings == ()
+    colors, places = shown(found.mesh)
+    truth = paint(places[:, 0], places[:, 1])
+    # Across it pixels are as wide as 5 cm, along it as fine as ever.
+    near = (places[:, 0] > 0.6) & (places[:, 0] < 0.85) & (np.abs(places[:, 1] - 0.5) < 0.15)
+    assert np.abs(colors - truth)[near].mean() < 0.4 * np.abs(128 - truth)[near].mean()
+
+
+def test_an_oblique_photo_changes_nothing_where_others_show_the_wall():
+    frames, mesh = photos(), wall()
+    flat = replace(flat_photo(12), color=np.full((120, 160, 3), 200, np.uint8))
+    without, beside = (texture(mesh, some, format="png", rounds=0) for some in (frames, [*frames, flat]))
+    for share in (0.5, 0.9, 0.99):
+        off = [np.quantile(errors(one.mesh), share) for one in (without, beside)]
+        assert off[1] == pytest.approx(off[0], abs=0.2)
+    assert beside.difference_after == pytest.approx(without.difference_after, abs=0.2)
+    assert beside.seen >= without.seen

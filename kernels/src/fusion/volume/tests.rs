@@ -317,8 +317,12 @@ fn fewer_frames_than_asked_for_are_none() {
     assert!((distances[0] - 2.0).abs() < 1e-4 && (distances[0] - volume.distance(0, 0, 3)).abs() < 1e-9);
     volume.distances(0, 4, &mut distances);
     assert!(distances.iter().all(|d| d.is_nan()) && volume.distance(0, 0, 4).is_nan());
-    assert_eq!(volume.typical_frames(), 3.0);
-    assert_eq!(Volume::new(VOXEL, TRUNCATION, true, 1).typical_frames(), 0.0);
+    let counts = volume.frame_counts(None);
+    assert!(counts[3] > 0 && counts.iter().sum::<u64>() == counts[3]);
+    let high = volume.block(0).map(|c| c + 1);
+    let here = volume.frame_counts(Some(BlockBox { low: volume.block(0), high }));
+    assert!(0 < here[3] && here[3] <= counts[3]);
+    assert_eq!(volume.frame_counts(Some(BlockBox { low: high, high })), [0; 256]);
 }
 
 #[test]

@@ -83,12 +83,13 @@ function table(head, rows, places) {
   return wide;
 }
 
-/** A button that brings the camera to a place. */
-function flight({ target, away }) {
+/** A button that brings the camera to a place, or to where one should look at it from. */
+function flight({ target, away, eye }) {
   const button = element("button", "fly there");
   button.type = "button";
   button.addEventListener("click", () => {
-    window.scanloom.flyTo(target, away);
+    if (eye) window.scanloom.look({ eye, target });
+    else window.scanloom.flyTo(target, away);
     document.getElementById("picture").scrollIntoView({ block: "nearest" });
   });
   return button;

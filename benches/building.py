@@ -1,0 +1,219 @@
+"""Make a scan of a building.
+
+    python benches/building.py FOLDER [--rooms 50] [--frames 10000] [--workers 2]
+
+Rooms in rows with doors between them, each with tables, cupboards and boxes, walked through with an RGB-D
+camera (320×240, depth noise of a structured-light sensor, poses known). Every number is drawn from a fixed
+seed, and a frame's from its own: fewer frames are the first of more. `scan.json` stands beside the images.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache, partial
+from itertools import product
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._open3d import open3d
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Camera, Frame, Pose
+
+Floats = NDArray[np.float64]
+
+SEED = 11
+ROOM = np.array((4.0, 3.5, 2.6))
+WALL = 0.12
+DOOR = np.array((0.9, 2.0))
+COLUMNS = 10
+FRAMES_A_ROOM = 200
+CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+
+
+def main() -> None:
+    """Write the scan."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--rooms", type=int, default=50)
+    parser.add_argument("--frames", type=int, default=10_000)
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    make_building(options.folder, options.rooms, options.frames, options.workers)
+
+
+def make_building(folder: Path, rooms: int, frames: int, workers: int = 1) -> None:
+    """Write a scan of the first `frames` frames of a building of so many rooms."""
+    for kind in ("color", "depth"):
+        (folder / kind).mkdir(parents=True)
+    work = partial(_write_frame, folder, rooms)
+    if workers == 1:
+        written = [work(number) for number in range(frames)]
+    else:
+        with ProcessPoolExecutor(workers) as pool:
+            written = list(pool.map(work, range(frames), chunksize=32))
+    write_scan_json(folder, written)
+
+
+def _write_frame(folder: Path, rooms: int, number: int) -> Frame:
+    pose = np.round(_pose(number, rooms), 9)
+    color, depth = _seen(rooms, pose, np.random.default_rng((SEED, 1, number)))
+    paths = folder / "color" / f"{number:06d}.jpg", folder / "depth" / f"{number:06d}.png"
+    cv2.imwrite(str(paths[0]), cv2.cvtColor(color, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 90])
+    cv2.imwrite(str(paths[1]), depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return Frame(f"{number:06d}", CAMERA, color=paths[0], depth=paths[1], world_from_camera=pose)
+
+
+def _corner(room: int) -> Floats:
+    """Lowest corner of a room; rows are walked through there and back."""
+    row, column = divmod(room, COLUMNS)
+    column = column if row % 2 == 0 else COLUMNS - 1 - column
+    return np.array((column, row, 0)) * (ROOM + WALL) * (1, 1, 0)
+
+
+def _pose(number: int, rooms: int) -> Pose:
+    """Return where the camera is: around the middle of the room, looking outward, up and down."""
+    room, step = divmod(number, FRAMES_A_ROOM)
+    t = step / FRAMES_A_ROOM
+    yaw = 2 * np.pi * (2 * t + 0.13 * (room % rooms))
+    pitch = np.deg2rad(-12 + 26 * np.sin(2 * np.pi * 5 * t))
+    around = np.array((np.cos(yaw + 2.6), np.sin(yaw + 2.6), 0.0))
+    eye = _corner(room % rooms) + ROOM * (0.5, 0.5, 0.58) + 0.55 * around
+    forward = np.array((np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)))
+    right = np.cross(forward, (0, 0, 1))
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3] = np.stack([right, np.cross(forward, right), forward, eye], axis=1)
+    return pose
+
+
+def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    """Return the picture (h, w, 3) and the depth (h, w) in millimetres, 0 where nothing came back."""
+    height, width = CAMERA.height, CAMERA.width
+    x = (np.arange(width) - CAMERA.cx) / CAMERA.fx
+    y = (np.arange(height) - CAMERA.cy) / CAMERA.fy
+    rays = np.stack([*np.meshgrid(x, y), np.ones((height, width))], axis=-1).reshape(-1, 3) @ pose[:3, :3].T
+    scene, colors = _scene(rooms)
+    given = np.concatenate([np.broadcast_to(pose[:3, 3], rays.shape), rays], axis=1).astype(np.float32)
+    hits = scene.cast_rays(open3d().core.Tensor(given))
+    z = hits["t_hit"].numpy().astype(np.float64)
+    is_hit = np.isfinite(z)
+    z[~is_hit] = 0
+    normal = hits["primitive_normals"].numpy().astype(np.float64)
+    length = np.linalg.norm(rays, axis=1)
+    cosine = np.abs(np.einsum("kx,kx->k", normal, rays)) / length
+    points = pose[:3, 3] + rays * z[:, None]
+    part = np.where(is_hit, hits["primitive_ids"].numpy(), 0) // 12
+    light = 0.55 + 0.45 * np.abs(normal @ (0.36, 0.48, 0.8))
+    paint = colors[part] * (_pattern(points, part) * light)[:, None]
+    color = np.where(is_hit[:, None], paint, 0.3) + 0.012 * draw.standard_normal((len(z), 3))
+    # Nguyen, Izadi and Lovell 2012, roughly: the noise of a structured-light sensor.
+    measured = z + (0.0012 + 0.0019 * (z - 0.4) ** 2) * draw.standard_normal(len(z))
+    lost = ~is_hit | (cosine < 0.15) | (z > 5) | (draw.random(len(z)) < 0.01)
+    depth = np.where(lost, 0, np.rint(measured * 1000)).astype(np.uint16)
+    return (
+        np.rint(color.clip(0, 1) * 255).astype(np.uint8).reshape(height, width, 3),
+        depth.reshape(height, width),
+    )
+
+
+def _pattern(points: Floats, part: NDArray[np.int64]) -> Floats:
+    """Return how bright places are painted: checks and stripes, of another width on each part."""
+    pitch = (3 + part % 5)[:, None] * 2.0
+    checks = np.sin(pitch * points).prod(axis=1)
+    return np.asarray(0.8 + 0.2 * np.tanh(6 * checks) * (0.5 + 0.5 * np.cos(31 * points.sum(axis=1))))
+
+
+@lru_cache(maxsize=1)
+def _scene(rooms: int) -> tuple[object, Floats]:
+    """Return what rays are cast into, and a colour (n, 3) for each of its boxes."""
+    boxes = np.array(_boxes(rooms))
+    corner = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)])
+    faces = np.array(
+        [
+            *((0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4)),
+            *((2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)),
+        ]
+    )
+    vertices = (boxes[:, None, 0] + corner * (boxes[:, 1] - boxes[:, 0])[:, None]).reshape(-1, 3)
+    triangles = (faces + 8 * np.arange(len(boxes))[:, None, None]).reshape(-1, 3)
+    core = open3d().core
+    scene = open3d().t.geometry.RaycastingScene()
+    scene.add_triangles(core.Tensor(vertices.astype(np.float32)), core.Tensor(triangles.astype(np.uint32)))
+    return scene, np.random.default_rng((SEED, 2)).uniform(0.35, 0.95, (len(boxes), 3))
+
+
+def _boxes(rooms: int) -> list[tuple[Floats, Floats]]:
+    """Return lowest and highest corners of all that the building is made of."""
+    found = []
+    for room in range(rooms):
+        low = _corner(room)
+        high = low + ROOM
+        draw = np.random.default_rng((SEED, 0, room))
+        outer = np.array((WALL, WALL, 0)) / 2
+        found += [
+            (low - outer - (0, 0, 0.1), (*(high + outer)[:2], 0.0)),
+            ((*(low - outer)[:2], high[2]), high + outer + (0, 0, 0.1)),
+        ]
+        for axis in (0, 1):
+            found += _wall(low, high, axis, upper=False, is_open=_is_beside(room, axis, -1, rooms))
+            found += _wall(low, high, axis, upper=True, is_open=_is_beside(room, axis, 1, rooms))
+        found += _furniture(low, draw)
+    return [(np.asarray(a, float), np.asarray(b, float)) for a, b in found]
+
+
+def _is_beside(room: int, axis: int, step: int, rooms: int) -> bool:
+    """Whether there is a room on a side of one."""
+    there = _corner(room)
+    there[axis] += step * (ROOM + WALL)[axis]
+    return any(np.allclose(_corner(other), there) for other in range(rooms))
+
+
+def _wall(low: Floats, high: Floats, axis: int, *, upper: bool, is_open: bool) -> list[tuple[Floats, Floats]]:
+    """Return a wall of a room, half as thick as both rooms' together, with a door if it is open."""
+    along = 1 - axis
+    a, b = np.array(low), np.array(high)
+    a[along] -= WALL / 2
+    b[along] += WALL / 2
+    a[axis], b[axis] = (high[axis], high[axis] + WALL / 2) if upper else (low[axis] - WALL / 2, low[axis])
+    if not is_open:
+        return [(a, b)]
+    middle = (low[along] + high[along]) / 2
+    left, right, above = (a.copy(), b.copy()), (a.copy(), b.copy()), (a.copy(), b.copy())
+    left[1][along] = above[0][along] = middle - DOOR[0] / 2
+    right[0][along] = above[1][along] = middle + DOOR[0] / 2
+    above[0][2] = DOOR[1]
+    return [left, right, above]
+
+
+def _furniture(low: Floats, draw: np.random.Generator) -> list[tuple[Floats, Floats]]:
+    """Return what stands in a room's corners: cupboards, boxes and tables."""
+    found: list[tuple[Floats, Floats]] = []
+
+    def add(base: Floats, low: Sequence[float], high: Sequence[float]) -> None:
+        found.append((base + np.array(low), base + np.array(high)))
+
+    for corner in range(4):
+        size = draw.uniform((0.35, 0.3, 0.4), (0.9, 0.7, 1.9))
+        gap = draw.uniform(0.02, 0.2, 2)
+        x = gap[0] if corner & 1 == 0 else ROOM[0] - size[0] - gap[0]
+        y = gap[1] if corner & 2 == 0 else ROOM[1] - size[1] - gap[1]
+        base = low + np.array((x, y, 0))
+        if draw.random() >= 0.4:
+            add(base, (0, 0, 0), size)
+            continue
+        top = min(size[2], 0.8)
+        add(base, (0, 0, top - 0.04), (size[0], size[1], top))
+        for dx, dy in product((0.0, size[0] - 0.06), (0.0, size[1] - 0.06)):
+            add(base, (dx, dy, 0), (dx + 0.06, dy + 0.06, top - 0.04))
+        thing = draw.uniform(0.08, 0.25, 3)
+        add(base, (0.1, 0.1, top), thing + np.array((0.1, 0.1, top)))
+    return found
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""Many scans by several workers: how much faster, and what is left of it where workers are killed.
+
+So many small made scans (RGB-D, four frames) go as far as `simplify`: by one worker of one thread, by two,
+and by two that are killed (`kill -9`) at random every few seconds, half of the time the worker itself, else
+the process that runs its job, and replaced. "twice" are scans that two tries brought to an end; "same bytes"
+compares every result but report.json with that of one worker. Then a queue of so many jobs is claimed without
+working on them. Seconds on the wall say little where other work goes on: processor seconds are of all
+processes of the workers.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from markdown_tables import print_head, print_row
+
+from pipeline.batch.claims import Claims
+from pipeline.batch.heartbeat import Watch
+from pipeline.batch.queue import Job, Settings, new_queue, standing_queue
+from pipeline.batch.records import Records
+from pipeline.batch.supply import Supply
+from pipeline.digest import file_digest
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "tests" / "made")]
+
+from small_scans import write_small_scans  # noqa: E402
+
+SCANLOOM = [sys.executable, "-m", "cli.app"]
+WORKER = [*SCANLOOM, "worker", "--quiet", "--jobs", "1", "--threads", "1"]
+# Seconds between two kills.
+SOONEST, LATEST = 2.0, 6.0
+NOT_COMPARED = {"report.json"}
+
+
+def batch(scans: int, jobs: int, seed: int) -> None:
+    """Print the tables of `batch`."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = write_small_scans(Path(folder) / "scans", scans)
+        print_head(("scans", "workers", "kills", "wall", "CPU", "faster", "same bytes", "twice"), 0)
+        told = f"{scans:,}"
+        wall, cpu, one = worked(made, Path(folder) / "one", 1)
+        print_row((told, "1", "0", f"{wall:.0f} s", f"{cpu:.0f} s", "", "", f"{twice(one)}"))
+        results = digests(one)
+        shorter, cpu, two = worked(made, Path(folder) / "two", 2)
+        faster = f"{wall / shorter:.2f}×"
+        compared = same(results, two)
+        print_row((told, "2", "0", f"{shorter:.0f} s", f"{cpu:.0f} s", faster, compared, f"{twice(two)}"))
+        longer, kills, killed = killed_workers(made, Path(folder) / "killed", seed)
+        compared = same(results, killed)
+        print_row((told, "2", f"{kills}", f"{longer:.0f} s", "", "", compared, f"{twice(killed)}"))
+        print(f"\n{jobs:,} jobs in a queue: {claimed(Path(folder) / 'queue', jobs):.3f} ms for each claim")
+
+
+def queued(scans: Path, out: Path) -> Path:
+    """Write the queue."""
+    words = ["batch", scans, "-o", out, "--queue-only", "--until", "simplify", "--take-over-after", "2"]
+    subprocess.run([*SCANLOOM, *map(str, words), "--quiet"], check=True, stdout=subprocess.DEVNULL)
+    return out
+
+
+def worked(scans: Path, out: Path, workers: int) -> tuple[float, float, Path]:
+    """Return the seconds that so many workers take, on the wall and of processors, and the folder."""
+    queued(scans, out)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    started = time.perf_counter()
+    running = [started_worker(out) for _ in range(workers)]
+    codes = [one.wait() for one in running]
+    assert codes == [0] * workers, codes
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return time.perf_counter() - started, cpu, out
+
+
+def killed_workers(scans: Path, out: Path, seed: int) -> tuple[float, int, Path]:
+    """Return the seconds that two workers take which are killed and replaced, how often, and the folder."""
+    queued(scans, out)
+    drawn = random.Random(seed)
+    started = time.perf_counter()
+    running = [started_worker(out) for _ in range(2)]
+    kills = 0
+    while any(one.poll() is None for one in running):
+        time.sleep(drawn.uniform(SOONEST, LATEST))
+        at = drawn.randrange(2)
+        if running[at].poll() is not None:
+            continue
+        job = children_of(running[at].pid)
+        victim = job[0] if job and drawn.random() < 0.5 else running[at].pid
+        try:
+            os.kill(victim, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+        kills += 1
+        if victim == running[at].pid:
+            running[at].wait()
+            running[at] = started_worker(out)
+    return time.perf_counter() - started, kills, out
+
+
+def started_worker(out: Path) -> subprocess.Popen[bytes]:
+    """Start a worker."""
+    return subprocess.Popen([*WORKER, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def children_of(process: int) -> list[int]:
+    """Return the processes that one has started."""
+    path = Path(f"/proc/{process}/task/{process}/children")
+    return [int(word) for word in path.read_text().split()] if path.exists() else []
+
+
+def digests(out: Path) -> dict[str, str]:
+    """Return the digest of every result, by its path."""
+    files = [
+        path for path in sorted(out.glob("scan-*/*")) if path.is_file() and path.name not in NOT_COMPARED
+    ]
+    return {path.relative_to(out).as_posix(): file_digest(path) for path in files}
+
+
+def same(expected: dict[str, str], out: Path) -> str:
+    """Say whether the results in a folder are those that are expected."""
+    found = digests(out)
+    differ = sum(found.get(name) != content for name, content in expected.items()) + len(
+        found.keys() - expected
+    )
+    return f"all of {len(expected):,}" if differ == 0 else f"{differ} differ of {len(expected):,}"
+
+
+def twice(out: Path) -> int:
+    """Return how many jobs were brought to an end more than once."""
+    queue = standing_queue(out)
+    assert queue is not None
+    ends = Counter(claim.number for claim in Records(queue.folder / "done").all())
+    assert len(ends) == len(queue.jobs)
+    return sum(count > 1 for count in ends.values())
+
+
+def claimed(out: Path, jobs: int) -> float:
+    """Return the milliseconds that a claim takes in a queue of so many jobs."""
+    queue = new_queue(out, 1, Settings(""), [Job(k, f"../scans/{k}", f"{k}") for k in range(jobs)])
+    assert queue is not None
+    started = time.process_time()
+    standing = standing_queue(out)
+    assert standing is not None
+    claims = Claims(standing.folder / "claims", "bench")
+    records, watch = Records(standing.folder / "done"), Watch(standing.folder / "workers")
+    supply = Supply(standing, claims, records, watch, 60.0)
+    numbers = [claim.number for claim in iter(supply.next, None)]
+    assert numbers == list(range(jobs))
+    return 1e3 * (time.process_time() - started) / jobs
+
+
+def add_to(commands: Any) -> None:
+    """Add the command `batch` to those of a parser."""
+    parser = commands.add_parser("batch", description=__doc__)
+    parser.add_argument("--scans", type=int, default=1000)
+    parser.add_argument("--jobs", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.set_defaults(bench=batch)

@@ -1,0 +1,66 @@
+"""What `batch --dry-run` prints: what would be done, scan by scan."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.output import Output, size_of, table_of
+from stages.errors import ScanloomError
+
+if TYPE_CHECKING:
+    from pipeline.batch.queue import Job, Settings
+    from pipeline.config import Config
+    from pipeline.dry_run import DryRun
+
+
+def tell_dry_run(
+    target: Path, what: Settings, queued: tuple[Job, ...], config: Config, more: dict[str, Any], out: Output
+) -> None:
+    """Print what a batch would do, scan by scan; what cannot be read is a row, too."""
+    from pipeline.dry_run import DryRun, foresee
+
+    found: list[DryRun | ScanloomError] = []
+    with out.progress("scans", "scans") as progress:
+        for job in queued:
+            how: dict[str, Any] = {
+                "until": what.until,
+                "force": what.force,
+                "cache_dir": os.path.normpath(target / what.cache),
+                "overwrite": what.overwrite,
+            }
+            try:
+                scan = os.path.normpath(target / job.scan)
+                found.append(foresee(scan, target / job.name, config, **how))
+            except ScanloomError as error:
+                found.append(error)
+            progress(len(found), len(queued))
+    rows = [["scan", "layout", "frames", "stages", "cached", "seconds", "memory"]]
+    lines, told = [], []
+    for job, one in zip(queued, found, strict=True):
+        if not isinstance(one, DryRun):
+            rows.append([job.name, "", "", "", "", "", ""])
+            lines.append(f"{job.name}: {one}")
+            told.append({"scan": job.name, "error": str(one)})
+            continue
+        cached = sum(stage.cached for stage in one.stages)
+        figures = [f"{one.frames:,}", str(len(one.stages)), str(cached), f"{one.seconds:.1f}"]
+        rows.append([job.name, one.layout, *figures, size_of(one.memory_bytes) if one.memory_bytes else ""])
+        told.append({**one.figures(), "scan": job.name, **one.figures()["scan"]})
+        lines += [f"{job.name}: it would not begin: {one.refused}"] if one.refused else []
+    runs = [one for one in found if isinstance(one, DryRun)]
+    seconds = sum(one.seconds for one in runs)
+    most = max((one.memory_bytes for one in runs), default=0)
+    total = f"{len(queued):,} scans, about {seconds:,.0f} s in a row, {size_of(most)} at the most for one"
+    out.result(
+        {
+            "dry_run": True,
+            "out": str(target),
+            "scans": told,
+            "expected_seconds": round(seconds, 1),
+            "expected_memory_mb": round(most / 1e6),
+            **more,
+        },
+        "\n".join([table_of(rows), "", *lines, *([""] if lines else []), f"{total}; nothing is written."]),
+    )

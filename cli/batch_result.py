@@ -1,0 +1,45 @@
+"""What `batch` and `worker` end with: the tables, the page, and the exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from cli.batch_watch import summary_text, tell_warnings
+from cli.exit_codes import BAD_INPUT
+from cli.output import Output
+
+if TYPE_CHECKING:
+    from pipeline.batch.queue import Queue
+
+
+def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
+    """Write the tables and the page of a batch, print what it came to, and say what is not done.
+
+    Parameters
+    ----------
+    more : figures for JSON, beside those of the scans.
+
+    Raises
+    ------
+    typer.Exit
+        With the code of input that cannot be read, if no scan can be.
+    """
+    from pipeline.batch.outputs import write_outputs
+    from pipeline.batch.summary import summary_of
+
+    summary = summary_of(queue)
+    written = [path.name for path in write_outputs(summary, queue.out.resolve().name)]
+    for record in summary.records:
+        tell_warnings(out, record)
+    failed = summary.not_done
+    if failed:
+        states = {one.state for one in failed}
+        kinds = ", ".join(f"{summary.counts[state]} {state}" for state in sorted(states))
+        out.unmet(f"{len(failed)} of {len(summary.records)} scans are not done: {kinds}; the table says why.")
+    figures = {**summary.figures(), "cache": str(queue.cache), "files": written, **more}
+    out.result(figures, summary_text(summary, written))
+    if summary.is_unusable:
+        raise typer.Exit(BAD_INPUT)

@@ -1,0 +1,101 @@
+"""What a person sees of a batch: a bar over all scans, and one line for each that came to an end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+from cli.options import as_typed
+from cli.output import Output, table_of
+from pipeline.batch.records import DONE, RUNNING, WAITING, Record
+from pipeline.batch.summary import Summary
+from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, Told
+
+if TYPE_CHECKING:
+    from stages.progress import Progress
+
+
+@contextmanager
+def watching_batch(out: Output) -> Iterator[Tell]:
+    """Give the function a worker tells its jobs to."""
+    watcher = _Watcher(out)
+    try:
+        yield watcher
+    finally:
+        watcher.close()
+
+
+class _Watcher:
+    def __init__(self, out: Output) -> None:
+        self._out = out
+        self._bar = ExitStack()
+        self._update: Progress | None = None
+        self._counted = (0, 0)
+
+    def __call__(self, told: Told) -> None:
+        match told:
+            case Counted():
+                self._counted = (told.ended, told.total)
+                self._show()
+            case JobEnded():
+                self.close()
+                self._out.remark(line_of(told.record))
+                tell_warnings(self._out, told.record)
+            case Noted():
+                self.close()
+                self._out.remark(told.text)
+            case JobBegun():
+                if told.attempt:
+                    self.close()
+                    self._out.remark(f"{told.name}: begun again, from what is in the cache")
+            case JobAt():
+                self._show()
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._bar.close()
+        self._update = None
+
+    def _show(self) -> None:
+        if self._update is None:
+            self._update = self._bar.enter_context(self._out.progress("scans", "scans"))
+        self._update(*self._counted)
+
+
+def tell_warnings(out: Output, record: Record) -> None:
+    """Tell the warnings of a scan, each with its name before it."""
+    for text in record.warnings:
+        out.warn(as_typed(f"{record.name}: {text}"))
+
+
+def line_of(record: Record) -> str:
+    """Return the line of a scan that came to an end."""
+    triangles = record.figures.get("triangles")
+    came_out = record.reason or ("" if triangles is None else f"{triangles:,} triangles")
+    return as_typed(f"{record.name}  {record.state}, {record.seconds:.1f} s  {came_out}".rstrip())
+
+
+def summary_text(summary: Summary, places: list[str]) -> str:
+    """Return the table of a batch, then why scans are not done, then where the results are."""
+    rows = [["scan", "state", "seconds", "frames", "triangles", "warnings"]]
+    for one in summary.records:
+        is_open = one.state in (WAITING, RUNNING)
+        frames, triangles = (one.figures.get(name) for name in ("frames", "triangles"))
+        rows.append(
+            [
+                one.name,
+                one.state,
+                "" if is_open else f"{one.seconds:.1f}",
+                "" if frames is None else f"{frames:,}",
+                "" if triangles is None else f"{triangles:,}",
+                str(len(one.warnings) or ""),
+            ]
+        )
+    reasons = [
+        as_typed(f"{one.name}: {one.reason}") for one in summary.records if one.state != DONE and one.reason
+    ]
+    counts = ", ".join(f"{count:,} {state}" for state, count in summary.counts.items())
+    lines = [table_of(rows), "", *reasons, *([""] if reasons else []), counts]
+    lines.append(f"results in {summary.out}" + (f": {', '.join(places)}" if places else ""))
+    return "\n".join(lines)

@@ -1,0 +1,71 @@
+"""What a run was asked for, as the record in its cache keeps it: so that its OUT alone is enough to go on.
+
+It stands in the cache and not among the results: these are passed on, and where a scan lies on a machine is
+nobody else's matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.config import Config
+from stages.errors import UsageError
+from stages.params import described
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a run was asked for.
+
+    Attributes
+    ----------
+    scan : the folder or file of the scan, absolute.
+    config : files in it are absolute, too.
+    until : the last stage that was wanted.
+    """
+
+    scan: Path
+    config: Config
+    until: str
+
+    def record(self) -> dict[str, str]:
+        """Return it for JSON."""
+        return {"scan": str(self.scan), "config": self.config.dumps(), "until": self.until}
+
+    @classmethod
+    def of(cls, record: object) -> Asked | None:
+        """Return what a record says; None if it is none, or of a version that had other parameters."""
+        if not isinstance(record, Mapping):
+            return None
+        scan, config, until = (record.get(name) for name in ("scan", "config", "until"))
+        if not (isinstance(scan, str) and isinstance(config, str) and isinstance(until, str)):
+            return None
+        try:
+            return cls(Path(scan), Config.loads(config), until)
+        except UsageError:
+            return None
+
+
+def from_anywhere(config: Config) -> Config:
+    """Return a configuration whose files are named in full, so that it holds in another folder, too."""
+    for section in config.types():
+        params = getattr(config, section)
+        files = {name: _in_full(getattr(params, name)) for name in described(type(params))}
+        changed = {name: value for name, value in files.items() if value is not None}
+        if changed:
+            config = replace(config, **{section: replace(params, **changed)})
+    return config
+
+
+def _in_full(value: Any) -> str | Path | None:
+    """Return the absolute path that a value names; None if it is no file that is there."""
+    if not isinstance(value, (str, Path)) or not str(value):
+        return None
+    try:
+        is_there = Path(value).exists()
+    except (OSError, ValueError):
+        return None
+    return type(value)(Path(value).absolute()) if is_there else None

@@ -1,0 +1,166 @@
+"""The jobs of a queue by Dask: by a scheduler that runs, or workers that SLURM or others start.
+
+Each job is a task that starts a process of its own and waits for it: the limits that Dask sets to threads and
+memory of its workers are not the job's, and no job can keep a worker from answering. What a task was at when
+its worker died is begun again by Dask elsewhere, from what is in the cache.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pipeline.batch.claims import Claims
+from pipeline.batch.one import Task
+from pipeline.batch.queue import Queue
+from pipeline.batch.records import FAILED, Record, Records
+from pipeline.batch.told import Counted, JobEnded, Noted, Tell, untold
+from pipeline.failures import explained
+from stages.errors import InputError, UsageError
+from stages.scans.threads import environment_of
+
+# Systems that dask-jobqueue starts workers by, and its classes.
+SYSTEMS = {
+    "slurm": "SLURMCluster",
+    "pbs": "PBSCluster",
+    "sge": "SGECluster",
+    "lsf": "LSFCluster",
+    "oar": "OARCluster",
+    "htcondor": "HTCondorCluster",
+}
+_ROOT = Path(__file__).parents[2]
+_CODE = "from pipeline.batch.one import main; main()"
+# Seconds that a scheduler may take to answer.
+_PATIENCE = 10
+
+
+def run_task(words: str, threads: int) -> str:
+    """Run a job in a process of its own, on a worker of Dask; return what it said on stderr if it failed."""
+    done = subprocess.Popen(
+        [sys.executable, "-c", _CODE, words],
+        # Where this worker is killed, its end of the pipe is closed, by which the process knows.
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        cwd=_ROOT,
+        env={**os.environ, **environment_of(threads)},
+    )
+    with done:
+        assert done.stderr is not None
+        said = done.stderr.read().decode(errors="replace").strip()
+    return said.splitlines()[-1] if done.returncode and said else ""
+
+
+def work_by_dask(
+    queue: Queue,
+    scheduler: str,
+    *,
+    workers: int | None = None,
+    threads: int = 1,
+    memory: int | None = None,
+    disk: int | None = None,
+    take_over_after: float | None = None,
+    tell: Tell = untold,
+) -> None:
+    """Have every job of a queue run by Dask that has not come to an end.
+
+    Parameters
+    ----------
+    scheduler : an address, or one of `SYSTEMS`.
+    workers : how many to ask such a system for.
+    threads : of each job.
+    memory, disk : bytes that each job may take; None for no limit.
+
+    Raises
+    ------
+    UsageError
+        If Dask is not installed, or a system is named without a number of workers.
+    InputError
+        If no scheduler answers.
+    """
+    records = Records(queue.folder / "done")
+    open_ones = [number for number in queue.numbers if number not in records.ended()]
+    with explained(f"the queue {queue.folder} cannot be worked on"), _client(scheduler, workers) as client:
+        from distributed import as_completed
+
+        tasks = {
+            client.submit(
+                run_task,
+                Task(
+                    str(queue.out), queue.folder.name, number, threads, memory, disk, take_over_after
+                ).words(),
+                threads,
+                key=f"scanloom-{queue.folder}-{number}",
+                pure=False,
+            ): number
+            for number in open_ones
+        }
+        tell(Noted(f"{len(tasks)} scans are given to the scheduler at {client.scheduler.address}"))
+        for count, future in enumerate(as_completed(tasks), 1):
+            record = _ended(queue, records, tasks[future], future)
+            tell(JobEnded(record))
+            tell(Counted(len(queue.numbers) - len(tasks) + count, len(queue.numbers)))
+
+
+def _ended(queue: Queue, records: Records, number: int, future: Any) -> Record:
+    """Return what became of a job whose task has ended; where nothing was written, that is written."""
+    known = records.ended()
+    if number in known:
+        return records.read([known[number]])[0]
+    why = str(future.exception() or future.result() or "its process ended without a result")
+    if future.status == "error" and type(future.exception()).__name__ == "KilledWorker":
+        why = "the workers that ran it died again and again, as they do where memory ends"
+    why = f"it could not be run by Dask: {' '.join(why.split())}.".replace("..", ".")
+    latest = Claims(queue.folder / "claims", "").latest().get(number)
+    names = {job.number: job.name for job in queue.jobs}
+    record = Record(
+        number,
+        names.get(number, f"job {number}"),
+        FAILED,
+        why,
+        worker="dask",
+        attempt=0 if latest is None else latest.attempt,
+    )
+    records.write(record)
+    return record
+
+
+@contextmanager
+def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise UsageError("--executor dask needs Dask; install scanloom[dask].") from error
+    if scheduler in SYSTEMS:
+        with _cluster(scheduler, workers) as cluster, Client(cluster) as client:
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=_PATIENCE)
+    except (OSError, ValueError) as error:
+        raise InputError(f"no scheduler of Dask answers at {scheduler}: {error}.") from error
+    with client:
+        yield client
+
+
+def _cluster(system: str, workers: int | None) -> Any:
+    """Return a cluster whose workers a system of a computing centre starts, as the user has configured it."""
+    if workers is None:
+        raise UsageError(f"--scheduler {system} needs --jobs N: how many workers to ask it for.")
+    try:
+        import dask_jobqueue
+    except ImportError as error:
+        raise UsageError(f"--scheduler {system} needs dask-jobqueue; install scanloom[dask].") from error
+    try:
+        cluster = getattr(dask_jobqueue, SYSTEMS[system])()
+    except (ValueError, TypeError, OSError) as error:
+        raise InputError(
+            f"workers cannot be started by {system}: {error}; ~/.config/dask/jobqueue.yaml says how."
+        ) from error
+    cluster.scale(jobs=workers)
+    return cluster

@@ -1,0 +1,61 @@
+"""What the tables and the page of a batch show of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from pipeline.run import RunResult
+
+# Results a person opens first, the best of them first.
+_RESULTS = ("textured.glb", "simplified.glb", "simplified.ply", "clean.ply", "fused.ply")
+# The picture of a result, by the mesh that is drawn; from above and aside, where all of it is seen.
+_DRAWN = ("textured", "simplified", "clean", "fused")
+
+
+def figures_of(result: RunResult) -> dict[str, Any]:
+    """Return the figures of a run, units in the names; None where the run does not tell."""
+    report = result.report
+    scan, mesh, held_out = report["scan"], report["mesh"], report["held_out"]
+    stages: Mapping[str, Mapping[str, Any]] = report["stages"]
+    of_fuse = stages.get("fuse", {}).get("figures", {})
+    placed = {path.relative_to(result.out).as_posix() for one in result.stages for path in one.results}
+    return {
+        "layout": scan["layout"],
+        "frames": scan["frames"],
+        "frames_skipped": len(scan["frames_skipped"]) + len(of_fuse.get("frames_skipped", ())),
+        "metric": scan["metric"],
+        "voxel_size_m": of_fuse.get("voxel_size_m"),
+        "triangles": mesh["triangles"] if mesh else None,
+        "manifold": mesh["manifold"] if mesh else None,
+        "off_fused_rms_m": mesh["to_fused"]["distance"]["b_to_a"]["rms_m"] if mesh else None,
+        "held_out_psnr_db": held_out["psnr_affine_db"] if held_out and held_out["photos"] else None,
+        "stages_cached": sum(one.cached for one in result.stages),
+        "stages": len(result.stages),
+        "made_in_s": round(sum(float(one.made["seconds"]) for one in result.stages), 1),
+        "peak_memory_mb": round(max(float(one.made["peak_memory_bytes"]) for one in result.stages) / 1e6),
+        "result": next((name for name in _RESULTS if name in placed), None),
+        "page": None if result.page is None else result.page.name,
+        "picture": _picture(report["pictures"]) or _photo(placed),
+    }
+
+
+def _picture(drawn: Sequence[str]) -> str | None:
+    """Return the picture that stands for a run, as it is named from the output folder on."""
+    for mesh in _DRAWN:
+        of_mesh = [name for name in drawn if name.startswith(f"pictures/{mesh}-")]
+        if of_mesh:
+            return next((name for name in of_mesh if name.endswith("-overview.png")), of_mesh[0])
+    return None
+
+
+def _photo(placed: Collection[str]) -> str | None:
+    """Return the photo in the middle of a scan, for a run that drew nothing."""
+    photos = sorted(name for name in placed if name.startswith("pictures/photos/"))
+    return photos[len(photos) // 2] if photos else None
+
+
+def written_by(result: RunResult) -> int:
+    """Return how many bytes a run has written: its new entries in the cache, and the copies of them."""
+    made = [one.folder for one in result.stages if not one.cached]
+    return 2 * sum(path.stat().st_size for folder in made for path in folder.rglob("*") if path.is_file())

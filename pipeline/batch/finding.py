@@ -1,0 +1,166 @@
+"""The scans in a folder: found by what the readers recognise, and named by where they are."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.scans.read import matching
+from stages.scans.table import LAYOUTS
+
+# Files that are scans by themselves.
+_SUFFIXES = frozenset(suffix for one in LAYOUTS for suffix in one.suffixes)
+# ROS 2 lists the files of one recording in it.
+_LIST = "metadata.yaml"
+# Folders in folders; what is deeper is no collection of scans.
+_DEEPEST = 8
+
+
+@dataclass(frozen=True)
+class Found:
+    """A scan.
+
+    Attributes
+    ----------
+    place : its folder, or the file that is one.
+    name : where it is below the folder that was searched, its parts joined by /; of results, too.
+    layout : by name.
+    """
+
+    place: Path
+    name: str
+    layout: str
+
+
+@dataclass(frozen=True)
+class NoScan:
+    """A folder that holds none, and why."""
+
+    place: Path
+    reason: str
+
+
+def find_scans(
+    folder: Path,
+    *,
+    layout: str | None = None,
+    include: Sequence[str] = (),
+    exclude: Sequence[str] = (),
+    besides: Collection[Path] = (),
+) -> tuple[list[Found], list[NoScan]]:
+    """Return the scans in a folder by name, and the folders in it that are none.
+
+    What is recognised as a scan is not looked into. Links are followed, each folder once.
+
+    Parameters
+    ----------
+    layout : every folder in `folder` is taken for a scan of it, recognised or not.
+    include, exclude : patterns of names (`*`, `?`); what matches none of the first, or one of the second, is
+        not looked at.
+    besides : folders that are not looked into.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be listed.
+    """
+    _require_listed(folder)
+    seen = {os.path.realpath(one) for one in besides}
+    found: list[Found] = []
+    others: list[NoScan] = []
+    for one in _stated(folder, layout, seen) if layout else _searched(folder, folder, seen, 0):
+        if isinstance(one, NoScan):
+            others.append(one)
+        elif _is_wanted(one.name, include, exclude):
+            found.append(one)
+    return sorted(found, key=lambda one: one.name), sorted(others, key=lambda one: one.place)
+
+
+def _stated(folder: Path, layout: str, seen: set[str]) -> Iterator[Found]:
+    for place in _folders(folder):
+        if os.path.realpath(place) not in seen:
+            yield Found(place, place.name, layout)
+
+
+def _searched(place: Path, top: Path, seen: set[str], depth: int) -> Iterator[Found | NoScan]:
+    real = os.path.realpath(place)
+    if real in seen:
+        return
+    seen.add(real)
+    why = "it is of no known layout" if _listed(place) else "it is empty"
+    try:
+        matched = matching(place)
+    except InputError as error:
+        matched, why = None, str(error).removeprefix(f"{place}: ")
+    files = _files(place)
+    if matched is not None and not (files and _is_collection(place, matched[1], files)):
+        yield Found(place, _name(place, top), matched[0].name)
+        return
+    inside: list[Found | NoScan] = [Found(file, _name(file, top), _layout_of(file)) for file in files]
+    if depth < _DEEPEST:
+        for child in _folders(place):
+            inside += _searched(child, top, seen, depth + 1)
+    if any(isinstance(one, Found) for one in inside) or place == top:
+        yield from inside
+    else:
+        # One sentence for all that is below it.
+        yield NoScan(place, why)
+
+
+def _is_collection(place: Path, reason: str, files: Sequence[Path]) -> bool:
+    """Return whether a folder that is known by a recording in it is only where recordings are kept."""
+    if reason not in {file.name for file in files}:
+        return False
+    if (place / _LIST).is_file():
+        return False
+    return len(files) > 1 or any(_holds_scan(child) for child in _folders(place))
+
+
+def _holds_scan(folder: Path) -> bool:
+    try:
+        return matching(folder) is not None
+    except InputError:
+        return False
+
+
+def _layout_of(file: Path) -> str:
+    return next(one.name for one in LAYOUTS if file.suffix.lower() in one.suffixes)
+
+
+def _files(folder: Path) -> list[Path]:
+    return [path for path in _listed(folder) if path.suffix.lower() in _SUFFIXES and path.is_file()]
+
+
+def _folders(folder: Path) -> list[Path]:
+    return [path for path in _listed(folder) if path.is_dir()]
+
+
+def _listed(folder: Path) -> list[Path]:
+    try:
+        return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    except OSError:
+        return []
+
+
+def _require_listed(folder: Path) -> None:
+    if not folder.is_dir():
+        what = "this is a file" if folder.exists() else "there is no such folder"
+        raise InputError(f"{what}; give the folder that holds the scans.", folder)
+    try:
+        next(folder.iterdir(), None)
+    except OSError as error:
+        raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
+
+
+def _name(place: Path, top: Path) -> str:
+    return place.name if place == top else place.relative_to(top).as_posix()
+
+
+def _is_wanted(name: str, include: Sequence[str], exclude: Sequence[str]) -> bool:
+    if include and not any(fnmatchcase(name, pattern) for pattern in include):
+        return False
+    return not any(fnmatchcase(name, pattern) for pattern in exclude)

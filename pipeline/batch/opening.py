@@ -1,0 +1,71 @@
+"""Begin a batch in an output folder, or go on with one that stands there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pipeline.batch.heartbeat import Watch
+from pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue, standing_queue
+from pipeline.batch.records import Records
+from stages.errors import InputError
+
+# Seconds that the workers of another batch are watched for, and between two looks; four of their beats.
+_WATCHED, _PAUSE = 9.0, 0.1
+
+
+def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callable[[str], None]) -> Queue:
+    """Return the queue of a batch: one that is not finished is gone on with if it is of the same jobs.
+
+    Parameters
+    ----------
+    note : told what is found there.
+
+    Raises
+    ------
+    InputError
+        If workers are at another batch in the folder.
+    StageError
+        If the queue cannot be written.
+    """
+    while True:
+        seen = latest_number(out)
+        try:
+            standing = standing_queue(out)
+        except InputError as error:
+            # Its results are in the cache; only what was to be done is lost, and is written anew.
+            note(str(error))
+            standing = None
+        if standing is not None and not _is_finished(standing):
+            if standing.is_of(settings, jobs):
+                note("a batch of the same scans was begun here; this goes on with it")
+                return standing
+            _require_quiet(standing, note)
+        queue = new_queue(out, seen + 1, settings, jobs)
+        if queue is not None:
+            return queue
+
+
+def _is_finished(queue: Queue) -> bool:
+    ended = Records(queue.folder / "done").ended()
+    return all(number in ended for number in queue.numbers)
+
+
+def _require_quiet(queue: Queue, note: Callable[[str], None]) -> None:
+    """Raise InputError if a worker of a queue lives: who has not said that it ended is watched."""
+    watch = Watch(queue.folder / "workers")
+    silent = watch.living()
+    if silent:
+        note("another batch was begun here and not finished; its workers are watched for signs of life")
+    end = time.monotonic() + _WATCHED
+    first = {worker: watch.said(worker) for worker in silent}
+    while silent and time.monotonic() < end:
+        time.sleep(_PAUSE)
+        for worker in watch.living():
+            if watch.said(worker) != first.get(worker):
+                raise InputError(
+                    f"another batch is at work in it (worker {worker}); wait for its end, or name another "
+                    "output folder.",
+                    queue.out,
+                )

@@ -1,0 +1,81 @@
+"""What a batch writes into OUT beside the results of its runs: its tables and its page."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pipeline.batch.page import PAGE, page_of_batch
+from pipeline.batch.parquet import parquet_of
+from pipeline.batch.summary import COLUMNS, CSV, PARQUET, Summary, csv_of
+from pipeline.batch.whole import write_whole
+from pipeline.failures import explained
+from stages.errors import InputError
+from stages.files.opening import content_of
+from stages.picturing.page.one_file import is_page
+
+_PARQUET_MARK = b"PAR1"
+
+
+def write_outputs(summary: Summary, title: str) -> list[Path]:
+    """Write index.html, batch.csv and, where pyarrow is installed, batch.parquet; return where they are.
+
+    Raises
+    ------
+    StageError
+        If they cannot be written.
+    """
+    rows = summary.rows()
+    files = {
+        PAGE: page_of_batch(title, rows, [one.warnings for one in summary.records]),
+        CSV: csv_of(rows),
+        PARQUET: parquet_of(rows),
+    }
+    with explained(f"the tables of the batch cannot be written to {summary.out}"):
+        for name, content in files.items():
+            if content is not None:
+                write_whole(summary.out / name, content)
+            else:
+                # One of other results must not stay beside these.
+                (summary.out / name).unlink(missing_ok=True)
+    return [summary.out / name for name, content in files.items() if content is not None]
+
+
+def withdraw_outputs(out: Path) -> None:
+    """Remove what an earlier batch wrote: what it tells is not of the results beside it any more.
+
+    Raises
+    ------
+    StageError
+        If it cannot be removed.
+    """
+    with explained(f"outdated tables cannot be removed from {out}"):
+        for name in (PAGE, CSV, PARQUET):
+            if os.path.lexists(out / name) and _is_own(out / name):
+                (out / name).unlink()
+
+
+def require_replaceable(out: Path) -> None:
+    """Refuse, before any work, files in the place of these that no batch has written.
+
+    Raises
+    ------
+    InputError
+        For the first there is.
+    """
+    for name in (PAGE, CSV, PARQUET):
+        path = out / name
+        if os.path.lexists(path) and not _is_own(path):
+            raise InputError(
+                "no batch has written this; move it, name another output folder, or give --overwrite.", path
+            )
+
+
+def _is_own(path: Path) -> bool:
+    if path.is_symlink() or not path.is_file():
+        return False
+    if path.name == PAGE:
+        return is_page(path)
+    if path.name == PARQUET:
+        return content_of(path).startswith(_PARQUET_MARK)
+    return content_of(path).startswith(",".join(list(COLUMNS)[:3]).encode())

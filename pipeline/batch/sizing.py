@@ -1,0 +1,63 @@
+"""How many jobs at a time: as many as there are cores and memory for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+
+from pipeline.batch.queue import Queue
+from pipeline.cache import Cache
+from pipeline.config import Config
+from pipeline.needs import expected_of
+from pipeline.run import wanted_of
+from stages.errors import ScanloomError
+from stages.inspecting.system import memory_bytes
+
+# Scans that are read to say what one needs.
+_SAMPLE = 8
+# Of the memory that is free, jobs get so much: others take some, too, and what is expected may be wrong.
+_SHARE = 0.9
+
+
+def memory_to_use() -> int | None:
+    """Return the bytes that jobs may be expected to take together; None where the system does not tell."""
+    total, free = memory_bytes()
+    known = free if free is not None else total
+    return None if known is None else int(_SHARE * known)
+
+
+def jobs_at_once(needs: Sequence[int], memory: int | None, cores: int) -> int:
+    """Return how many jobs fit side by side, one at least.
+
+    Parameters
+    ----------
+    needs : bytes that some of them are expected to take.
+    memory : bytes there are for all.
+    """
+    if memory is None or not needs:
+        return cores
+    return max(min(int(memory // max(median(needs), 1)), cores), 1)
+
+
+def expected_needs(queue: Queue) -> list[int]:
+    """Return the bytes of memory that some jobs of a queue are expected to take, spread evenly over it."""
+    jobs = queue.jobs
+    count = min(_SAMPLE, len(jobs))
+    chosen = [jobs[(2 * k + 1) * len(jobs) // (2 * count)] for k in range(count)]
+    config = Config.loads(queue.settings.config)
+    needs = []
+    for job in chosen:
+        need = _need(queue.scan_of(job), queue.results_of(job), config, queue)
+        if need is not None:
+            needs.append(need)
+    return needs
+
+
+def _need(scan: Path, out: Path, config: Config, queue: Queue) -> int | None:
+    try:
+        wanted = wanted_of(scan, out, config, queue.settings.until, (), Cache(queue.cache))
+    except (ScanloomError, OSError):
+        return None
+    expected = expected_of(wanted.scan, wanted.config, wanted.planned, queue.cache)
+    return max(one.memory_bytes for one in expected.values())

@@ -1,0 +1,135 @@
+"""What a batch came to: a row for each scan, as tables for people and programs have it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.batch.claims import Claims
+from pipeline.batch.queue import Queue
+from pipeline.batch.records import DONE, RUNNING, UNUSABLE, WAITING, Record, Records
+
+CSV, PARQUET = "batch.csv", "batch.parquet"
+# The columns of a row, each with the type of its values; figures by the names of `pipeline.batch.figures`.
+_TOLD: Mapping[str, type] = {
+    "scan": str,
+    "state": str,
+    "reason": str,
+    "seconds": float,
+    "warnings": int,
+    "out": str,
+    "folder": str,
+}
+_FIGURES: Mapping[str, type] = {
+    "layout": str,
+    "frames": int,
+    "frames_skipped": int,
+    "metric": bool,
+    "voxel_size_m": float,
+    "triangles": int,
+    "manifold": bool,
+    "off_fused_rms_m": float,
+    "held_out_psnr_db": float,
+    "stages_cached": int,
+    "stages": int,
+    "made_in_s": float,
+    "peak_memory_mb": int,
+    "result": str,
+    "page": str,
+    "picture": str,
+}
+COLUMNS: Mapping[str, type] = {**_TOLD, **_FIGURES}
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What became of all scans of a batch.
+
+    Attributes
+    ----------
+    records : in the order of the jobs; of those that have not ended, with WAITING or RUNNING.
+    folders : of the scans, in the same order; "" where it is not known.
+    """
+
+    out: Path
+    records: tuple[Record, ...]
+    folders: tuple[str, ...]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many scans are in each state that any is in."""
+        states = [one.state for one in self.records]
+        return {state: states.count(state) for state in dict.fromkeys(sorted(states))}
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether every scan came to an end."""
+        return not {WAITING, RUNNING} & {one.state for one in self.records}
+
+    @property
+    def not_done(self) -> list[Record]:
+        """The scans that came to an end, and not to what was asked for."""
+        return [one for one in self.records if one.state not in (DONE, WAITING, RUNNING)]
+
+    @property
+    def is_unusable(self) -> bool:
+        """Whether no scan of them can be used."""
+        return bool(self.records) and all(one.state == UNUSABLE for one in self.records)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each scan, by `COLUMNS`; None for what is not known."""
+        return [
+            {
+                "scan": one.name,
+                "state": one.state,
+                "reason": one.reason,
+                "seconds": one.seconds,
+                "warnings": len(one.warnings),
+                # From the table on, which may be moved together with its results.
+                "out": one.name,
+                "folder": folder,
+                **{name: one.figures.get(name) for name in _FIGURES},
+            }
+            for one, folder in zip(self.records, self.folders, strict=True)
+        ]
+
+    def figures(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        told = [
+            {**row, "warnings": list(one.warnings)}
+            for row, one in zip(self.rows(), self.records, strict=True)
+        ]
+        return {"out": str(self.out), "scans": told, "counts": self.counts}
+
+
+def summary_of(queue: Queue) -> Summary:
+    """Return what has become of a batch so far."""
+    records = Records(queue.folder / "done")
+    ended = {one.number: one for one in records.read(records.ended().values())}
+    begun = Claims(queue.folder / "claims", "").latest()
+    jobs = {job.number: job for job in queue.jobs}
+    found, folders = [], []
+    for number in queue.numbers:
+        job = jobs.get(number)
+        name = f"job {number}" if job is None else job.name
+        state = RUNNING if number in begun else WAITING
+        found.append(ended.get(number, Record(number, name, state)))
+        folders.append("" if job is None else str(queue.scan_of(job)))
+    return Summary(queue.out, tuple(found), tuple(folders))
+
+
+def csv_of(rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return rows as CSV: UTF-8, a head, nothing for what is not known."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, [*COLUMNS], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _plain(row[name]) for name in COLUMNS} for row in rows)
+    return text.getvalue().encode()
+
+
+def _plain(value: Any) -> Any:
+    return str(value).lower() if isinstance(value, bool) else value

@@ -1,0 +1,158 @@
+"""Clean a mesh in pieces: islands are joined over all pieces before any is judged small.
+
+What fusion leaves is an oriented manifold whose triangles have areas, so that islands are all there is to
+remove: the result is, to the byte, that of `clean` on the whole.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.cleaning.clean import CleanParams, is_large
+from stages.errors import MeshError, UsageError
+from stages.progress import Progress, silent
+from stages.surface.edges import components
+from stages.surface.pieces import Extent, Pieces, Written, write_pieces
+from stages.surface.topology import areas
+
+Ids = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class _Islands:
+    """Loose parts of each piece, numbered through all, and which island each is of.
+
+    Attributes
+    ----------
+    of_vertex : (n,) of each vertex, in a file.
+    first : of each piece, the number of its first part; one more at the end.
+    island : (k,) of each part.
+    area, triangles : of each island, m² and how many.
+    """
+
+    of_vertex: Ids
+    first: list[int]
+    island: NDArray[np.int64]
+    area: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+
+
+def clean_in_pieces(
+    fused: Path, result: Path, params: CleanParams, *, progress: Progress = silent
+) -> dict[str, Any]:
+    """Remove small islands of a PLY file in pieces, and write what is left, in pieces again.
+
+    Parameters
+    ----------
+    fused, result : PLY files, each with its table of pieces beside it.
+    params : of them, those that islands are judged by.
+    progress : called after each piece, three times.
+
+    Returns
+    -------
+    Figures, as of `Cleaned`.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged.
+    MeshError
+        If nothing is left.
+    StageError
+        If the system refuses to write.
+    UsageError
+        For what cannot be done piece by piece.
+    """
+    whole_only = [name for name in ("repair", "fill_holes", "weld_distance") if getattr(params, name)]
+    if whole_only:
+        raise UsageError(
+            f"{' and '.join(whole_only)} of clean needs the whole mesh at once, which is too large for that; "
+            "leave it out, or give a larger fuse.voxel_size."
+        )
+    pieces = Pieces(fused)
+    steps = 3 * len(pieces)
+    with tempfile.TemporaryDirectory(dir=result.parent) as scratch:
+        labels, numbers = (
+            np.memmap(Path(scratch) / name, np.int32, "w+", shape=(max(pieces.vertex_count, 1),))
+            for name in ("labels", "numbers")
+        )
+        islands = _islands(pieces, labels, lambda done: progress(done, steps))
+        is_kept, min_area = is_large(islands.area, params)
+        sizes = _numbered(pieces, islands, is_kept, numbers, lambda done: progress(len(pieces) + done, steps))
+        if not sizes or not sizes[-1].triangles[1]:
+            raise MeshError("has no triangle with an area; nothing is left of it.", "mesh")
+
+        def kept() -> Iterator[Written]:
+            for number in range(len(pieces)):
+                part = pieces.part(number)
+                chosen = is_kept[islands.island[labels[part.numbers[part.mesh.triangles[:, 0]]]]]
+                own = numbers[slice(*pieces.extents[number].vertices)] >= 0
+                colors = None if part.mesh.colors is None else part.mesh.colors[: part.own][own]
+                triangles = numbers[part.numbers[part.mesh.triangles[chosen]]]
+                yield Written(part.mesh.vertices[: part.own][own], colors, triangles)
+                progress(2 * len(pieces) + number + 1, steps)
+
+        write_pieces(result, sizes, kept(), has_colors=pieces.has_colors, spacing=pieces.spacing)
+    vertices, triangles = sizes[-1].vertices[1], sizes[-1].triangles[1]
+    return {
+        "vertices": vertices,
+        "triangles": triangles,
+        "min_island_area_m2": min_area,
+        "islands": int(np.count_nonzero(~is_kept & (islands.triangles > 0))),
+        "island_triangles": pieces.triangle_count - triangles,
+        "unused_vertices": pieces.vertex_count - vertices,
+    }
+
+
+def _islands(pieces: Pieces, labels: Ids, told: Any) -> _Islands:
+    """Find the loose parts of each piece, and join them where pieces meet."""
+    first, area, count, meetings = [0], [], [], []
+    for number in range(len(pieces)):
+        part = pieces.part(number)
+        triangles = part.mesh.triangles
+        tails, heads = triangles[:, :2].reshape(-1), triangles[:, 1:].reshape(-1)
+        found, label = components(len(part.mesh.vertices), tails, heads)
+        of_triangle = label[triangles[:, 0]]
+        area.append(np.bincount(of_triangle, areas(part.mesh.vertices, triangles), found))
+        count.append(np.bincount(of_triangle, minlength=found))
+        labels[slice(*pieces.extents[number].vertices)] = first[-1] + label[: part.own]
+        # Where others' vertices are known only once all have their parts.
+        meetings.append((part.numbers[part.own :], first[-1] + label[part.own :]))
+        first.append(first[-1] + found)
+        told(number + 1)
+    there = np.concatenate([labels[numbers] for numbers, _ in meetings] or [np.zeros(0, np.int32)])
+    here = np.concatenate([own for _, own in meetings] or [np.zeros(0, np.int64)])
+    islands, island = components(first[-1], here, there)
+    return _Islands(
+        labels,
+        first,
+        island.astype(np.int64),
+        np.bincount(island, np.concatenate(area), islands).astype(np.float64),
+        np.bincount(island, np.concatenate(count), islands).astype(np.int64),
+    )
+
+
+def _numbered(
+    pieces: Pieces, islands: _Islands, is_kept: NDArray[np.bool_], numbers: Ids, told: Any
+) -> list[Extent]:
+    """Give the vertices that stay their new numbers, −1 to all others; return how large the pieces become."""
+    at = (0, 0)
+    sizes = []
+    for number, extent in enumerate(pieces.extents):
+        part = pieces.part(number)
+        of_own = islands.of_vertex[slice(*extent.vertices)]
+        stays = is_kept[islands.island[of_own]]
+        numbers[slice(*extent.vertices)] = np.where(stays, at[0] + np.cumsum(stays) - 1, -1)
+        chosen = is_kept[islands.island[islands.of_vertex[part.numbers[part.mesh.triangles[:, 0]]]]]
+        end = at[0] + int(stays.sum()), at[1] + int(chosen.sum())
+        sizes.append(Extent((at[0], end[0]), (at[1], end[1]), extent.low, extent.high))
+        at = end
+        told(number + 1)
+    return sizes

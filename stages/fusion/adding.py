@@ -1,0 +1,279 @@
+"""Frames added to a field one after the other, read and filtered in threads a few ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages._open3d import open3d
+from stages.errors import InputError, UsageError
+from stages.fusion.crop import Crop
+from stages.fusion.params import FuseParams
+from stages.fusion.plan import Plan, make_plan
+from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
+from stages.fusion.relief import evened_alone
+from stages.fusion.upsampling import upsampled_alone, upsampled_frame
+from stages.fusion.voxels import Box, Field, Keys, Volume, touched_blocks
+from stages.progress import Progress
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import ColorImage, Frame, Pose, Scan, SkippedFrame
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """What is to be fused, and how.
+
+    Attributes
+    ----------
+    frames : all of them.
+    params, plan : as given, and with nothing left to derive.
+    color : whether voxels have a colour.
+    factor : how many times as wide the depth maps are made first.
+    threads : to read and compute with.
+    where : the scan's folder, for messages.
+    """
+
+    frames: list[Frame]
+    params: FuseParams
+    plan: Plan
+    color: bool
+    factor: int
+    threads: int
+    where: Path | None
+
+
+@dataclass
+class Added:
+    """What became of frames: which could not be used; of all others how many pixels had depth, and were used.
+
+    Attributes
+    ----------
+    outside : how many frames show nothing of what is fused.
+    """
+
+    skipped: list[SkippedFrame] = field(default_factory=list)
+    pixels: int = 0
+    valid: int = 0
+    used: int = 0
+    outside: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A frame ready to be added: how many pixels are used, the field's own of it, and its colours."""
+
+    frame: Frame
+    view: PosedDepth
+    used: int
+    parts: Any
+    color: ColorImage | None
+
+
+def begun(scan: Scan | Iterable[Frame], params: FuseParams) -> Work:
+    """Look at some frames, and derive what is left open.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to fuse.
+    UsageError
+        If nothing is inside of what is to be fused.
+    """
+    frames = list(scan.frames if isinstance(scan, Scan) else scan)
+    where = scan.folder if isinstance(scan, Scan) else None
+    _require_usable(frames, where)
+    measured = evened_alone(frames, params.max_jump)
+    frames = list(upsampled_alone(measured, params))
+    is_larger = params.upsample == "guided" or frames[0] is not measured[0]
+    threads = workers()
+    return Work(
+        frames,
+        params,
+        make_plan(frames, params, where, threads),
+        color=params.color and any(frame.color is not None for frame in frames),
+        factor=params.upsample_factor if is_larger else 1,
+        threads=threads,
+        where=where,
+    )
+
+
+def own_volume(work: Work, within: Box | None = None) -> Volume:
+    """Return a field of our own, without any frames; of the blocks in a box alone, if there is one."""
+    return Volume(
+        work.plan.voxel_size,
+        work.plan.truncation,
+        work.plan.weighing,
+        color=work.color,
+        max_bytes=work.params.memory * 1e6,
+        threads=work.threads,
+        within=within,
+    )
+
+
+def add_frames(work: Work, volume: Field, frames: Sequence[Frame], progress: Progress) -> Added:
+    """Add frames to a field, in their order.
+
+    Raises
+    ------
+    InputError
+        If more than `max_bad_share` of them cannot be used.
+    StageError
+        If the field outgrows its memory.
+    """
+
+    def add(item: Prepared) -> None:
+        # Without parts, nothing is added.
+        volume.integrate(item.view, item.parts, work.plan.local(item.view.pose), item.color)
+
+    return _each(work, frames, volume.prepared, add, progress, color=work.color)
+
+
+def look_through(work: Work, seen: Callable[[Prepared], object], progress: Progress) -> Added:
+    """Call `seen` with each frame, whose parts are the blocks it touches, and whose colours are not read.
+
+    Raises
+    ------
+    InputError
+        If more than `max_bad_share` of them cannot be used.
+    """
+
+    def touched(view: PosedDepth, here: Any, pose: Pose) -> Keys:
+        plan = work.plan
+        return touched_blocks(view, here, pose, voxel_size=plan.voxel_size, truncation=plan.truncation)
+
+    return _each(work, work.frames, touched, seen, progress, color=False)
+
+
+def _each(
+    work: Work,
+    frames: Sequence[Frame],
+    parts_of: Callable[[PosedDepth, Any, Pose], Any],
+    take: Callable[[Prepared], object],
+    progress: Progress,
+    *,
+    color: bool,
+) -> Added:
+    plan, params = work.plan, work.params
+
+    def prepare(frame: Frame) -> Prepared | SkippedFrame:
+        try:
+            if params.upsample == "guided":
+                frame = upsampled_frame(frame, params)
+            view = read_posed_depth(frame, plan.limits)
+            here = plan.fused(view)
+            image = read_matching_color(frame, view.surface.depth) if color and here.any() else None
+        except InputError as error:
+            return SkippedFrame(frame.name, str(error))
+        used = int(np.count_nonzero(here))
+        return Prepared(frame, view, used, parts_of(view, here, plan.local(view.pose)), image)
+
+    added = Added()
+    for done, item in enumerate(read_ahead(prepare, frames, threads=work.threads, ahead=work.threads + 2), 1):
+        if isinstance(item, SkippedFrame):
+            added.skipped.append(item)
+            require_share(added.skipped, work)
+        else:
+            take(item)
+            added.outside += item.used == 0
+            added.pixels += item.view.surface.depth.size
+            added.valid += item.view.valid
+            added.used += item.used
+        progress(done, len(frames))
+    return added
+
+
+def facts_of(work: Work, added: Added, min_weight: int, volume_bytes: int, device: str) -> dict[str, Any]:
+    """Return the fields of `Facts`."""
+    plan = work.plan
+    return {
+        "voxel_size": plan.voxel_size,
+        "truncation": plan.truncation,
+        "max_depth": plan.max_depth,
+        "min_weight": min_weight,
+        "noise": plan.noise,
+        "frames": len(work.frames) - len(added.skipped) - added.outside,
+        "skipped": tuple(added.skipped),
+        "pixels_valid": added.valid / added.pixels,
+        "pixels_used": added.used / added.pixels,
+        "volume_bytes": volume_bytes,
+        "device": device,
+        "crop": plan.crop,
+        "support": plan.support,
+        "outside": added.outside,
+        "warnings": plan.warnings,
+        "upsampled": work.factor,
+    }
+
+
+def least_weight(typical: float, frames: Sequence[Frame]) -> int:
+    """Return how many frames must have seen a surface, from how many saw the median voxel."""
+    least = int(np.clip(round(typical / 2), 1, 3))
+    # A masked thing is seen from all around, each side by a few frames, and the plate below it by all.
+    is_masked = all(frame.mask is not None for frame in frames)
+    return min(least, max(len(frames) // 4, 1)) if is_masked else least
+
+
+def nothing_fused(work: Work, added: Added, min_weight: int) -> InputError:
+    """Return the error of a fusion that nothing came out of."""
+    frames = len(work.frames) - len(added.skipped) - added.outside
+    return InputError(
+        f"no surface came out of {frames} frames at voxels of {work.plan.voxel_size:g} m: none was seen "
+        f"by {min_weight} of them{inside(work.plan.crop, added.used)}. Check poses and depth scale, or lower "
+        "min_weight.",
+        work.where,
+    )
+
+
+def inside(crop: Crop, points: int) -> str:
+    """Return words for what of a scan is fused; none for all of it."""
+    return f" inside {crop}, from {points:,} points there" if crop else ""
+
+
+def device_of(params: FuseParams) -> str:
+    """Return "CPU:0" or "CUDA:0".
+
+    Raises
+    ------
+    UsageError
+        If a CUDA device is asked for and not there, or of no use.
+    """
+    wanted = params.device
+    if params.backend == "own":
+        if wanted == "cuda":
+            raise UsageError("device is 'cuda', which backend 'own' knows nothing of; choose open3d or auto.")
+        return "CPU:0"
+    if wanted != "cpu" and open3d().core.cuda.is_available():
+        return "CUDA:0"
+    if wanted == "cuda":
+        raise UsageError("device is 'cuda', but Open3D finds no CUDA device; choose cpu or auto.")
+    return "CPU:0"
+
+
+def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
+    if not frames:
+        raise InputError("there are no frames to fuse.", where)
+    if all(frame.world_from_camera is None for frame in frames):
+        raise InputError(
+            f"none of the {len(frames)} frames has a camera pose; fusion needs the pose of each "
+            "(world_from_camera).",
+            where,
+        )
+    if all(frame.depth is None for frame in frames):
+        raise InputError(
+            f"none of the {len(frames)} frames has a depth map; compute depth from stereo pairs first.", where
+        )
+
+
+def require_share(skipped: Sequence[SkippedFrame], work: Work) -> None:
+    """Raise InputError if too many of the frames cannot be used."""
+    count, share = len(work.frames), work.params.max_bad_share
+    if len(skipped) > share * count:
+        raise InputError(
+            f"{len(skipped)} of {count} frames cannot be used; at most {share:.0%} may be bad "
+            f"(max_bad_share). The first: {skipped[0].reason}",
+            work.where,
+        )

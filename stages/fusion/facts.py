@@ -1,0 +1,111 @@
+"""What is told of a fusion beside its mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.fusion.crop import Crop
+from stages.fusion.support import Support
+from stages.fusion.survey import Noise
+from stages.scans.scan import SkippedFrame
+
+
+@dataclass(frozen=True, eq=False)
+class MeshFigures:
+    """How large a mesh is: lowest and highest corner (3,) of its box, metres, and counts."""
+
+    lowest: NDArray[np.float64]
+    highest: NDArray[np.float64]
+    vertices: int
+    triangles: int
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Facts:
+    """How a mesh was fused.
+
+    Attributes
+    ----------
+    voxel_size, truncation, max_depth : metres, as given or derived; truncation is 0 for a frame alone, whose
+        pixels are joined without a field.
+    min_weight : frames, as given or derived.
+    noise : depth noise measured between neighbouring frames.
+    frames : how many frames were fused.
+    skipped : which were not, and why.
+    pixels_valid : share of the fused frames' pixels that had a depth.
+    pixels_used : share of them that went into the volume.
+    volume_bytes : memory of the volume at its end; of the largest, where space was cut in bricks.
+    device : "CPU:0" or "CUDA:0".
+    crop : what was fused of the scan.
+    support : the plane that was left out, with what is below it.
+    outside : how many frames show nothing of what was fused; they are not among `frames`.
+    warnings : of what was left out.
+    upsampled : how many times as wide the depth maps were made first; 1 for not at all.
+    """
+
+    voxel_size: float
+    truncation: float
+    max_depth: float
+    min_weight: int
+    noise: Noise
+    frames: int
+    skipped: tuple[SkippedFrame, ...]
+    pixels_valid: float
+    pixels_used: float
+    volume_bytes: int
+    device: str
+    crop: Crop
+    support: Support | None
+    outside: int
+    warnings: tuple[str, ...]
+    upsampled: int = 1
+
+    def facts(self) -> dict[str, Any]:
+        """Return the fields of this class, which others have more than."""
+        return {one.name: getattr(self, one.name) for one in fields(Facts)}
+
+    def figures_of(self, mesh: MeshFigures) -> dict[str, Any]:
+        """Return the figures for a report, JSON-able, units in the names."""
+        return {
+            "voxel_size_m": self.voxel_size,
+            "truncation_m": self.truncation,
+            "max_depth_m": self.max_depth,
+            "min_weight_frames": self.min_weight,
+            "depth_upsampled_times": self.upsampled,
+            "depth_noise_constant_m": self.noise.constant,
+            "depth_noise_quadratic_per_m": self.noise.quadratic,
+            "frames_used": self.frames,
+            "frames_used_share": self.frames / (self.frames + len(self.skipped)),
+            "frames_skipped": [{"frame": s.name, "reason": s.reason} for s in self.skipped],
+            "pixels_valid_share": self.pixels_valid,
+            "pixels_used_share": self.pixels_used,
+            "volume_mb": self.volume_bytes / 1e6,
+            "device": self.device,
+            "crop": self._crop_figures() if self.crop else None,
+            "lowest_m": mesh.lowest.tolist(),
+            "highest_m": mesh.highest.tolist(),
+            "vertices": mesh.vertices,
+            "triangles": mesh.triangles,
+            "warnings": list(self.warnings),
+        }
+
+    def _crop_figures(self) -> dict[str, Any]:
+        crop, support = self.crop, self.support
+        return {
+            "box_m": crop.box,
+            "center_m": crop.center,
+            "radius_m": crop.radius,
+            "plane": support
+            and {
+                "normal": support.normal,
+                "offset_m": support.offset_m,
+                "spread_m": support.spread_m,
+                "points_share": support.share,
+                "margin_m": crop.height - support.offset_m,
+            },
+            "frames_outside": self.outside,
+        }

@@ -1,0 +1,303 @@
+"""Fuse brick by brick: as much of space at a time as fits into memory, the mesh on disk.
+
+All frames are looked through once for the blocks they touch. Then space is cut in cubes that fit, and each is
+fused from the frames that touch it, with a rim of blocks around it. The surface of each brick inside is kept
+as a file: where there is one already, nothing is fused again. How often a voxel must have been seen is known
+at the end, and is guessed before: if wrong, all is done once more. Joined they are, to the byte, what `fuse`
+gives in one piece.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from stages.fusion.adding import (
+    Added,
+    Prepared,
+    Work,
+    add_frames,
+    facts_of,
+    least_weight,
+    look_through,
+    nothing_fused,
+    own_volume,
+    require_share,
+)
+from stages.fusion.bricks import Cube, Seen, bricks_of, level_of, passes, touched_bricks
+from stages.fusion.crop import cut
+from stages.fusion.facts import Facts, MeshFigures
+from stages.fusion.joining import Brick, Joined, Piece, write_piece
+from stages.fusion.scene import point_of
+from stages.fusion.voxels import BLOCK, Box, Keys, Volume, block_bytes, median_of
+from stages.printing import by_figures, table
+from stages.progress import Progress, silent
+from stages.scans.scan import SkippedFrame
+from stages.surface.pieces import Extent, Written, write_pieces
+
+# Metres; of a brick, where nothing else is said.
+BRICK_SIZE = 4.0
+_COUNTS, _PIECE = "frame_counts.npy", "surface.npz"
+
+
+class Kept(Protocol):
+    """Where bricks are kept that were fused before."""
+
+    def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
+        """Return the folder of a brick that was made of these frames, by their numbers; None of none."""
+
+    def store(
+        self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
+    ) -> Path:
+        """Have a brick's files written into a folder, and return it."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FusedInBricks(Facts):
+    """A fused mesh in a file, and how it came about.
+
+    Attributes
+    ----------
+    path : of a PLY file, with its table of pieces beside it; see stages.surface.pieces.
+    mesh_figures : how large it is.
+    bricks, fused_bricks : how many there are, and how many of them had to be fused.
+    """
+
+    path: Path
+    mesh_figures: MeshFigures
+    bricks: int
+    fused_bricks: int
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures for a report, JSON-able, units in the names."""
+        return self.figures_of(self.mesh_figures) | {"bricks": self.bricks, "bricks_fused": self.fused_bricks}
+
+
+def fuse_in_bricks(
+    work: Work, result: Path, *, kept: Kept | None = None, progress: Progress = silent
+) -> FusedInBricks:
+    """Fuse frames with depth and poses into a mesh that is written piece by piece.
+
+    Parameters
+    ----------
+    work : of several frames.
+    result : the PLY file to write.
+    kept : where bricks are kept for the next time; None for nowhere.
+    progress : called after each frame that was looked through, and for the frames of each cube.
+
+    Raises
+    ------
+    InputError, StageError
+        As `fuse`; a single brick may outgrow the memory, too.
+    """
+    level = level_of(work.params.brick_size or BRICK_SIZE, work.plan.voxel_size)
+    index = _index(work, level, progress)
+    added = index.added
+    with _somewhere(kept, result.parent) as kept:
+        # A frame that touches a block measured some of its voxels: about half.
+        min_weight = work.params.min_weight or least_weight(index.typical / 2, work.frames)
+        made = _make(work, index, level, kept, min_weight, progress)
+        counts = sum((np.load(folder / _COUNTS) for folder in made.folders), np.zeros(256, np.int64))
+        known = work.params.min_weight or least_weight(median_of(counts), work.frames)
+        if known != min_weight:
+            min_weight = known
+            made = _make(work, index, level, kept, min_weight, progress)
+        added.skipped = _all_skipped(work, added, made.skipped)
+        pieces = (folder / _PIECE for folder in made.folders)
+        joined = Joined([Brick(cube, path) for cube, path in zip(made.bricks, pieces, strict=True)])
+        if not joined.triangle_count:
+            raise nothing_fused(work, added, min_weight)
+        figures = _write(work, joined, result)
+    return FusedInBricks(
+        path=result,
+        mesh_figures=figures,
+        bricks=len(made.bricks),
+        fused_bricks=made.fused,
+        **facts_of(work, added, min_weight, made.volume_bytes, "CPU:0"),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Index:
+    """What a look through all frames tells.
+
+    Attributes
+    ----------
+    added : what became of them.
+    blocks : keys of all blocks that are touched, in their order.
+    typical : how many frames touch the median one.
+    frames : by brick, the numbers of the frames that its surface may depend on.
+    """
+
+    added: Added
+    blocks: Keys
+    typical: float
+    frames: Mapping[int, list[int]]
+
+
+def _index(work: Work, level: int, progress: Progress) -> _Index:
+    seen, frames = Seen(), defaultdict(list)
+    numbers = {id(frame): i for i, frame in enumerate(work.frames)}
+
+    def note(item: Prepared) -> None:
+        seen.add(item.parts)
+        for brick in touched_bricks(item.parts, level):
+            frames[brick].append(numbers[id(item.frame)])
+
+    added = look_through(work, note, progress)
+    keys, times = seen.all()
+    return _Index(added, keys, float(np.median(times)) if len(times) else 0.0, frames)
+
+
+@dataclass
+class _Made:
+    """The bricks and their folders, in order; what had to be done for them."""
+
+    bricks: list[Cube]
+    folders: list[Path]
+    fused: int
+    volume_bytes: int
+    skipped: list[SkippedFrame]
+
+
+def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, progress: Progress) -> _Made:
+    """Fuse the bricks that are not kept, as many at a time as fit."""
+    most_blocks = int(work.params.memory * 1e6 / block_bytes(color=work.color))
+    with_blocks = {int(number) for number in np.unique(index.blocks >> np.uint64(3 * level))}
+    decided = _decided(work, min_weight)
+    made = _Made([], [], 0, 0, [])
+    for cube in passes(index.blocks, level, most_blocks):
+        bricks = bricks_of(cube, with_blocks, level)
+        folders = {brick: kept.get(brick, index.frames[brick.number], decided) for brick in bricks}
+        missing = [brick for brick, folder in folders.items() if folder is None]
+        if missing:
+            numbers = sorted({frame for brick in missing for frame in index.frames[brick.number]})
+            volume = own_volume(work, _around(missing))
+            added = add_frames(work, volume, [work.frames[i] for i in numbers], progress)
+            made.skipped += added.skipped
+            made.volume_bytes = max(made.volume_bytes, volume.bytes)
+            made.fused += len(missing)
+            for brick in missing:
+                write = partial(_write_brick, volume, min_weight, brick)
+                folders[brick] = kept.store(brick, index.frames[brick.number], decided, write)
+        made.bricks += bricks
+        made.folders += [folder for folder in folders.values() if folder is not None]
+    return made
+
+
+def _decided(work: Work, min_weight: int) -> dict[str, Any]:
+    """Return all that decides a brick beside its frames, JSON-able."""
+    plan, params = work.plan, work.params
+    return {
+        "voxel_size": plan.voxel_size,
+        "truncation": plan.truncation,
+        "max_depth": plan.max_depth,
+        "limits": asdict(plan.limits),
+        "weighing": asdict(plan.weighing),
+        "origin": plan.origin.tolist(),
+        "crop": asdict(plan.crop),
+        "reach": plan.reach,
+        "color": work.color,
+        "upsample": [params.upsample, work.factor],
+        "min_weight": min_weight,
+    }
+
+
+def _around(bricks: Sequence[Cube]) -> Box:
+    """Return the box of some bricks with a rim of one block."""
+    x, y, z = np.min([brick.low for brick in bricks], axis=0) - 1
+    right, top, back = np.max([brick.high for brick in bricks], axis=0) + 1
+    return (int(x), int(y), int(z)), (int(right), int(top), int(back))
+
+
+def _write_brick(volume: Volume, min_weight: int, brick: Cube, folder: Path) -> None:
+    """Write a brick's surface, and how often its voxels were seen."""
+    within = brick.low, brick.high
+    np.save(folder / _COUNTS, volume.frame_counts(within))
+    mesh, _, joints = volume.surface(min_weight, within)
+    write_piece(folder / _PIECE, Piece(mesh.vertices, mesh.triangles, mesh.colors, joints))
+
+
+def _all_skipped(work: Work, added: Added, later: Sequence[SkippedFrame]) -> list[SkippedFrame]:
+    """Return all frames that were skipped, once, in order: colours are read only where they are used."""
+    reasons = {one.name: one for one in [*added.skipped, *later]}
+    skipped = [reasons[frame.name] for frame in work.frames if frame.name in reasons]
+    require_share(skipped, work)
+    return skipped
+
+
+def _write(work: Work, joined: Joined, result: Path) -> MeshFigures:
+    """Write the whole, in pieces; cut at the crop it is one piece, which then has room in memory."""
+    plan = work.plan
+    block = BLOCK * plan.voxel_size
+    if plan.crop:
+        mesh = joined.mesh()
+        mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
+        lowest, highest = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        size = Extent((0, len(mesh.vertices)), (0, len(mesh.triangles)), point_of(lowest), point_of(highest))
+        whole = Written(mesh.vertices, mesh.colors, mesh.triangles)
+        write_pieces(result, [size], [whole], has_colors=work.color, spacing=plan.voxel_size)
+        return MeshFigures(lowest, highest, len(mesh.vertices), len(mesh.triangles))
+    lowest, highest = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def pieces() -> Iterator[Written]:
+        for piece, triangles in zip(joined.pieces(), joined.triangles(), strict=True):
+            places = piece.vertices + plan.origin
+            if len(places):
+                np.minimum(lowest, places.min(axis=0), out=lowest)
+                np.maximum(highest, places.max(axis=0), out=highest)
+            yield Written(places, piece.colors, triangles)
+
+    sizes = [
+        Extent(
+            vertices,
+            triangles,
+            *(point_of(np.array(c) * block + plan.origin) for c in (brick.low, brick.high)),
+        )
+        for brick, vertices, triangles in joined.sizes()
+    ]
+    write_pieces(result, sizes, pieces(), has_colors=work.color, spacing=plan.voxel_size)
+    return MeshFigures(lowest, highest, joined.vertex_count, joined.triangle_count)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scratch:
+    """Bricks of one fusion, which are found by nobody later."""
+
+    folder: Path
+
+    def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> None:
+        """Find nothing."""
+
+    def store(
+        self,
+        brick: Cube,
+        frames: Sequence[int],  # noqa: ARG002
+        decided: Mapping[str, Any],  # noqa: ARG002
+        make: Callable[[Path], None],
+    ) -> Path:
+        """Have a brick's files written."""
+        folder = self.folder / str(brick.number)
+        folder.mkdir(exist_ok=True)
+        make(folder)
+        return folder
+
+
+@contextmanager
+def _somewhere(kept: Kept | None, beside: Path) -> Iterator[Kept]:
+    if kept is not None:
+        yield kept
+        return
+    with tempfile.TemporaryDirectory(dir=beside, prefix=".bricks-") as folder:
+        yield _Scratch(Path(folder))

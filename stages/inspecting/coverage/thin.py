@@ -1,0 +1,82 @@
+"""Surface that is there, but was hardly seen: by few frames, obliquely, or from far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.inspecting.coverage.evidence import Evidence
+from stages.inspecting.coverage.kinds import KINDS, THIN
+from stages.inspecting.coverage.patches import Patch, cut_up
+from stages.inspecting.coverage.views import Floats
+from stages.surface.edges import components
+from stages.surface.mesh import Mesh
+from stages.surface.topology import areas
+
+_WEIGHTS = np.array([KINDS[kind].weight for kind in THIN])
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What counts as thin: fewer frames, a smaller cosine, or a larger distance (metres) than these."""
+
+    frames: int
+    cosine: float
+    distance: float
+
+
+def kinds_at(evidence: Evidence, limits: Limits) -> NDArray[np.int8]:
+    """Return for each place (n,) which of THIN it is, that which counts most; -1 where it is well seen."""
+    kinds = np.full(len(evidence.frames), -1, np.int8)
+    # The last that holds counts most.
+    kinds[evidence.distance > limits.distance] = THIN.index("far")
+    kinds[evidence.cosine < limits.cosine] = THIN.index("oblique")
+    kinds[evidence.frames < limits.frames] = THIN.index("few")
+    kinds[evidence.frames == 0] = THIN.index("unmeasured")
+    return kinds
+
+
+def vertex_areas(mesh: Mesh) -> Floats:
+    """Return the area around each vertex (n,), m²: a third of its triangles'."""
+    thirds = np.repeat(areas(mesh.vertices, mesh.triangles) / 3, 3)
+    around = np.bincount(mesh.triangles.reshape(-1), thirds, minlength=len(mesh.vertices))
+    return np.asarray(around, np.float64)
+
+
+def patches_of_thin(
+    vertices: Floats,
+    normals: Floats,
+    triangles: NDArray[np.int32],
+    around: Floats,
+    kinds: NDArray[np.int8],
+    size: float,
+    least_area: float,
+) -> list[Patch]:
+    """Return what is thin and hangs together, cut up into patches of `size` metres at most.
+
+    Parameters
+    ----------
+    vertices, normals : (n, 3) from the origin on, metres.
+    around : (n,) the area around each vertex, m².
+    kinds : (n,) as `kinds_at` returns them.
+    least_area : m²; what hangs together and is smaller is left out.
+    """
+    thin = kinds >= 0
+    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
+    ends = ends[thin[ends].all(axis=1)]
+    _, labels = components(len(vertices), ends[:, 0], ends[:, 1])
+    total = np.bincount(labels, np.where(thin, around, 0.0))
+    (members,) = np.nonzero(thin & (total[labels] >= least_area) & (around > 0))
+    members = members[np.argsort(labels[members], kind="stable")]
+    starts = np.flatnonzero(np.diff(labels[members], prepend=-1))
+    found = []
+    for piece in np.split(members, starts[1:]) if len(members) else []:
+        for rows in cut_up(vertices[piece], normals[piece], around[piece], size):
+            own = piece[rows]
+            counts = np.bincount(kinds[own], around[own], minlength=len(THIN)) * _WEIGHTS
+            area = float(around[own].sum())
+            kind = THIN[int(counts.argmax())]
+            found.append(Patch(kind, vertices[own], normals[own], around[own], area, np.zeros((0, 3, 3))))
+    return found

@@ -1,0 +1,217 @@
+"""Meshes that no memory holds at once: a PLY file in pieces, each a range of its vertices and triangles.
+
+mesh.ply           as any program reads it
+mesh.pieces.json   which vertices and triangles belong to which piece, and the box of each
+
+A piece's triangles name vertices of other pieces where they join them. Whatever works piece by piece reads a
+piece with those, as a mesh of its own, and the numbers its vertices have in all.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files.documents import read_document
+from stages.files.replacing import replacing
+from stages.surface.mesh import Mesh
+
+Point = tuple[float, float, float]
+
+_FACE = np.dtype([("length", "u1"), ("corners", "<i4", (3,))])
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Where a piece is.
+
+    Attributes
+    ----------
+    vertices, triangles : (first, end) of its own, in the file.
+    low, high : corners of the box whose surface it has, metres.
+    """
+
+    vertices: tuple[int, int]
+    triangles: tuple[int, int]
+    low: Point
+    high: Point
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A piece, with the vertices of others that its triangles name.
+
+    Attributes
+    ----------
+    mesh : its own vertices first.
+    numbers : (n,) int64, of its vertices in all.
+    own : how many are its own.
+    """
+
+    mesh: Mesh
+    numbers: NDArray[np.int64]
+    own: int
+
+
+def table_of(path: Path) -> Path:
+    """Return the file beside a PLY file that tells its pieces."""
+    return path.with_suffix(".pieces.json")
+
+
+class Pieces:
+    """A PLY file in pieces, open for reading.
+
+    Attributes
+    ----------
+    path : of the file.
+    extents : of the pieces.
+    spacing : metres; no edge of a triangle is longer than twice this.
+    vertex_count, triangle_count : of all pieces.
+    has_colors : whether vertices have colours.
+
+    Raises
+    ------
+    InputError
+        If the files are damaged, or do not fit each other.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        document = read_document(table_of(path))
+        try:
+            self.extents = tuple(
+                Extent(*(tuple(one[name]) for name in ("vertices", "triangles", "low", "high")))
+                for one in document["pieces"]
+            )
+            has_colors, self.spacing = bool(document["has_colors"]), float(document["spacing_m"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"this is no table of pieces: {error} is missing or wrong.", table_of(path)
+            ) from error
+        ends = [(one.vertices[1], one.triangles[1]) for one in self.extents] or [(0, 0)]
+        self.vertex_count, self.triangle_count = ends[-1]
+        header = _header(self.vertex_count, self.triangle_count, has_colors=has_colors)
+        row = _row(has_colors=has_colors)
+        starts = len(header), len(header) + self.vertex_count * row.itemsize
+        size = starts[1] + self.triangle_count * _FACE.itemsize
+        with path.open("rb") as file:
+            is_it = file.read(len(header)) == header
+        if not is_it or path.stat().st_size != size or not self._follow_each_other():
+            raise InputError("the file is damaged, or not the one its table of pieces tells of.", path)
+        self._vertices = _mapped(path, row, starts[0], self.vertex_count)
+        self._faces = _mapped(path, _FACE, starts[1], self.triangle_count)
+        self.has_colors = has_colors
+
+    def _follow_each_other(self) -> bool:
+        at = (0, 0)
+        for one in self.extents:
+            if (one.vertices[0], one.triangles[0]) != at:
+                return False
+            at = one.vertices[1], one.triangles[1]
+            if at[0] < one.vertices[0] or at[1] < one.triangles[0]:
+                return False
+        return True
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.extents)
+
+    def part(self, number: int) -> Part:
+        """Read a piece.
+
+        Raises
+        ------
+        InputError
+            If a triangle names a vertex that is not there.
+        """
+        extent = self.extents[number]
+        triangles = np.array(self._faces[slice(*extent.triangles)]["corners"], np.int64)
+        if triangles.size and (triangles.min() < 0 or triangles.max() >= self.vertex_count):
+            raise InputError("the file is damaged: a triangle names a vertex that is not there.", self.path)
+        first, end = extent.vertices
+        is_foreign = (triangles < first) | (triangles >= end)
+        foreign = np.unique(triangles[is_foreign])
+        numbers = np.concatenate([np.arange(first, end), foreign])
+        local = triangles - first
+        local[is_foreign] = end - first + np.searchsorted(foreign, triangles[is_foreign])
+        rows = np.concatenate([self._vertices[first:end], self._vertices[foreign]])
+        places = np.stack([rows[axis] for axis in "xyz"], axis=1)
+        colors = np.stack([rows[c] for c in _COLORS], axis=1) if self.has_colors else None
+        return Part(Mesh(places, local.astype(np.int32), colors), numbers, end - first)
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """A piece to be written: its own vertices, and triangles by numbers that count through all pieces."""
+
+    vertices: NDArray[np.float64]
+    colors: NDArray[np.uint8] | None
+    triangles: NDArray[np.integer[Any]]
+
+
+def write_pieces(
+    path: Path, sizes: Sequence[Extent], pieces: Iterable[Written], *, has_colors: bool, spacing: float
+) -> None:
+    """Write a PLY file and the table of its pieces.
+
+    Parameters
+    ----------
+    sizes : of the pieces, which follow each other.
+    pieces : as many, read once.
+    spacing : metres; no edge of a triangle is longer than twice this.
+
+    Raises
+    ------
+    StageError
+        If the system refuses to write.
+    """
+    vertex_count, triangle_count = (sizes[-1].vertices[1], sizes[-1].triangles[1]) if sizes else (0, 0)
+    header = _header(vertex_count, triangle_count, has_colors=has_colors)
+    row = _row(has_colors=has_colors)
+    with replacing(path) as part, part.open("wb") as file:
+        file.write(header)
+        ends = [len(header), len(header) + vertex_count * row.itemsize]
+        for piece in pieces:
+            rows = np.empty(len(piece.vertices), row)
+            for axis, name in enumerate("xyz"):
+                rows[name] = piece.vertices[:, axis]
+            if has_colors:
+                for channel, name in enumerate(_COLORS):
+                    rows[name] = 0 if piece.colors is None else piece.colors[:, channel]
+            corners = np.empty(len(piece.triangles), _FACE)
+            corners["length"] = 3
+            corners["corners"] = piece.triangles
+            for which, table in enumerate((rows, corners)):
+                file.seek(ends[which])
+                file.write(table.data)
+                ends[which] += table.nbytes
+    document = {"has_colors": has_colors, "spacing_m": spacing, "pieces": [asdict(one) for one in sizes]}
+    with replacing(table_of(path)) as part:
+        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
+
+
+_COLORS = ("red", "green", "blue")
+
+
+def _row(*, has_colors: bool) -> np.dtype[Any]:
+    return np.dtype([*((axis, "<f8") for axis in "xyz"), *((c, "u1") for c in _COLORS if has_colors)])
+
+
+def _header(vertices: int, triangles: int, *, has_colors: bool) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {vertices}"]
+    lines += [f"property double {axis}" for axis in "xyz"]
+    lines += [f"property uchar {color}" for color in _COLORS if has_colors]
+    lines += [f"element face {triangles}", "property list uchar int vertex_indices", "end_header", ""]
+    return "\n".join(lines).encode()
+
+
+def _mapped(path: Path, row: np.dtype[Any], start: int, count: int) -> NDArray[Any]:
+    # Nothing can be mapped of no bytes.
+    return np.memmap(path, row, "r", start, (count,)) if count else np.zeros(0, row)

@@ -1,0 +1,295 @@
+"""batch and worker: what is found, run, told and written, and what the shell gets."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import browsers
+import pytest
+from small_scans import write_small_scan, write_small_scans
+
+from pipeline.batch import opening
+from pipeline.batch.queue import standing_queue
+
+Run = Callable[..., Any]
+SCANLOOM = [sys.executable, "-m", "cli.app"]
+QUICK = ("--until", "adjust", "--jobs", 1, "--threads", 1)
+
+
+@pytest.fixture
+def scans(tmp_path: Path) -> Path:
+    """Two scans, one that cannot be read, and a folder that is none."""
+    folder = write_small_scans(tmp_path / "scans", 2)
+    write_small_scan(folder / "more" / "broken", 7)
+    (folder / "more" / "broken" / "scan.json").write_text("{")
+    (folder / "notes").mkdir()
+    (folder / "notes" / "plan.txt").write_text("tomorrow")
+    return folder
+
+
+@pytest.mark.slow
+def test_a_batch_tells_and_writes_what_became_of_every_scan(scanloom: Run, scans: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    ran = scanloom("batch", scans, "-o", out, *QUICK)
+    assert ran.exit_code == 1
+    assert f"no scan: {scans / 'notes'}: it is of no known layout" in ran.stderr
+    assert re.search(r"^scan-0001  done, [\d.]+ s", ran.stderr, re.MULTILINE)
+    assert "scanloom: 1 of 3 scans are not done: 1 unusable; the table says why." in ran.stderr
+    assert re.search(r"^more/broken +unusable", ran.stdout, re.MULTILINE)
+    assert re.search(r"^more/broken: .*scan\.json: the file is not valid JSON", ran.stdout, re.MULTILINE)
+    assert "2 done, 1 unusable" in ran.stdout
+    for name in ("index.html", "batch.csv", "scan-0000/report.json", "cache/adjust"):
+        assert (out / name).exists()
+
+    # A second one does only what has changed, and tells programs the same.
+    (scans / "more" / "broken").rename(tmp_path / "away")
+    again = scanloom("batch", scans, "-o", out, *QUICK, "--json")
+    assert again.exit_code == 0
+    assert again.json["counts"] == {"done": 2}
+    assert [one["scan"] for one in again.json["scans"]] == ["scan-0000", "scan-0001"]
+    assert all(one["stages_cached"] == one["stages"] == 1 for one in again.json["scans"])
+    assert again.json["no_scans"][-1]["folder"] == str(scans / "notes")
+
+
+@pytest.mark.slow
+def test_warnings_are_told_with_the_scan_they_are_of(scanloom: Run, scans: Path, tmp_path: Path):
+    frame = scans / "scan-0001" / "depth-1.png"
+    frame.write_bytes(frame.read_bytes()[:80])
+    words = ("batch", scans, "-o", tmp_path / "out", "--include", "scan-*", "--until", "fuse", "--jobs", 1)
+    words += ("--set", "fuse.max_bad_share=0.5")
+    assert scanloom(*words).exit_code == 0
+    strict = scanloom(*words, "--strict", "--json")
+    assert strict.exit_code == 1
+    (warning,) = strict.json["warnings"]
+    assert warning.startswith("scan-0001: fuse: left out 1 frame; the first is 1: ")
+    assert [len(one["warnings"]) for one in strict.json["scans"]] == [0, 1]
+
+
+@pytest.mark.slow
+def test_where_no_scan_can_be_used_the_code_is_that_of_bad_input(scanloom: Run, scans: Path, tmp_path: Path):
+    ran = scanloom("batch", scans / "more", "-o", tmp_path / "out", *QUICK, "--json")
+    assert ran.exit_code == 3
+    assert ran.json["counts"] == {"unusable": 1}
+    assert ran.json["unmet"] == ["1 of 1 scans are not done: 1 unusable; the table says why."]
+
+
+def test_a_dry_run_foresees_each_scan_and_writes_nothing(scanloom: Run, scans: Path, tmp_path: Path):
+    before = sorted(tmp_path.rglob("*"))
+    ran = scanloom("batch", scans, "-o", tmp_path / "out", "--dry-run", "--json")
+    assert sorted(tmp_path.rglob("*")) == before
+    assert ran.exit_code == 0, ran.stderr
+    first = ran.json["scans"][1]
+    assert (first["scan"], first["layout"], first["refused"]) == ("scan-0000", "plain-rgbd", None)
+    assert first["stages"]["fuse"]["reason"] == "first run"
+    assert "not valid JSON" in ran.json["scans"][0]["error"]
+    assert ran.json["expected_memory_mb"] > 100
+    text = scanloom("batch", scans, "-o", tmp_path / "out", "--dry-run").stdout
+    assert re.search(r"^scan-0000 +plain-rgbd +4 +7 +0 +", text, re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_a_queue_is_worked_on_by_whoever_comes(scanloom: Run, scans: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    queued = scanloom("batch", scans, "-o", out, "--queue-only", "--until", "adjust", "--take-over-after", 7)
+    assert queued.exit_code == 0
+    assert f"3 scans queued; any machine works on them with: scanloom worker {out}" in queued.stdout
+    assert not (out / "index.html").exists()
+    queue = standing_queue(out)
+    assert queue is not None
+    assert queue.settings.take_over_after == 7
+    # Scans and results may be moved together.
+    shutil.move(scans, tmp_path / "elsewhere" / "scans")
+    shutil.move(out, tmp_path / "elsewhere" / "out")
+    # As many at a time as are expected to fit, of which none says more than all that there is.
+    worked = scanloom("worker", tmp_path / "elsewhere" / "out", "--memory", "1 GB", "--take-over-after", 30)
+    assert worked.exit_code == 1
+    assert re.search(r"^1 at a time, in 1\.0 GB of memory$", worked.stderr, re.MULTILINE)
+    assert re.search(r"^worker \S+, 3 scans$", worked.stderr, re.MULTILINE)
+    assert "2 done, 1 unusable" in worked.stdout
+    assert (tmp_path / "elsewhere" / "out" / "index.html").is_file()
+
+
+def test_an_unfinished_batch_goes_on_where_it_was(scanloom: Run, scans: Path, tmp_path: Path):
+    words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until", "adjust")
+    assert scanloom(*words).exit_code == 0
+    first = standing_queue(tmp_path / "out")
+    again = scanloom(*words)
+    assert "a batch of the same scans was begun here; this goes on with it" in again.stderr
+    assert standing_queue(tmp_path / "out") == first
+    # Nobody is at it, and other words are another batch.
+    assert scanloom(*words[:-1], "fuse").exit_code == 0
+    assert standing_queue(tmp_path / "out") != first
+
+
+def test_two_batches_in_one_folder_do_not_meet(
+    scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(opening, "_WATCHED", 1.0)
+    words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until")
+    assert scanloom(*words, "adjust").exit_code == 0
+    queue = standing_queue(tmp_path / "out")
+    assert queue is not None
+    alive, stop = queue.folder / "workers" / "other.alive", threading.Event()
+    alive.write_text("000000000000 beats, one each 00002.000 s\n")
+    # One that was killed is watched for a while, and then none is there.
+    assert scanloom(*words, "fuse").exit_code == 0
+    queue = standing_queue(tmp_path / "out")
+    assert queue is not None
+    alive = queue.folder / "workers" / "other.alive"
+
+    def beat() -> None:
+        count = 0
+        while not stop.wait(0.02):
+            count += 1
+            alive.write_text(f"{count:012d} beats, one each 00002.000 s\n")
+
+    other = threading.Thread(target=beat)
+    other.start()
+    time.sleep(0.1)
+    refused = scanloom(*words, "clean")
+    stop.set()
+    other.join()
+    assert refused.exit_code == 3
+    assert "another batch is at work in it (worker other); wait for its end" in refused.stderr
+    assert standing_queue(tmp_path / "out") == queue
+
+
+@pytest.mark.slow
+def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    for sent in (signal.SIGINT, signal.SIGTERM):
+        shutil.rmtree(out, ignore_errors=True)
+        with subprocess.Popen(
+            [*SCANLOOM, "batch", str(scans), "-o", str(out), "--include", "scan-*", "--jobs", "1"],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        ) as process:
+            deadline = time.monotonic() + 60
+            while not list(out.glob("cache/drafts/*/*")) and time.monotonic() < deadline:
+                time.sleep(0.01)
+            process.send_signal(sent)
+            _, said = process.communicate(timeout=60)
+        assert process.returncode == 130, said
+        assert "scanloom: Interrupted; what was finished is kept." in said
+        assert not list((out / "cache" / "drafts").iterdir())
+        queue = standing_queue(out)
+        assert queue is not None
+        assert (queue.folder / "claims" / "000000.0").read_text().endswith("released\n")
+
+
+@pytest.mark.usefixtures("scans")
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("batch", "none", "-o", "out"), 3, "none: there is no such folder"),
+        (("batch", "empty", "-o", "out"), 3, "empty: there is no scan in it"),
+        (("batch", "scans", "-o", "out", "--include", "x*"), 3, "there is no scan that is asked for in it"),
+        (("batch", "scans", "-o", "scans"), 2, "results and cache cannot stand among the scans"),
+        (("batch", "scans", "-o", "out", "--cache", "scans"), 2, "results and cache cannot stand among"),
+        (("batch", "scans", "-o", "out", "--jobs", "many"), 2, "--jobs is 'many'; it must be a number"),
+        (("batch", "scans", "-o", "out", "--jobs", "0"), 2, "--jobs is '0'"),
+        (("batch", "scans", "-o", "out", "--memory", "lots"), 2, "--memory is 'lots'; it must be a size"),
+        (
+            ("batch", "scans", "-o", "out", "--memory", "0"),
+            2,
+            "a limit of nothing (--memory 0) lets no scan through",
+        ),
+        (("batch", "scans", "-o", "out", "--until", "cleen"), 2, "did you mean clean?"),
+        (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only works on nothing"),
+        (("batch", "scans", "-o", "out", "--executor", "ray"), 2, "--executor is 'ray'"),
+        (("batch", "scans", "-o", "out", "--executor", "dask"), 2, "--executor dask needs --scheduler"),
+        (("batch", "scans", "-o", "out", "--scheduler", "slurm"), 2, "--scheduler is Dask's"),
+        (("batch", "scans", "-o", "taken"), 3, "index.html: no batch has written this"),
+        (("batch", "scans", "-o", "taken/index.html"), 3, "this is a file; results need a folder"),
+        (("worker", "empty"), 3, "no batch was begun here"),
+        (("worker", "none"), 3, "no batch was begun here"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence_and_nothing_is_written(
+    scanloom: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    code: int,
+    said: str,
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "index.html").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    ran = scanloom(*words)
+    assert ran.exit_code == code, ran.stderr
+    lines = [line for line in ran.stderr.splitlines() if line.startswith("scanloom: ")]
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_files_that_stand_here_are_named_for_workers_elsewhere(
+    scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "poses.txt").write_text("")
+    words = ("--poses", "poses.txt", "--calibration", "camera.toml", "--queue-only")
+    assert scanloom("batch", scans, "-o", "out", *words).exit_code == 0
+    queue = standing_queue(tmp_path / "out")
+    assert queue is not None
+    assert f'poses = "{tmp_path / "poses.txt"}"' in queue.settings.config
+    # What is not here is looked for in the folder of each scan.
+    assert 'calibration = "camera.toml"' in queue.settings.config
+
+
+def test_a_limit_of_a_run_says_what_would_fit(scanloom: Run, scans: Path, tmp_path: Path):
+    ran = scanloom("run", scans / "scan-0000", "-o", tmp_path / "out", "--memory", "200 MB", "--json")
+    assert ran.exit_code == 1
+    assert "more than the limit of 200 MB; no voxel size fits, 300 MB are there" in ran.json["error"]
+    assert not (tmp_path / "out" / "fused.ply").exists()
+
+
+@pytest.mark.slow
+def test_the_page_opens_from_the_disk_and_shows_every_scan(scanloom: Run, scans: Path, tmp_path: Path):
+    name = "ball & <b>wall #1? 50%"
+    (scans / "scan-0000").rename(scans / name)
+    words = ("--set", "report.viewpoints=1", "--set", "report.width=64", "--set", "compare.samples=1000")
+    assert scanloom("batch", scans, "-o", tmp_path / "out", *words, "--jobs", 1).exit_code == 1
+    with browsers.browser() as chromium:
+        page = chromium.new_page()
+        failed: list[str] = []
+        page.on("requestfailed", lambda request: failed.append(request.url))
+        page.on("pageerror", lambda error: failed.append(str(error)))
+        page.goto((tmp_path / "out" / "index.html").as_uri())
+        assert page.locator("tbody tr").count() == 3
+        assert page.locator("tbody strong").all_inner_texts() == [name, "more/broken", "scan-0001"]
+        assert "not valid JSON" in page.locator("tbody tr", has_text="more/broken").inner_text()
+        # Pictures come when they are about to be seen.
+        page.wait_for_function(
+            "() => [...document.querySelectorAll('tbody img')].every(one => one.naturalWidth === 64)"
+        )
+        assert page.locator("tbody img").count() == 2
+        page.get_by_label("state").select_option("unusable")
+        assert page.locator("tbody strong").all_inner_texts() == ["more/broken"]
+        page.get_by_label("state").select_option("")
+        page.get_by_role("button", name="triangles").click()
+        assert page.locator("tbody strong").all_inner_texts()[-1] == "more/broken"
+        page.get_by_label("Find").fill("SCAN-0001")
+        assert page.locator("#counts").inner_text().endswith("; 1 shown")
+        page.locator("tbody tr a", has_text="page").first.click()
+        page.wait_for_url("**/report.html")
+        assert failed == []
+    content = json.loads(
+        re.findall(r'id="content">(.*?)</script>', (tmp_path / "out/index.html").read_text())[0]
+    )
+    assert content["title"] == "out"

@@ -1,0 +1,35 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from small_scans import write_small_scan
+
+from pipeline.batch.queue import Queue, Settings, jobs_of, new_queue
+
+
+@pytest.fixture(scope="session")
+def small_scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four small scans, and a fifth that cannot be read."""
+    folder = tmp_path_factory.mktemp("many") / "scans"
+    for number in range(4):
+        write_small_scan(folder / f"scan-{number}", number)
+    broken = write_small_scan(folder / "broken", 5)
+    (broken / "scan.json").write_text('{"frames": 3')
+    return folder
+
+
+@pytest.fixture
+def queue_of(tmp_path: Path) -> Callable[..., Queue]:
+    """Begin a batch of the scans in a folder; they go as far as `adjust`, for which little is imported."""
+
+    def begin(folder: Path, *, until: str = "adjust", take_over_after: float = 60.0) -> Queue:
+        settings = Settings("", until, take_over_after=take_over_after)
+        out = tmp_path / "out"
+        jobs = jobs_of([(place, place.name) for place in sorted(folder.iterdir())], out)
+        queue = new_queue(out, 1, settings, jobs)
+        assert queue is not None
+        return queue
+
+    return begin

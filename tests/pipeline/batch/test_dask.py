@@ -1,0 +1,134 @@
+"""A batch by Dask: a real scheduler and real workers, one of them killed in the middle of a job."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from small_scans import write_small_scans
+
+from pipeline.batch.dask import work_by_dask
+from pipeline.batch.queue import Job, Settings, new_queue, standing_queue
+from pipeline.batch.records import Records
+from pipeline.config import Config
+from pipeline.run import run
+from stages.errors import InputError, UsageError
+
+pytest.importorskip("distributed")
+pytestmark = pytest.mark.slow
+
+WORDS = ("--quiet", "--until", "clean", "--executor", "dask", "--take-over-after", "2")
+
+
+def started(*words: object, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=os.environ | environment,
+    )
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[str]:
+    """The address of a scheduler with two workers, of one thread each."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    port = address.rpartition(":")[2]
+    words = ("--nthreads", 1, "--no-dashboard", "--local-directory", tmp_path / "dask")
+    running = [
+        started("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
+    ]
+    running += [started("distributed.cli.dask_worker", address, *words) for _ in range(2)]
+    yield address
+    for one in reversed(running):
+        one.terminate()
+    for one in running:
+        one.communicate(timeout=60)
+
+
+def worker_at_work(deadline: float) -> int:
+    """Return the process of a worker of Dask that waits for a job it has started."""
+    while time.monotonic() < deadline:
+        for folder in Path("/proc").glob("[0-9]*"):
+            try:
+                is_job = b"pipeline.batch.one" in (folder / "cmdline").read_bytes()
+                parent = re.search(r"PPid:\s*(\d+)", (folder / "status").read_text())
+            except OSError:
+                continue
+            if is_job and parent is not None:
+                return int(parent[1])
+        time.sleep(0.05)
+    raise AssertionError("no job was begun")
+
+
+def test_a_worker_that_is_killed_in_the_middle_of_a_job_loses_nothing(scheduler: str, tmp_path: Path):
+    scans, out = write_small_scans(tmp_path / "scans", 4), tmp_path / "out"
+    (scans / "scan-0003" / "scan.json").write_text("{")
+    batch = started("cli.app", "batch", scans, "-o", out, *WORDS, "--scheduler", scheduler)
+    killed = worker_at_work(time.monotonic() + 60)
+    os.kill(killed, signal.SIGKILL)
+    said, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 1, said
+    assert "1 of 4 scans are not done: 1 unusable" in said
+
+    queue = standing_queue(out)
+    assert queue is not None
+    ends = Counter(claim.number for claim in Records(queue.folder / "done").all())
+    assert sorted(ends) == [0, 1, 2, 3]
+    assert sum(count > 1 for count in ends.values()) <= 1
+    for number in range(3):
+        name = f"scan-{number:04d}"
+        run(scans / name, tmp_path / "quiet" / name, Config(), until="clean")
+        quiet = (tmp_path / "quiet" / name / "clean.ply").read_bytes()
+        assert (out / name / "clean.ply").read_bytes() == quiet
+
+
+SBATCH = """#!/bin/sh
+# As SLURM: takes a script, says the number of its job, and runs it elsewhere.
+{python} -c "import subprocess, sys; subprocess.Popen(['sh', sys.argv[1]], start_new_session=True, \
+stdout=open('{log}', 'ab'), stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)" "$1"
+echo "Submitted batch job 7"
+"""
+
+
+def test_workers_are_started_by_slurm(tmp_path: Path):
+    pytest.importorskip("dask_jobqueue")
+    scans, out = write_small_scans(tmp_path / "scans", 2), tmp_path / "out"
+    (tmp_path / "bin").mkdir()
+    for name, text in (
+        ("sbatch", SBATCH.format(python=sys.executable, log=tmp_path / "log")),
+        ("scancel", "#!/bin/sh\n"),
+    ):
+        (tmp_path / "bin" / name).write_text(text)
+        (tmp_path / "bin" / name).chmod(0o755)
+    batch = started(
+        *("cli.app", "batch", scans, "-o", out, *WORDS, "--scheduler", "slurm", "--jobs", 1),
+        PATH=f"{tmp_path / 'bin'}:{os.environ['PATH']}",
+        DASK_JOBQUEUE__SLURM__CORES="1",
+        DASK_JOBQUEUE__SLURM__MEMORY="2GB",
+        DASK_JOBQUEUE__SLURM__LOCAL_DIRECTORY=str(tmp_path / "dask"),
+    )
+    said, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 0, said
+    assert (out / "scan-0001" / "clean.ply").is_file()
+
+
+def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path):
+    queue = new_queue(tmp_path, 1, Settings(""), [Job(0, "x", "x")])
+    assert queue is not None
+    with pytest.raises(UsageError, match="--scheduler slurm needs --jobs N"):
+        work_by_dask(queue, "slurm")
+    with pytest.raises(InputError, match=r"no scheduler of Dask answers at nowhere://x: "):
+        work_by_dask(queue, "nowhere://x")

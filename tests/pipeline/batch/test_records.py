@@ -1,0 +1,37 @@
+"""What became of a job is kept for each try, and the first that came to an end counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.batch.claims import Claim
+from pipeline.batch.records import DONE, FAILED, Record, Records
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path: Path):
+    records = Records(tmp_path)
+    record = Record(3, "späße", DONE, "", 1.5, "w", 1, ("odd",), {"frames": 3, "voxel_size_m": None})
+    records.write(record)
+    assert records.ended() == {3: Claim(3, 1)}
+    assert records.read(records.ended().values()) == [record]
+
+
+def test_of_two_tries_the_first_counts_and_both_are_known(tmp_path: Path):
+    records = Records(tmp_path)
+    for attempt in (1, 0):
+        records.write(Record(3, "a", DONE, attempt=attempt))
+    assert records.ended() == {3: Claim(3, 0)}
+    assert len(records.all()) == 2
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[1]", b"\xff", b'{"number": 1}', b"[" * 100_000])
+def test_a_damaged_record_says_so(tmp_path: Path, content: bytes):
+    (tmp_path / "000003.0.json").write_bytes(content)
+    for name in (".000004.0.json.ab.part", "x.json", "000005.json"):
+        (tmp_path / name).write_bytes(b"")
+    records = Records(tmp_path)
+    (record,) = records.read(records.ended().values())
+    assert (record.number, record.state) == (3, FAILED)
+    assert record.reason.endswith("000003.0.json is damaged; run the batch again.")

@@ -1,0 +1,221 @@
+"""Workers bring every scan to an end, whatever becomes of one, of a process, or of a worker."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
+from pipeline.batch.queue import Queue
+from pipeline.batch.records import DONE, FAILED, UNUSABLE, Record, Records
+from pipeline.batch.summary import summary_of
+from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Told
+from pipeline.batch.worker import Worker
+from pipeline.config import Config
+from pipeline.run import run
+from stages.errors import StageError
+
+pytestmark = pytest.mark.slow
+Begin = Callable[..., Queue]
+
+
+def worked(queue: Queue, **how: Any) -> dict[str, Record]:
+    how = {"slots": 1, "threads": 1, **how}
+    Worker(queue, **how).work()
+    summary = summary_of(queue)
+    assert summary.is_finished
+    return {one.name: one for one in summary.records}
+
+
+def results(out: Path) -> dict[str, bytes]:
+    """What is the same whenever it is made, by name."""
+    return {path.name: path.read_bytes() for path in sorted(out.glob("*.ply"))}
+
+
+def process_of(worker: Worker) -> int:
+    (process,) = [slot.process for slot in worker._slots if slot.process is not None]
+    return process._process.pid
+
+
+def test_one_bad_scan_ends_none_of_the_others(small_scans: Path, queue_of: Begin, tmp_path: Path):
+    told: list[Told] = []
+    ended = worked(queue_of(small_scans, until="clean"), slots=2, tell=told.append)
+    states = {name: one.state for name, one in ended.items()}
+    assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
+    assert "scan.json: the file is not valid JSON" in ended["broken"].reason
+    assert ended["scan-1"].figures["frames"] == 4
+    assert sum(isinstance(one, JobEnded) for one in told) == 5
+    assert [one for one in told if isinstance(one, Counted)][-1] == Counted(5, 5)
+
+    # As `run` has it, under the same names.
+    run(small_scans / "scan-2", tmp_path / "alone", Config(), until="clean")
+    assert results(tmp_path / "out" / "scan-2") == results(tmp_path / "alone") != {}
+    assert (tmp_path / "out" / "scan-2" / "report.json").is_file()
+    assert not list((tmp_path / "out" / "cache" / "drafts").iterdir())
+
+
+def test_a_scan_that_vanishes_meanwhile_is_told(small_scans: Path, queue_of: Begin, tmp_path: Path):
+    shutil.copytree(small_scans, tmp_path / "scans")
+    queue = queue_of(tmp_path / "scans")
+    shutil.rmtree(tmp_path / "scans" / "scan-1")
+    ended = worked(queue)
+    assert ended["scan-1"].state == UNUSABLE
+    assert ended["scan-1"].reason == f"{tmp_path / 'scans' / 'scan-1'}: the scan is not there any more."
+    assert [ended[f"scan-{k}"].state for k in (0, 2, 3)] == [DONE] * 3
+
+
+def test_a_damaged_line_is_a_job_that_failed(small_scans: Path, queue_of: Begin):
+    from pipeline.batch.queue import standing_queue
+
+    queue = queue_of(small_scans)
+    path = queue.folder / "jobs.jsonl"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:2], lines[2].replace("scan-0", "scan-9"), *lines[3:]]) + "\n")
+    damaged = standing_queue(queue.out)
+    assert damaged is not None
+    ended = worked(damaged)
+    assert ended["job 1"].state == FAILED
+    assert "the line of this job is damaged; run the batch again" in ended["job 1"].reason
+    assert [ended[f"scan-{k}"].state for k in (1, 2, 3)] == [DONE] * 3
+
+
+@pytest.mark.parametrize(("sent", "noted"), [(signal.SIGKILL, KILLED), (signal.SIGSEGV, CRASHED)])
+def test_a_job_whose_process_ends_by_itself_is_begun_again(
+    small_scans: Path, queue_of: Begin, sent: signal.Signals, noted: str
+):
+    queue = queue_of(small_scans)
+    begun: list[JobBegun] = []
+
+    def tell(told: Told) -> None:
+        if isinstance(told, JobBegun):
+            begun.append(told)
+        if isinstance(told, JobAt) and len(begun) == 2:
+            os.kill(process_of(worker), sent)
+
+    worker = Worker(queue, slots=1, threads=1, tell=tell)
+    worker.work()
+    # What ended is told apart from what was begun twice.
+    assert [one.name for one in begun].count("scan-0") == 2
+    records = {one.name: one for one in summary_of(queue).records}
+    assert (records["scan-0"].state, records["scan-0"].attempt) == (DONE, 1)
+    assert Claims(queue.folder / "claims", "").said(Claim(1, 0)).end == noted
+
+
+def test_a_job_that_crashes_its_process_is_given_up_and_no_other(small_scans: Path, queue_of: Begin):
+    queue = queue_of(small_scans)
+    at = ""
+
+    def tell(told: Told) -> None:
+        nonlocal at
+        at = told.name if isinstance(told, JobBegun) else at
+        if isinstance(told, JobAt) and at == "scan-2":
+            os.kill(process_of(worker), signal.SIGSEGV)
+
+    worker = Worker(queue, slots=1, threads=1, tell=tell)
+    worker.work()
+    states = {one.name: one.state for one in summary_of(queue).records}
+    assert states == {"broken": UNUSABLE, "scan-0": DONE, "scan-1": DONE, "scan-2": FAILED, "scan-3": DONE}
+    reason = next(one.reason for one in summary_of(queue).records if one.name == "scan-2")
+    assert reason.startswith("the process that ran it crashed 2 times")
+
+
+def test_a_worker_that_is_interrupted_gives_its_job_back(small_scans: Path, queue_of: Begin, tmp_path: Path):
+    queue = queue_of(small_scans, until="clean")
+
+    def interrupt(told: Told) -> None:
+        if isinstance(told, JobAt) and told.stage == "fuse":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Worker(queue, slots=1, threads=1, tell=interrupt).work()
+    # `broken` was first.
+    assert Claims(queue.folder / "claims", "").said(Claim(1, 0)).end == RELEASED
+    started = time.monotonic()
+    ended = worked(queue)
+    assert time.monotonic() - started < 50, "nobody waits for one that said it ended"
+    assert (ended["scan-0"].state, ended["scan-0"].attempt) == (DONE, 1)
+    assert ended["scan-0"].figures["stages_cached"] >= 1
+    assert not list((tmp_path / "out" / "cache" / "drafts").iterdir())
+
+
+def test_a_full_disk_ends_the_worker_in_one_sentence_and_loses_nothing(
+    small_scans: Path, queue_of: Begin, monkeypatch: pytest.MonkeyPatch
+):
+    queue = queue_of(small_scans)
+    with monkeypatch.context() as patched:
+        patched.setattr(Records, "write", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
+        with pytest.raises(
+            StageError, match=r"the queue .* cannot be worked on: the disk is full; free some"
+        ):
+            Worker(queue, slots=1, threads=1).work()
+    assert worked(queue)["scan-3"].state == DONE
+
+
+def test_a_queue_that_may_only_be_read_is_told(
+    small_scans: Path, queue_of: Begin, monkeypatch: pytest.MonkeyPatch
+):
+    queue = queue_of(small_scans)
+    usual = os.open
+
+    def read_only(path: Any, flags: int, *rest: Any, **more: Any) -> int:
+        if flags & os.O_CREAT:
+            raise OSError(30, "Read-only file system", str(path))
+        return usual(path, flags, *rest, **more)
+
+    monkeypatch.setattr("os.open", read_only)
+    with pytest.raises(StageError, match=r"the queue .* cannot be worked on: Read-only file system"):
+        Worker(queue, slots=1, threads=1).work()
+
+
+def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin, tmp_path: Path):
+    quiet = tmp_path / "quiet"
+    for number in range(4):
+        run(small_scans / f"scan-{number}", quiet / f"scan-{number}", Config(), until="clean")
+    queue = queue_of(small_scans, until="clean", take_over_after=1.0)
+    words = [sys.executable, "-m", "cli.app", "worker", str(queue.out), "--jobs", "1", "--threads", "1", "-q"]
+
+    def started() -> subprocess.Popen[bytes]:
+        return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    draw, workers, kills = random.Random(3), [started(), started()], 0
+    while any(one.poll() is None for one in workers):
+        # When one has come as far as a job.
+        time.sleep(draw.uniform(0.5, 1.5))
+        at = kills % 2
+        if kills < 4 and workers[at].poll() is None and list((queue.folder / "claims").iterdir()):
+            children = Path(f"/proc/{workers[at].pid}/task/{workers[at].pid}/children")
+            jobs = children.read_text().split() if children.exists() else []
+            os.kill(int(jobs[0]) if jobs and kills % 3 == 2 else workers[at].pid, signal.SIGKILL)
+            kills += 1
+            if not (jobs and (kills - 1) % 3 == 2):
+                workers[at].wait()
+                workers[at] = started()
+    assert kills >= 2
+    assert all(one.returncode in (1, -9) for one in workers)  # `broken` is not done
+    ends = Counter(claim.number for claim in Records(queue.folder / "done").all())
+    assert sorted(ends) == [0, 1, 2, 3, 4]
+    assert sum(count > 1 for count in ends.values()) <= kills
+    for number in range(4):
+        name = f"scan-{number}"
+        assert results(queue.out / name) == results(quiet / name) != {}
+
+
+def test_a_worker_that_does_not_stay_ends_when_nothing_is_left_to_take(small_scans: Path, queue_of: Begin):
+    queue = queue_of(small_scans)
+    claims = Claims(queue.folder / "claims", "other")
+    assert claims.take(Claim(4, 0))
+    Worker(queue, slots=1, threads=1, stay=False).work()
+    states = {one.name: one.state for one in summary_of(queue).records}
+    assert states["scan-3"] == "running"
+    assert [states[f"scan-{k}"] for k in range(3)] == [DONE] * 3

@@ -1,0 +1,91 @@
+"""A run over bricks: kept one by one, fused again where a frame is new, and large results piece by piece."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline import large
+from pipeline.config import Config
+from pipeline.run import run
+from stages.errors import StageError
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.read import read_scan
+from stages.surface.formats.ply import read_ply
+from stages.surface.topology import topology
+
+SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
+# All that would be derived of the frames together is given: a frame more changes no brick it does not touch.
+QUICK = (
+    "adjust.enabled=false",
+    "texture.enabled=false",
+    "report.enabled=false",
+    "fuse.voxel_size=0.015",
+    "fuse.brick_size=0.3",
+    "fuse.min_weight=1",
+)
+
+
+def part_of_sample(folder: Path, numbers: list[int]) -> Path:
+    """Write some frames of the sample as a scan of their own."""
+    scan = read_scan(SAMPLE)
+    shutil.copytree(SAMPLE, folder)
+    frames = read_scan(folder).frames
+    write_scan_json(folder, [frames[number] for number in numbers])
+    assert len(read_scan(folder).frames) == len(numbers) < len(scan.frames)
+    return folder
+
+
+def figures(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str, Any]:
+    result = run(scan, out, Config().set([*QUICK, *more]), until=until)
+    stages: Any = result.report["stages"]
+    return {name: stage["figures"] for name, stage in stages.items()}
+
+
+def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
+    quiet = figures(scan, tmp_path / "quiet")["fuse"]
+    assert quiet["bricks"] == quiet["bricks_fused"] > 10
+
+    from pipeline import bricks
+
+    store, left = bricks.KeptBricks.store, [7]
+
+    def some(self: Any, *words: Any) -> Path:
+        left[0] -= 1
+        if left[0] < 0:
+            raise StageError("killed")
+        return store(self, *words)
+
+    monkeypatch.setattr(bricks.KeptBricks, "store", some)
+    with pytest.raises(StageError, match="killed"):
+        figures(scan, tmp_path / "out")
+    monkeypatch.setattr(bricks.KeptBricks, "store", store)
+    again = figures(scan, tmp_path / "out")["fuse"]
+    assert again["bricks_fused"] == quiet["bricks"] - 7
+    assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
+
+
+def test_large_meshes_go_from_stage_to_stage_in_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
+    ratio = "simplify.ratio=0.2"
+    at_once = figures(scan, tmp_path / "at-once", ratio, until="simplify")
+    monkeypatch.setattr(large, "MOST_AT_ONCE", 5_000)
+    in_pieces = figures(scan, tmp_path / "pieces", ratio, until="simplify")
+    assert in_pieces["simplify"]["parts"] > 5
+    assert in_pieces["simplify"]["triangles"] == pytest.approx(at_once["simplify"]["triangles"], abs=2)
+    for name in ("fused.ply", "clean.ply"):
+        assert (tmp_path / "pieces" / name).read_bytes() == (tmp_path / "at-once" / name).read_bytes()
+    one, other = (topology(read_ply(tmp_path / out / "simplified.ply")) for out in ("at-once", "pieces"))
+    assert (one.euler, one.components, one.boundary_loops) == (
+        other.euler,
+        other.components,
+        other.boundary_loops,
+    )
+    with pytest.raises(StageError, match=r"lod reads all of clean\.ply at once"):
+        figures(scan, tmp_path / "pieces", ratio, "lod.enabled=true", until="lod")

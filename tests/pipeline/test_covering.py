@@ -1,0 +1,232 @@
+"""The optional stage `coverage`, in a run and after one: its files, the page, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from page_content import shown
+
+from pipeline.again import run_again
+from pipeline.asked import Asked, from_anywhere
+from pipeline.cache import Cache
+from pipeline.config import Config
+from pipeline.run import CACHE_VARIABLE, run
+from stages.errors import InputError, UsageError
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Camera, Frame
+from stages.surface.formats.ply import read_ply, read_vertex_values
+from stages.surface.mesh_files import read_mesh
+
+CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
+QUICK = (
+    "texture.enabled=false",
+    "fuse.voxel_size=0.015",
+    "report.viewpoints=1",
+    "report.width=64",
+    "report.photos=0",
+    "compare.samples=1000",
+)
+OWN = ["coverage.glb", "coverage.json", "coverage.ply"]
+
+
+@pytest.fixture(autouse=True)
+def _no_shared_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+
+
+def make_scan(folder: Path) -> Path:
+    """Write four frames of a wall 1 m away with a pane of black glass in it, 20 × 15 cm."""
+    folder.mkdir()
+    v, u = np.mgrid[0:72, 0:96]
+    frames = []
+    for i in range(4):
+        pose = np.eye(4)
+        pose[0, 3] = 0.04 * i
+        x, y = (u - CAMERA.cx) / CAMERA.fx + pose[0, 3], (v - CAMERA.cy) / CAMERA.fy
+        depth = np.where((np.abs(x - 0.1) < 0.1) & (np.abs(y) < 0.075), 0, 1000).astype(np.uint16)
+        files = {kind: folder / f"{kind}-{i}.png" for kind in ("color", "depth")}
+        cv2.imwrite(str(files["color"]), np.stack([2 * u, 3 * v, 0 * u + 90], axis=2).astype(np.uint8))
+        cv2.imwrite(str(files["depth"]), depth)
+        frames.append(Frame(str(i), CAMERA, files["color"], depth=files["depth"], world_from_camera=pose))
+    write_scan_json(folder, frames)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scan, and out/, what a run without the stage left of it."""
+    folder = tmp_path_factory.mktemp("covering")
+    run(make_scan(folder / "scan"), folder / "out", Config().set(QUICK))
+    return folder
+
+
+@pytest.fixture
+def here(ran: Path, tmp_path: Path) -> Path:
+    """A copy of it, whose record still names the scan that it was made from."""
+    shutil.copytree(ran, tmp_path / "all", symlinks=True)
+    return tmp_path / "all"
+
+
+def names(out: Path) -> list[str]:
+    return sorted(path.name for path in out.iterdir())
+
+
+def worked(result: Any) -> list[str]:
+    return [outcome.stage for outcome in result.stages if not outcome.cached]
+
+
+def test_after_a_run_only_the_stage_itself_works_and_its_files_stand_in_out(here: Path) -> None:
+    out = here / "out"
+    before = names(out)
+    result = run_again(out, "coverage", {})
+
+    assert worked(result) == ["coverage"]
+    assert names(out) == sorted([*before, *OWN])
+    told = json.loads((out / "coverage.json").read_text())
+    first = told["places"][0]
+    assert first["kind"] == "hole"
+    np.testing.assert_allclose(first["point_m"], (0.1, 0, 1), atol=0.06)
+    assert first["area_m2"] == pytest.approx(0.2 * 0.15, rel=0.6)
+    assert {one["why"] for one in first["nearest_frames"]} == {"has no depth there"}
+    report = json.loads((out / "report.json").read_text())
+    assert report["stages"]["coverage"]["figures"]["places"] == len(told["places"])
+    assert {*report["placed"]["coverage"]} == {*OWN}
+    assert worked(run_again(out, "coverage", {})) == []
+
+
+def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
+    out = here / "out"
+    run_again(out, "coverage", {})
+    mesh, clean = read_ply(out / "coverage.ply"), read_ply(out / "clean.ply")
+    values = {name: read_vertex_values(out / "coverage.ply", name) for name in ("frames", "angle", "pixel")}
+
+    count = len(clean.vertices)
+    np.testing.assert_array_equal(mesh.vertices[:count], clean.vertices)
+    assert values["frames"].max() == 4
+    assert (values["frames"][count:] == 0).all()
+    middle = np.abs(clean.vertices[:, 0] + 0.2) < 0.05
+    assert values["angle"][:count][middle].max() < 30
+    assert values["pixel"][:count][middle] == pytest.approx(1 / 80, rel=0.15)
+    model = read_mesh(out / "coverage.glb")
+    assert len(model.triangles) == len(mesh.triangles)
+
+
+def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> None:
+    out = here / "out"
+    run_again(out, "coverage", {})
+    content = shown((out / "report.html").read_bytes())
+
+    model = next(one for one in content["models"] if one["name"] == "what is missing")
+    assert "red hole in the surface" in model["note"]
+    table = content["tables"][0]
+    assert table["title"] == "Where to go again"
+    told = json.loads((out / "coverage.json").read_text())["places"]
+    assert len(table["rows"]) == len(table["places"]) == len(told)
+    place = table["places"][0]
+    assert place["away"] == pytest.approx(np.linalg.norm(np.subtract(place["eye"], place["target"])))
+    assert place["away"] == pytest.approx(
+        np.linalg.norm(np.subtract(told[0]["look_from_m"], told[0]["point_m"]))
+    )
+    assert table["rows"][0][0] == "hole in the surface"
+
+
+def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> None:
+    from pipeline.page import page_of_run
+
+    out = here / "out"
+    run_again(out, "coverage", {})
+    for wrong in ('{"places": 3}', '{"places": [{"why": "x"}]}', "[]"):
+        (out / "coverage.json").write_text(wrong)
+        with pytest.raises(InputError, match="not as a run writes it"):
+            page_of_run(out, 5_000_000, lambda text: None)  # noqa: ARG005
+
+
+def test_other_parameters_work_anew_and_the_next_run_without_takes_it_away(here: Path, ran: Path) -> None:
+    out = here / "out"
+    run_again(out, "coverage", {})
+    page = (out / "report.html").read_bytes()
+    fewer = run_again(out, "coverage", {"places": 1})
+
+    assert worked(fewer) == ["coverage"]
+    assert len(json.loads((out / "coverage.json").read_text())["places"]) == 1
+    assert (out / "report.html").read_bytes() != page
+    plain = run(ran / "scan", out, Config().set(QUICK))
+    assert worked(plain) == []
+    assert not {*OWN} & {*names(out)}
+    assert b"Where to go again" not in (out / "report.html").read_bytes()
+
+
+def test_a_scan_that_was_moved_is_asked_for_and_then_all_is_cached(here: Path, tmp_path: Path) -> None:
+    made = make_scan(tmp_path / "first")
+    run(made, here / "other", Config().set(QUICK), until="clean")
+    made.rename(tmp_path / "second")
+    with pytest.raises(InputError, match="is not there any more; say with --scan where it is"):
+        run_again(here / "other", "coverage", {})
+    found = run_again(here / "other", "coverage", {}, scan=tmp_path / "second")
+
+    # The run had not come as far as upright.
+    assert worked(found) == ["upright", "simplify", "export", "coverage"]
+
+
+def test_what_no_run_has_left_is_refused(here: Path, tmp_path: Path) -> None:
+    for path, why in ((tmp_path / "none", "no such folder"), (here / "scan" / "scan.json", "this is a file")):
+        with pytest.raises(InputError, match=why):
+            run_again(path, "coverage", {})
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no run has left its results here"):
+        run_again(tmp_path / "empty", "coverage", {})
+    (here / "out" / "clean.ply").unlink()
+    with pytest.raises(InputError, match=r"there is no clean.ply"):
+        run_again(here / "out", "coverage", {})
+    shutil.rmtree(here / "out" / "cache")
+    with pytest.raises(
+        InputError, match="does not tell how this was made; name that of the run with --cache"
+    ):
+        run_again(here / "out", "coverage", {})
+
+
+def test_a_run_that_was_not_finished_has_no_mesh(here: Path, ran: Path) -> None:
+    run(ran / "scan", here / "short", Config().set(QUICK), until="fuse")
+    with pytest.raises(InputError, match=r"there is no clean.ply: the run has not come so far"):
+        run_again(here / "short", "coverage", {})
+
+
+def test_wrong_parameters_are_refused_before_any_work(here: Path) -> None:
+    with pytest.raises(UsageError, match="oblique"):
+        run_again(here / "out", "coverage", {"oblique": 100.0})
+
+
+def test_the_record_holds_what_was_asked_for_with_files_in_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "poses.txt").write_text("")
+    config = Config().set(("scan.poses=poses.txt", "scan.tag_family=apriltag-36h11", "coverage.oblique=60"))
+    asked = Asked(tmp_path / "scan", from_anywhere(config), "report")
+    again = Asked.of(json.loads(json.dumps(asked.record())))
+
+    assert again == asked
+    assert again.config.scan.poses == str(tmp_path / "poses.txt")
+    assert again.config.scan.tag_family == "apriltag-36h11"
+    assert again.config.coverage.oblique == 60
+    for wrong in (
+        None,
+        {},
+        {"scan": 3, "config": "", "until": ""},
+        {**asked.record(), "config": "[nonsense]"},
+    ):
+        assert Asked.of(wrong) is None
+
+
+def test_no_path_of_this_machine_gets_among_the_results(ran: Path) -> None:
+    record = Cache(ran / "out" / "cache").latest_run(ran / "out")
+
+    assert record["asked"]["scan"] == str(ran / "scan")
+    for name in ("report.json", "report.html"):
+        assert str(ran) not in (ran / "out" / name).read_text()

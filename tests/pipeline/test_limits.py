@@ -1,0 +1,152 @@
+"""What a run may take of memory and disk: it ends in a sentence that says what would fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from small_scans import write_small_scan
+
+from pipeline.config import Config
+from pipeline.expectation import BASE_BYTES, Expectation
+from pipeline.limits import LimitGuard, Limits, within
+from pipeline.needs import expected_of
+from pipeline.run import run
+from stages.errors import StageError
+from stages.scans.read import read_scan
+
+STAGES = ("adjust", "fuse", "clean")
+MB = 10**6
+
+
+def guard(
+    limits: Limits,
+    *needs: int,
+    disk: int = 0,
+    assignments: tuple[str, ...] = (),
+    peak: int = 0,
+    basis: str = "scaled",
+    warned: list[str] | None = None,
+) -> LimitGuard:
+    expected = {name: Expectation(1.0, need, basis, disk) for name, need in zip(STAGES, needs, strict=False)}
+    warn = [].append if warned is None else warned.append
+    return LimitGuard(limits, Config().set(assignments), expected, ("fuse", "clean"), warn, lambda: peak)
+
+
+def entry(size: int) -> Any:
+    return SimpleNamespace(manifest={"files": {"a.ply": {"size": size}}})
+
+
+def test_what_is_expected_to_fit_begins():
+    guard(Limits(memory=900 * MB), 400 * MB, 900 * MB, 800 * MB).before("adjust")
+
+
+def test_the_voxel_size_that_would_fit_is_named():
+    # Four times as much beyond what is there anyway: voxels of twice the edge.
+    needs = (0, BASE_BYTES + 400 * MB, 0)
+    limits = Limits(memory=BASE_BYTES + 100 * MB)
+    with pytest.raises(
+        StageError, match=r"fuse is expected to take .*700 MB .* 400 MB; fuse\.voxel_size=0\.02 would"
+    ):
+        guard(limits, *needs, assignments=("fuse.voxel_size=0.01",)).before("adjust")
+    with pytest.raises(StageError, match=r"fuse\.voxel_factor=2 would fit"):
+        guard(limits, *needs).before("fuse")
+    with pytest.raises(StageError, match=r"fuse\.voxel_factor=3 would fit"):
+        guard(limits, *needs, assignments=("fuse.voxel_factor=1.5",)).before("fuse")
+
+
+def test_only_what_is_still_to_come_counts():
+    guard(Limits(memory=400 * MB), 900 * MB, 400 * MB, 300 * MB).before("fuse")
+
+
+def test_a_stage_that_voxels_do_not_change_says_so():
+    with pytest.raises(
+        StageError, match=r"adjust is expected .*does not follow from the voxel size: raise the"
+    ):
+        guard(Limits(memory=400 * MB), 900 * MB, 0, 0).before("adjust")
+
+
+def test_below_what_is_there_anyway_nothing_fits():
+    with pytest.raises(StageError, match="no voxel size fits, 300 MB are there before any frame is read"):
+        guard(Limits(memory=200 * MB), 0, 900 * MB, 0).before("fuse")
+
+
+def test_a_stage_that_takes_more_is_stopped(tmp_path: Path):
+    taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
+    taken.before("fuse")
+    with pytest.raises(StageError, match=r"fuse has taken 500 MB of memory, .*voxel_factor=1\.5 would fit"):
+        taken.during("fuse", tmp_path, 1.0)
+
+
+@pytest.mark.parametrize(("share", "times"), [(1.0, "1.5"), (0.5, "2"), (0.25, "2.9"), (0.01, "2.9")])
+def test_what_would_fit_is_told_by_the_share_that_was_done(tmp_path: Path, share: float, times: str):
+    taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
+    with pytest.raises(StageError, match=rf"voxel_factor={times} would fit"):
+        taken.during("fuse", tmp_path, share)
+
+
+def test_what_only_the_size_of_the_scan_tells_is_a_warning():
+    warned: list[str] = []
+    needs = (0, 900 * MB, 0)
+    guard(Limits(memory=600 * MB, disk=MB), *needs, disk=MB, basis="estimated", warned=warned).before(
+        "adjust"
+    )
+    assert len(warned) == 2
+    assert warned[0].startswith(
+        "fuse is expected to take (by the scan's size) 900 MB of memory, more than the"
+    )
+    assert "fuse.voxel_factor=1.5 would fit. This is an estimate; the stage is stopped" in warned[0]
+    assert warned[1].startswith("the run is expected to write 3 MB, and the limit leaves 1 MB of 1 MB")
+    with pytest.raises(StageError, match="no voxel size fits"):
+        guard(Limits(memory=200 * MB), *needs, basis="estimated").before("adjust")
+
+
+def test_disk_that_is_expected_and_disk_that_is_written(tmp_path: Path):
+    with pytest.raises(
+        StageError, match=r"expected to write 300 MB, and the limit leaves 100 MB of 100 MB; .*=1\.8"
+    ):
+        guard(Limits(disk=100 * MB), 0, 0, 0, disk=100 * MB).before("adjust")
+    counted = guard(Limits(disk=100), 0, 0, 0)
+    counted.kept("adjust", entry(30))
+    assert counted.written == 60
+    (tmp_path / "draft.bin").write_bytes(bytes(19))
+    counted.during("fuse", tmp_path, 1.0)
+    with pytest.raises(StageError, match=r"fuse brings what the run has written to .*more than the limit"):
+        counted.kept("fuse", entry(21))
+
+
+def test_a_draft_that_grows_too_large_is_stopped(tmp_path: Path):
+    (tmp_path / "draft.bin").write_bytes(bytes(60))
+    with pytest.raises(StageError, match="fuse brings"):
+        guard(Limits(disk=100), 0, 0, 0).during("fuse", tmp_path, 1.0)
+
+
+def test_the_volume_keeps_to_the_limit_too():
+    assert within(Config(), Limits()).fuse.memory == 4000
+    assert within(Config(), Limits(memory=BASE_BYTES + 50 * MB)).fuse.memory == 50
+    assert within(Config(), Limits(memory=90 * 10**9)).fuse.memory == 4000
+
+
+@pytest.mark.slow
+def test_a_run_keeps_to_its_limits_and_keeps_what_is_finished(tmp_path: Path):
+    scan, out = write_small_scan(tmp_path / "scan"), tmp_path / "out"
+    with pytest.raises(StageError, match="more than the limit of 250 MB"):
+        run(scan, out, until="clean", limits=Limits(memory=250 * MB))
+    run(scan, out, until="clean", limits=Limits(memory=3000 * MB, disk=500 * MB))
+    # What is in the cache needs nothing.
+    again = run(scan, out, until="clean", limits=Limits(memory=250 * MB, disk=1))
+    assert all(one.cached for one in again.stages)
+
+    # By what they took, finer voxels are expected to take more.
+    expected = {
+        size: expected_of(read_scan(scan), Config().set((f"fuse.voxel_size={size}",)), STAGES, out / "cache")
+        for size in (0.02, 0.01)
+    }
+    fuse = {size: max(found["fuse"].memory_bytes - BASE_BYTES, 0) for size, found in expected.items()}
+    assert fuse[0.01] == pytest.approx(4 * fuse[0.02], rel=1e-3, abs=4)
+    assert expected[0.01]["clean"].disk_bytes == pytest.approx(
+        4 * expected[0.02]["clean"].disk_bytes, rel=1e-3
+    )
+    assert {one.basis for one in expected[0.01].values()} == {"scaled"}

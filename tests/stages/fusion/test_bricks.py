@@ -1,0 +1,184 @@
+"""Space cut in bricks: whatever they are, the mesh is that of a single piece, byte for byte."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from stages.errors import InputError, StageError, UsageError
+from stages.fusion.adding import begun
+from stages.fusion.bricks import Cube, Seen, coordinates, level_of, numbers_of, passes, touched_bricks
+from stages.fusion.fuse import fuse, fuse_to_file
+from stages.fusion.in_bricks import FusedInBricks, fuse_in_bricks
+from stages.fusion.params import FuseParams
+from stages.scans.read import read_scan
+from stages.scans.scan import Scan
+from stages.surface.formats.ply import read_ply, write_ply
+from stages.surface.topology import topology
+
+SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rgbd"
+
+
+@pytest.fixture(scope="module")
+def scan() -> Scan:
+    """Every third frame of the sample."""
+    whole = read_scan(SAMPLE)
+    return replace(whole, frames=whole.frames[::3])
+
+
+@pytest.fixture(scope="module")
+def in_one_piece(scan: Scan, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("whole") / "fused.ply"
+    write_ply(path, fuse(scan, voxel_size=0.01).mesh)
+    return path.read_bytes()
+
+
+def random_blocks(seed: int, reach: int, count: int) -> NDArray[np.int64]:
+    return np.random.default_rng(seed).integers(-reach, reach, (count, 3))
+
+
+def test_a_brick_is_as_large_as_asked_for_to_the_nearest_power_of_two() -> None:
+    assert [level_of(size, 0.01) for size in (4.0, 2.0, 0.2, 0.001)] == [6, 5, 1, 1]
+
+
+def test_places_and_keys_tell_each_other() -> None:
+    blocks = random_blocks(0, 1 << 19, 1000)
+    assert (coordinates(numbers_of(blocks, 0)) == blocks).all()
+    for block, number in zip(blocks >> 3, numbers_of(blocks >> 3, 3), strict=True):
+        low = np.array(Cube(3, int(number)).low)
+        assert (low == block * 8).all()
+
+
+@pytest.mark.parametrize("level", [1, 2, 4])
+def test_a_frame_is_for_the_bricks_it_touches_and_those_beside(level: int) -> None:
+    blocks = random_blocks(1, 40, 30)
+    found = touched_bricks(numbers_of(blocks, 0), level)
+    around = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
+    beside = (blocks[:, None] + around).reshape(-1, 3)
+    assert found == sorted({int(number) for number in numbers_of(beside >> level, level)})
+
+
+def test_each_block_is_in_one_cube_that_fits() -> None:
+    blocks = np.unique(random_blocks(2, 30, 400), axis=0)
+    keys = np.sort(numbers_of(blocks, 0))
+    cubes = passes(keys, 1, 40)
+    assert len(cubes) > 20
+    numbers = [np.unique(keys[(keys >> np.uint64(3 * cube.level)) == cube.number]) for cube in cubes]
+    assert (np.concatenate(numbers) == keys).all()
+    for cube in cubes:
+        near = (blocks >= np.array(cube.low) - 1) & (blocks <= np.array(cube.high))
+        assert cube.level == 1 or near.all(axis=1).sum() <= 40
+    assert len(passes(keys, 1, 10_000)) == 1
+
+
+@pytest.mark.parametrize(("size", "memory"), [(0.16, 4000), (0.3, 2), (0.7, 1.2)])
+def test_bricks_give_the_bytes_of_one_piece(
+    scan: Scan, in_one_piece: bytes, size: float, memory: float, tmp_path: Path
+) -> None:
+    params = FuseParams(voxel_size=0.01, brick_size=size, memory=memory)
+    found = fuse_to_file(scan, params, tmp_path / "fused.ply")
+    assert isinstance(found, FusedInBricks)
+    assert found.bricks == found.fused_bricks > 1
+    assert found.volume_bytes <= memory * 1e6
+    assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fused.pieces.json", "fused.ply"]
+
+
+def test_the_surface_is_a_manifold_as_fused(in_one_piece: bytes, tmp_path: Path) -> None:
+    (tmp_path / "fused.ply").write_bytes(in_one_piece)
+    found = topology(read_ply(tmp_path / "fused.ply"))
+    assert found.is_manifold
+    assert found.is_oriented
+
+
+def test_what_does_not_fit_is_fused_in_bricks_unasked(
+    scan: Scan, in_one_piece: bytes, tmp_path: Path
+) -> None:
+    write_ply(tmp_path / "fused.ply", fuse(scan, voxel_size=0.01, memory=1.2).mesh)
+    assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
+
+
+def test_a_brick_that_does_not_fit_says_so(scan: Scan) -> None:
+    with pytest.raises(StageError, match="outgrows its memory of 1 MB"):
+        fuse(scan, voxel_size=0.004, brick_size=4.0, memory=1)
+
+
+def test_bricks_are_for_voxels_of_our_own(scan: Scan) -> None:
+    with pytest.raises(UsageError, match="brick_size"):
+        fuse(scan, brick_size=1.0, backend="open3d")
+
+
+def test_a_crop_cuts_what_bricks_make_as_it_cuts_one_piece(scan: Scan) -> None:
+    crop: dict[str, Any] = {"voxel_size": 0.01, "radius": 0.2, "center": (0.1, -0.1, 0.1)}
+    whole, joined = fuse(scan, **crop).mesh, fuse(scan, brick_size=0.16, **crop).mesh
+    assert (whole.vertices == joined.vertices).all()
+    assert (whole.triangles == joined.triangles).all()
+
+
+def test_a_frame_that_cannot_be_read_is_skipped_alike(scan: Scan, tmp_path: Path) -> None:
+    (tmp_path / "bad.jpg").write_bytes(b"no picture")
+    frames = [*scan.frames]
+    frames[3] = replace(frames[3], color=tmp_path / "bad.jpg")
+    broken = replace(scan, frames=frames)
+    whole, joined = fuse(broken, voxel_size=0.02), fuse(broken, voxel_size=0.02, brick_size=0.3)
+    assert [one.name for one in joined.skipped] == [frames[3].name]
+    assert (whole.mesh.vertices == joined.mesh.vertices).all()
+    assert whole.frames == joined.frames
+    with pytest.raises(InputError, match="at most 0% may be bad"):
+        fuse(broken, voxel_size=0.02, brick_size=0.3, max_bad_share=0)
+
+
+def test_a_wrong_guess_of_how_often_voxels_were_seen_is_put_right(
+    scan: Scan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = fuse(scan, voxel_size=0.02)
+    assert whole.min_weight > 1
+    monkeypatch.setattr(Seen, "all", lambda seen, look=Seen.all: (look(seen)[0], look(seen)[1] * 0 + 1))
+    joined = fuse(scan, voxel_size=0.02, brick_size=0.6)
+    assert joined.min_weight == whole.min_weight
+    assert (whole.mesh.vertices == joined.mesh.vertices).all()
+
+
+class Shelf:
+    """Bricks kept in a folder, by what decided them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.count = 0
+        self.places: dict[str, Path] = {}
+
+    def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
+        return self.places.get(repr((brick, list(frames), decided)))
+
+    def store(
+        self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
+    ) -> Path:
+        self.count += 1
+        folder = self.folder / f"{self.count}"
+        folder.mkdir()
+        make(folder)
+        self.places[repr((brick, list(frames), decided))] = folder
+        return folder
+
+
+def test_bricks_that_are_kept_are_not_fused_again(scan: Scan, in_one_piece: bytes, tmp_path: Path) -> None:
+    kept = Shelf(tmp_path)
+    params = FuseParams(voxel_size=0.01, brick_size=0.3, memory=2)
+
+    def again() -> FusedInBricks:
+        return fuse_in_bricks(begun(scan, params), tmp_path / "fused.ply", kept=kept)
+
+    first = again()
+    assert again().fused_bricks == 0
+    assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
+    # As after a run that was killed: what there was is taken, the rest is made.
+    for name in list(kept.places)[::3]:
+        del kept.places[name]
+    assert 0 < again().fused_bricks < first.fused_bricks
+    assert (tmp_path / "fused.ply").read_bytes() == in_one_piece

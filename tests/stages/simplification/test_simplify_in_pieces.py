@@ -1,0 +1,85 @@
+"""Simplification piece by piece: no crack, the topology, the number asked for, and bounds that hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sample_in_bricks import sample_in_bricks
+
+from stages.cleaning.clean import CleanParams
+from stages.cleaning.clean_in_pieces import clean_in_pieces
+from stages.comparing.certify import certify
+from stages.simplification.params import SimplifyParams
+from stages.simplification.simplify import simplify
+from stages.simplification.simplify_in_pieces import simplify_in_pieces
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Mesh
+from stages.surface.topology import topology
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("clean")
+    clean_in_pieces(sample_in_bricks(folder / "fused.ply"), folder / "clean.ply", CleanParams())
+    return folder / "clean.ply"
+
+
+def is_same_thing(light: Mesh, given: Mesh) -> None:
+    """No new border, no new piece, no other genus."""
+    found, expected = topology(light), topology(given)
+    assert found.is_manifold
+    assert found.is_oriented
+    assert (found.euler, found.components, found.boundary_loops) == (
+        expected.euler,
+        expected.components,
+        expected.boundary_loops,
+    )
+
+
+def test_the_number_of_triangles_is_met(path: Path) -> None:
+    given = read_ply(path)
+    done: list[tuple[int, int]] = []
+    found = simplify_in_pieces(path, SimplifyParams(ratio=0.1), progress=lambda *told: done.append(told))
+    assert 0.098 < len(found.mesh.triangles) / len(given.triangles) <= 0.1
+    is_same_thing(found.mesh, given)
+    figures = found.figures()
+    assert figures["triangles_before"] == len(given.triangles)
+    assert figures["triangles"] == len(found.mesh.triangles)
+    assert figures["parts"] > 5
+    assert done == sorted(done)
+    assert done[-1][0] == done[-1][1]
+    wanted = len(given.triangles) // 5
+    assert len(simplify_in_pieces(path, SimplifyParams(triangles=wanted)).mesh.triangles) in (
+        wanted - 1,
+        wanted,
+    )
+
+
+def test_bounds_are_proven_for_the_whole(path: Path) -> None:
+    given = read_ply(path)
+    params = SimplifyParams(method="certified", max_shape=0.009)
+    found = simplify_in_pieces(path, params)
+    is_same_thing(found.mesh, given)
+    details = found.figures()["details"]
+    assert details["proven"]
+    assert details["shape_bound_m"] <= 0.009
+    # By a proof of its own, of the result against what was given.
+    assert certify(found.mesh, given, max_shape=0.009).within_limits
+    in_one = len(simplify(given, params).mesh.triangles)
+    assert in_one < len(found.mesh.triangles) < 2.5 * in_one
+
+
+def test_colours_are_kept(path: Path) -> None:
+    given = read_ply(path)
+    found = simplify_in_pieces(path, SimplifyParams(ratio=0.3)).mesh
+    assert found.colors is not None
+    assert given.colors is not None
+    assert np.abs(found.colors.mean(axis=0) - given.colors.mean(axis=0)).max() < 3
+
+
+def test_equal_input_gives_equal_bytes(path: Path) -> None:
+    one, other = (simplify_in_pieces(path, SimplifyParams(ratio=0.2, threads=n)).mesh for n in (1, 2))
+    assert (one.vertices == other.vertices).all()
+    assert (one.triangles == other.triangles).all()

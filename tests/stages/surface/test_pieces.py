@@ -1,0 +1,81 @@
+"""PLY files in pieces: as any PLY file, and piece by piece."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.surface.formats.ply import read_ply, write_ply
+from stages.surface.mesh import Mesh
+from stages.surface.pieces import Extent, Pieces, Written, table_of, write_pieces
+
+# A strip of four triangles, the last two of the second piece.
+VERTICES = np.array([[x, y, 0.1 * x] for x in (0, 1, 2) for y in (0, 1)], float)
+TRIANGLES = np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]], np.int32)
+COLORS = np.arange(18, dtype=np.uint8).reshape(6, 3)
+SIZES = [Extent((0, 2), (0, 2), (0, 0, 0), (1, 1, 1)), Extent((2, 6), (2, 4), (1, 0, 0), (3, 1, 1))]
+
+
+def written(path: Path, *, colors: bool = True) -> Path:
+    parts = [
+        Written(
+            VERTICES[slice(*s.vertices)],
+            COLORS[slice(*s.vertices)] if colors else None,
+            TRIANGLES[slice(*s.triangles)],
+        )
+        for s in SIZES
+    ]
+    write_pieces(path, SIZES, parts, has_colors=colors, spacing=1.0)
+    return path
+
+
+@pytest.mark.parametrize("colors", [True, False])
+def test_the_file_is_that_of_the_whole(colors: bool, tmp_path: Path) -> None:
+    path = written(tmp_path / "mesh.ply", colors=colors)
+    write_ply(tmp_path / "whole.ply", Mesh(VERTICES, TRIANGLES, COLORS if colors else None))
+    assert path.read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
+def test_a_piece_has_the_vertices_it_names(tmp_path: Path) -> None:
+    pieces = Pieces(written(tmp_path / "mesh.ply"))
+    assert (len(pieces), pieces.vertex_count, pieces.triangle_count, pieces.spacing) == (2, 6, 4, 1.0)
+    first = pieces.part(0)
+    assert first.own == 2
+    assert first.numbers.tolist() == [0, 1, 2, 3]
+    assert (first.mesh.vertices[first.mesh.triangles] == VERTICES[TRIANGLES[:2]]).all()
+    assert (first.mesh.colors == COLORS[:4]).all()
+    second = pieces.part(1)
+    assert second.numbers.tolist() == [2, 3, 4, 5]
+    assert (second.numbers[second.mesh.triangles] == TRIANGLES[2:]).all()
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "mesh.ply")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    with pytest.raises(InputError, match="damaged, or not the one"):
+        Pieces(path)
+    path.write_bytes(whole[:-4] + np.array(99, "<i4").tobytes())
+    with pytest.raises(InputError, match="a vertex that is not there"):
+        Pieces(path).part(1)
+    path.write_bytes(whole)
+    table = json.loads(table_of(path).read_text())
+    for wrong in (
+        {},
+        {**table, "pieces": table["pieces"][1:]},
+        {**table, "has_colors": False},
+        {**table, "pieces": 3},
+    ):
+        table_of(path).write_text(json.dumps(wrong))
+        with pytest.raises(InputError):
+            Pieces(path)
+
+
+def test_no_pieces_are_an_empty_mesh(tmp_path: Path) -> None:
+    write_pieces(tmp_path / "mesh.ply", [], [], has_colors=False, spacing=1.0)
+    assert len(Pieces(tmp_path / "mesh.ply")) == 0
+    assert len(read_ply(tmp_path / "mesh.ply").triangles) == 0
