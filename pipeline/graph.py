@@ -308,7 +308,7 @@ STAGES: tuple[Stage, ...] = (
         sections=("fuse",),
         make=_fuse,
         versions=versions.of_fuse,
-        libraries=installed("scanloom", "opencv", "open3d", "scipy"),
+        libraries=installed("scanloom", "opencv", "open3d"),
         results=("fused.ply", "pieces/"),
         cost=Cost(seconds_per_megapixel=0.4),
     ),

@@ -92,8 +92,14 @@ def _density(depth: DepthImage) -> float:
 
 def _area(views: Sequence[PosedDepth], cell: float) -> float:
     """Cells of a coarse grid that hold a point, times the area of a cell's face."""
-    cells = np.concatenate([np.unique(np.floor(view.points(_STEP) / cell), axis=0) for view in views])
-    return len(np.unique(cells, axis=0)) * cell**2
+    cells = np.concatenate([_cells(view.points(_STEP), cell) for view in views])
+    return len(np.unique(cells)) * cell**2
+
+
+def _cells(points: NDArray[np.float64], cell: float) -> NDArray[np.int64]:
+    """Return the cells that hold points, each as one number, for cells that are not a million apart."""
+    x, y, z = np.floor(points / cell).astype(np.int64).T
+    return np.unique((x << 42) + (y << 21) + z)
 
 
 def measured_noise(pairs: Sequence[tuple[PosedDepth, PosedDepth | None]]) -> Noise:
@@ -113,12 +119,23 @@ def measured_noise(pairs: Sequence[tuple[PosedDepth, PosedDepth | None]]) -> Noi
             if (which == k).any()
         ]
     ).T
-    from scipy.optimize import nnls
-
     # Relative errors count: else the farthest bin decides alone.
     weight = 1 / np.maximum(deviation, 1e-3 * z)
-    (constant, quadratic), _ = nnls(np.stack([weight, weight * z**2], axis=1), weight * deviation)
-    return Noise(float(constant), float(quadratic))
+    return Noise(*_fitted(np.stack([weight, weight * z**2], axis=1), weight * deviation))
+
+
+def _fitted(terms: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return how often two terms (n, 2) make up values (n,), by least squares; neither less than 0 times.
+
+    Of two terms that is as quickly done as said, and SciPy takes longer to import than a scan to be surveyed.
+    """
+    (one, two), _, rank, _ = np.linalg.lstsq(terms, values, rcond=None)
+    if rank == 2 and one >= 0 and two >= 0:
+        return float(one), float(two)
+    # Then one of them alone.
+    alone = np.maximum(terms.T @ values, 0) / np.maximum((terms**2).sum(axis=0), np.finfo(float).tiny)
+    off = ((terms * alone - values[:, None]) ** 2).sum(axis=0)
+    return (float(alone[0]), 0.0) if off[0] <= off[1] else (0.0, float(alone[1]))
 
 
 def _differences(a: PosedDepth, b: PosedDepth) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
