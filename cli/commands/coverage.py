@@ -13,7 +13,7 @@ from cli.output import Output, table_of
 from cli.paths import require_scan
 from cli.watch import watching
 from stages import CoverageParams
-from stages.printing import place_in_words
+from stages.printing import counted, place_in_words
 
 
 def coverage(
@@ -74,7 +74,7 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
             [
                 str(number),
                 one["why"],
-                f"{one['area_m2']:.3g}",
+                _area(one["area_m2"]),
                 place_in_words(one["point_m"]),
                 place_in_words(one["look_from_m"]),
                 nearest["frame"],
@@ -89,7 +89,11 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
     missing, thin = sum(figures["missing_m2"].values()), sum(figures["thin_m2"].values())
     surface = figures["surface_m2"]
     lines.append(
-        f"{missing:.3g} {m2} open to what no frame saw, beside {surface:.3g} {m2} of surface, of which "
-        f"{thin / surface:.0%} was hardly seen; {figures['frames_used']:,} frames"
+        f"{_area(missing)} {m2} open to what no frame saw, beside {_area(surface)} {m2} of surface, of which "
+        f"{thin / surface:.0%} was hardly seen; {counted(figures['frames_used'], 'frame')}"
     )
     return lines
+
+
+def _area(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
