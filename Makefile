@@ -104,7 +104,7 @@ format: $(READY)
 
 # Installing is what compiles the kernels; a changed source or dependency list installs again.
 $(READY): pyproject.toml $(KERNEL_SOURCES)
-	@command -v cargo >/dev/null || { echo "cargo is missing: the mesh kernels are built with Rust 1.86 or later."; exit 1; }
+	@command -v cargo >/dev/null || { echo "cargo is missing: the mesh kernels are built with Rust 1.89 or later."; exit 1; }
 	@command -v c++ >/dev/null || { \
 	  if [ "$$(id -u)" = 0 ]; then root=; else root="sudo -n"; fi; \
 	  $$root apt-get update -qq && $$root apt-get install -y -qq --no-install-recommends g++ >/dev/null; \
