@@ -48,7 +48,8 @@ fn noise(x: u32, y: u32) -> f64 {
 /// Squares across and along a field of so many triangles: two in each square.
 fn squares(size: usize) -> [u32; 2] {
     let half = size as u32 / 2;
-    let across = (1..=half).take_while(|n| n * n <= half).filter(|n| half % n == 0).last().unwrap_or(1);
+    let across =
+        (1..=half).take_while(|n| n * n <= half).filter(|n| half.is_multiple_of(*n)).last().unwrap_or(1);
     [across, half / across]
 }
 

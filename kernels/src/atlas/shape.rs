@@ -73,6 +73,6 @@ pub fn turned(
         2 => [w - x, h - y],
         _ => [y, w - x],
     };
-    let size = if turns % 2 == 0 { [width, height] } else { [height, width] };
+    let size = if turns.is_multiple_of(2) { [width, height] } else { [height, width] };
     (triangles.iter().map(|corners| corners.map(turn)).collect(), size)
 }

@@ -184,13 +184,12 @@ impl Cover {
             } else {
                 larger_differs(against, triangle, seen.slot, around)
             };
-            if quick.is_none_or(|most| most > level) {
-                if let Some((most, worst)) = against.share(&polygon, seen.slot) {
-                    if most.color > level {
-                        self.doubt = Some(worst);
-                        return false;
-                    }
-                }
+            if quick.is_none_or(|most| most > level)
+                && let Some((most, worst)) = against.share(&polygon, seen.slot)
+                && most.color > level
+            {
+                self.doubt = Some(worst);
+                return false;
             }
         }
         true

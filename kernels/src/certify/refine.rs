@@ -171,17 +171,17 @@ fn merge(shares: &mut Vec<Share>) {
 /// Parts that cover the piece: what is within `wanted` of the nearest triangle's face and what is not, or halves.
 fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
     let polygon = &piece.polygon;
-    if polygon.len() <= MANY {
-        if let Some(facet) = Facet::new(&against.target.corners(piece.slot)) {
-            let height = polygon.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
-            let margin = (wanted * wanted - height * height).max(0.0).sqrt();
-            // What may be left uncut must still be within the margin, if there is one.
-            let sliver = SLIVER * piece.radius;
-            let least = if margin > 0.0 { sliver.min(0.5 * margin) } else { sliver };
-            let parts = cut_along(polygon, &facet, (margin - least).max(0.0), least);
-            if parts.len() > 1 {
-                return parts;
-            }
+    if polygon.len() <= MANY
+        && let Some(facet) = Facet::new(&against.target.corners(piece.slot))
+    {
+        let height = polygon.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
+        let margin = (wanted * wanted - height * height).max(0.0).sqrt();
+        // What may be left uncut must still be within the margin, if there is one.
+        let sliver = SLIVER * piece.radius;
+        let least = if margin > 0.0 { sliver.min(0.5 * margin) } else { sliver };
+        let parts = cut_along(polygon, &facet, (margin - least).max(0.0), least);
+        if parts.len() > 1 {
+            return parts;
         }
     }
     halves(polygon)

@@ -443,6 +443,9 @@ mod tests {
     const WIDTH: usize = 90;
     const HEIGHT: usize = 130;
 
+    type Step = fn(&[f32], &[f32], f32, &mut [f32], &mut [u8], &mut [u8]);
+    type Orient = fn(&[f32], &Sums, &Sights, f32, [&mut [f32]; 3], &mut [f32]);
+
     /// A floor at a grazing angle before a wall, with holes, gaps, steps and noise.
     fn depth() -> Vec<f32> {
         let at = |i: usize| {
@@ -485,7 +488,7 @@ mod tests {
         };
         let inverse = inverted(invert);
         assert_eq!(inverse, inverted(invert_row));
-        let stepped = |step: fn(&[f32], &[f32], f32, &mut [f32], &mut [u8], &mut [u8])| {
+        let stepped = |step: Step| {
             let (mut value, mut known, mut jumps) = (vec![0.0; WIDTH], vec![0; WIDTH], vec![0; WIDTH]);
             step(&inverse[..WIDTH], &inverse[WIDTH..2 * WIDTH], 0.05, &mut value, &mut known, &mut jumps);
             (value, known, jumps)
@@ -501,7 +504,7 @@ mod tests {
             value: [0, 1].map(|k| (0..padded).map(|x| ((x * 31 + k) % 17) as f32 / 99.0).collect()),
             known: [0, 1].map(|k| (0..padded).map(|x| ((x + k) % 6) as u8).collect()),
         };
-        let orientated = |orient: fn(&[f32], &Sums, &Sights, f32, [&mut [f32]; 3], &mut [f32])| {
+        let orientated = |orient: Orient| {
             let [mut x, mut y, mut z, mut length] = [0, 1, 2, 3].map(|_| vec![0.0; WIDTH]);
             orient(&depth[..WIDTH], &sums, &sights, 0.3, [&mut x, &mut y, &mut z], &mut length);
             [x, y, z, length].concat().iter().map(|value| value.to_bits()).collect::<Vec<_>>()

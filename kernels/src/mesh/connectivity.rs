@@ -84,7 +84,7 @@ impl Connectivity {
 
     #[inline]
     pub fn prev(h: HalfedgeId) -> HalfedgeId {
-        HalfedgeId(if h.0 % 3 == 0 { h.0 + 2 } else { h.0 - 1 })
+        HalfedgeId(if h.0.is_multiple_of(3) { h.0 + 2 } else { h.0 - 1 })
     }
 
     #[inline]

@@ -131,7 +131,7 @@ pub fn decode_rows(
     size: usize,
     filtered: &str,
 ) -> PyResult<Py<PyBytes>> {
-    if size == 0 || size > 256 || size % 4 != 0 {
+    if size == 0 || size > 256 || !size.is_multiple_of(4) {
         return Err(PyValueError::new_err(format!(
             "a row has {size} bytes; it must have a multiple of 4 up to 256"
         )));
@@ -174,7 +174,7 @@ pub fn decode_indices(
         return Err(PyValueError::new_err(format!("an index has {size} bytes; it must have 2 or 4")));
     }
     let decode = match mode {
-        "TRIANGLES" if count % 3 == 0 => ffi::meshopt_decodeIndexBuffer,
+        "TRIANGLES" if count.is_multiple_of(3) => ffi::meshopt_decodeIndexBuffer,
         "INDICES" => ffi::meshopt_decodeIndexSequence,
         _ => return Err(PyValueError::new_err(format!("{count} indices cannot be of the mode {mode}"))),
     };

@@ -60,7 +60,7 @@ pub fn match_pair(
     if left.as_array().shape() != right.as_array().shape() {
         return Err(PyValueError::new_err("the images of a pair are of different sizes"));
     }
-    if count == 0 || count % LANES != 0 || count > 1 << 14 || lowest.unsigned_abs() > 1 << 20 {
+    if count == 0 || !count.is_multiple_of(LANES) || count > 1 << 14 || lowest.unsigned_abs() > 1 << 20 {
         return Err(PyValueError::new_err(format!("{count} disparities; a multiple of {LANES} is expected")));
     }
     guarded(rows_of(Size { width, height }, count), || {

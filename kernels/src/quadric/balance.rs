@@ -75,7 +75,7 @@ fn residuals<const D: usize>(
     let mut cells = vec![0; triangles.len()];
     fill(&mut cells, threads, |t| cell(corner(&triangles[t]), low, side));
     let mut chosen: Vec<(u64, u32)> =
-        cells.into_iter().zip(0..).filter(|(cell, _)| scrambled(*cell) % stride == 0).collect();
+        cells.into_iter().zip(0..).filter(|(cell, _)| scrambled(*cell).is_multiple_of(stride)).collect();
     chosen.sort_unstable();
     let (mut areas, mut shape, mut colour) = (0.0, 0.0, 0.0);
     for cell in chosen.chunk_by(|a, b| a.0 == b.0).filter(|cell| cell.len() >= LEAST_TRIANGLES) {
@@ -178,7 +178,7 @@ mod tests {
 
     fn ramp(bump: f64, stripes: f64) -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
         let n = 60;
-        let wave = |x: u32| if x % 2 == 0 { 1.0 } else { -1.0 };
+        let wave = |x: u32| if x.is_multiple_of(2) { 1.0 } else { -1.0 };
         let point = |x: u32, y: u32| {
             [f64::from(x), f64::from(y), bump * wave(x), 2.0 * f64::from(x) + stripes * wave(y)]
         };

@@ -87,8 +87,11 @@ fn sample<const D: usize>(
     let [low, _] = around(points.iter().map(position));
     let mut cells = vec![0; triangles.len()];
     fill(&mut cells, threads, |t| cell(corner(&triangles[t]), &low, side));
-    let mut chosen: Vec<(u64, u32)> =
-        cells.into_iter().zip(0..).filter(|(cell, _)| scrambled(*cell) % stride as u64 == 0).collect();
+    let mut chosen: Vec<(u64, u32)> = cells
+        .into_iter()
+        .zip(0..)
+        .filter(|(cell, _)| scrambled(*cell).is_multiple_of(stride as u64))
+        .collect();
     chosen.sort_unstable();
     let large = chosen.chunk_by(|a, b| a.0 == b.0).filter(|piece| piece.len() >= LEAST_PIECE);
     let kept = large.flatten().take(size).map(|&(_, t)| triangles[t as usize]);

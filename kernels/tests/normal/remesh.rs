@@ -161,8 +161,9 @@ fn what_is_decoded_is_what_was_made_and_every_beginning_is_a_level() {
             assert_eq!(level.channels, decoded.channels);
         }
         // Every byte of the beginning and around the ends of levels, where cuts differ.
-        let near =
-            |end: &usize| *end < 40 || made.ends.iter().any(|e| e.abs_diff(*end) < 12) || end % 37 == 0;
+        let near = |end: &usize| {
+            *end < 40 || made.ends.iter().any(|e| e.abs_diff(*end) < 12) || end.is_multiple_of(37)
+        };
         for end in (0..made.file.len()).filter(near) {
             let whole = made.ends.iter().filter(|&&e| e <= end).count();
             match decode(&made.file[..end], usize::MAX) {
