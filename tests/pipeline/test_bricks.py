@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 
 from pipeline import large
@@ -67,6 +69,30 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.M
     again = figures(scan, tmp_path / "out")["fuse"]
     assert again["bricks_fused"] == quiet["bricks"] - 7
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
+
+
+def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
+    # What would be derived of all frames together is given.
+    given = ("fuse.truncation=0.045", "fuse.max_depth=2.2")
+    scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
+    out = tmp_path / "out"
+    first = figures(scan, out, *given)["fuse"]
+    # It sees a corner of the scene.
+    frames = [*read_scan(scan).frames]
+    new = read_scan(SAMPLE).frames[20]
+    depth = cv2.imread(str(new.depth), cv2.IMREAD_UNCHANGED)
+    assert depth is not None
+    depth[:, 60:] = 0
+    cv2.imwrite(str(scan / "depth" / "new.png"), depth)
+    color = scan / "color" / Path(str(new.color)).name
+    frames.append(replace(new, name="new", color=color, depth=scan / "depth" / "new.png"))
+    write_scan_json(scan, frames)
+    again = figures(scan, out, *given)["fuse"]
+    assert again["frames_used"] == first["frames_used"] + 1
+    assert 0 < again["bricks_fused"] < 0.7 * again["bricks"]
+    alone = figures(scan, tmp_path / "alone", *given)["fuse"]
+    assert alone["bricks_fused"] == alone["bricks"] == again["bricks"]
+    assert (out / "fused.ply").read_bytes() == (tmp_path / "alone" / "fused.ply").read_bytes()
 
 
 def test_large_meshes_go_from_stage_to_stage_in_pieces(
