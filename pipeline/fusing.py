@@ -18,7 +18,7 @@ from stages.files.documents import read_document
 from stages.fusion.fuse import Fused, fuse, fuse_to_file
 from stages.fusion.in_bricks import FusedInBricks, Kept
 from stages.fusion.params import FuseParams
-from stages.progress import Progress
+from stages.progress import Progress, silent
 from stages.scans.scan import Scan
 from stages.surface.formats.ply import write_ply
 
@@ -26,9 +26,9 @@ _PLANE = "plane.json"
 
 
 def make(
-    folder: Path, scan: Scan, params: FuseParams, kept: Kept, progress: Progress
+    folder: Path, scan: Scan, params: FuseParams, kept: Kept | None, progress: Progress = silent
 ) -> Fused | FusedInBricks:
-    """Fuse a scan, and write what comes out."""
+    """Fuse a scan, and write what comes out; `kept` has bricks of before."""
     fused = fuse_to_file(scan, params, folder / "fused.ply", kept=kept, progress=progress)
     if fused.support is not None:
         (folder / _PLANE).write_text(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.documents import read_document
+from stages.files.opening import opened
 from stages.files.replacing import replacing
 from stages.surface.mesh import Mesh
 
@@ -101,7 +102,7 @@ class Pieces:
         row = _row(has_colors=has_colors)
         starts = len(header), len(header) + self.vertex_count * row.itemsize
         size = starts[1] + self.triangle_count * _FACE.itemsize
-        with path.open("rb") as file:
+        with opened(path) as file:
             is_it = file.read(len(header)) == header
         if not is_it or path.stat().st_size != size or not self._follow_each_other():
             raise InputError("the file is damaged, or not the one its table of pieces tells of.", path)

@@ -13,10 +13,9 @@ from thing_on_table import BALL, frames
 
 from pipeline.config import Config
 from pipeline.dry_run import foresee
-from pipeline.fusing import fuse_apart, up_from_plane, write
+from pipeline.fusing import fuse_apart, make, up_from_plane
 from pipeline.run import RunResult, run
 from stages.errors import UsageError
-from stages.fusion.fuse import fuse
 from stages.fusion.params import FuseParams
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Frame, Scan
@@ -94,10 +93,10 @@ def test_a_crop_that_leaves_nothing_stops_the_run(table: Path, tmp_path: Path) -
 
 
 def test_only_a_plane_that_was_left_out_tells_what_is_up(tmp_path: Path) -> None:
-    fused = fuse(frames("ball")[::2], voxel_size=0.03, radius=0.4)
-    write(tmp_path, fused)
+    scan = Scan("plain-rgbd", frames("ball")[::2])
+    fused = make(tmp_path, scan, FuseParams(voxel_size=0.03, radius=0.4), None)
     assert up_from_plane(tmp_path) is None
-    assert len(read_ply(tmp_path / "fused.ply").triangles) == len(fused.mesh.triangles)
+    assert len(read_ply(tmp_path / "fused.ply").triangles) == fused.figures()["triangles"]
 
 
 def test_a_place_is_not_looked_for_in_a_piece_whose_world_is_another(tmp_path: Path) -> None:

@@ -107,7 +107,7 @@ def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
     stages = {stage.name: stage for stage in plan_for(plain, Config().set(["lod.enabled=true"]))}
     assert stages["lod"].reads == ("frames", "posed", "clean", "standing")
     assert stages["tiles"].reads == ("standing", "levels")
-    assert [stage.name for stage in STAGES][-3:] == ["tiles", "export", "report"]
+    assert [stage.name for stage in STAGES][-4:] == ["tiles", "export", "coverage", "report"]
     without = Config().set(["lod.enabled=true", "tiles.enabled=false"])
     assert "tiles.enabled=true" in left_out(plain, without)["tiles"]
 

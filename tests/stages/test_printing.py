@@ -145,6 +145,8 @@ def everything():
         (curve := stages.tradeoff(mesh, counts=(200, 100, 50), samples=1000)),
         curve.points[0],
         stages.show(mesh, page_size=2),
+        (missing := stages.coverage(fused.mesh, scan)),
+        missing.places[0],
     ]
 
 
