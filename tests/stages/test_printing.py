@@ -145,7 +145,8 @@ def everything():
         (curve := stages.tradeoff(mesh, counts=(200, 100, 50), samples=1000)),
         curve.points[0],
         stages.show(mesh, page_size=2),
-        (missing := stages.coverage(fused.mesh, scan)),
+        # All of it was seen obliquely, as this asks.
+        (missing := stages.coverage(fused.mesh, scan, oblique=1.0, few_frames=100, least_area=1e-4)),
         missing.places[0],
     ]
 
