@@ -5,7 +5,7 @@
 #
 # Made from two images: one compiles the wheel, the other installs it. docs/platforms.md says what was tried.
 
-FROM rust:1.86-slim-bookworm AS build
+FROM rust:1.89-slim-bookworm AS build
 # A stable Debian has one version of each, and newer ones put right what was unsafe.
 # hadolint ignore=DL3008
 RUN apt-get update \
