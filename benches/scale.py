@@ -1,6 +1,6 @@
 """How work grows and spreads: over the bricks of a building, and over the workers of a batch.
 
-    python benches/scale.py bricks [--frames 100 1000 10000] [--building FOLDER] [--memory 500]
+    python benches/scale.py bricks [--frames 100 300 1000 3000 10000] [--memory 500] [--plot FILE]
     python benches/scale.py batch [--scans 1000] [--jobs 10000] [--seed 3]
 
 Prints Markdown; each bench says in its own module what it does: `benches/scale_bricks.py`, `scale_batch.py`.

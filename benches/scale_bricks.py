@@ -1,8 +1,8 @@
 """A made building fused in bricks: what a frame costs and how much memory it takes, from few frames to many.
 
 Makes the building (or takes one that `benches/building.py` has made: --building FOLDER), and fuses its first
-frames at 1 cm, each number of them in a process of its own. "killed": the same by runs that are killed
-(`kill -9`) at random until one ends; how many bricks it took over, and if the mesh is that of a quiet run.
+frames at 1 cm, each number of them in a process of its own. Then the same by runs that are killed (`kill -9`)
+at random until one ends: how many bricks it took over, and whether the mesh is that of the quiet run.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -30,41 +31,64 @@ SCANLOOM = [sys.executable, "-m", "cli.app"]
 VOXEL_SIZE = 0.01
 
 
-def bricks(building: Path | None, frames: list[int], memory: float, seed: int, rooms: int) -> None:
-    """Print the table of `bricks`."""
+def bricks(
+    building: Path | None,
+    frames: list[int],
+    killed: list[int],
+    memory: float,
+    seed: int,
+    rooms: int,
+    plot: Path | None,
+) -> None:
+    """Print the tables of `bricks`."""
     with tempfile.TemporaryDirectory() as scratch:
         if building is None:
             building = Path(scratch) / "building"
             make_building(building, rooms, max(frames), os.cpu_count() or 1)
-        head = (
-            "frames",
-            "CPU",
-            "a frame",
-            "peak memory",
-            "bricks",
-            "triangles",
-            "killed",
-            "taken over",
-            "same bytes",
-        )
-        print_head(head, 0)
+        print_head(("frames", "CPU", "a frame", "peak memory", "bricks", "triangles"), 0)
+        drawn, contents = [], {}
         for count in frames:
             scan = first_frames(building, Path(scratch) / f"scan-{count}", count)
-            quiet, figures, cpu = fused(scan, Path(scratch) / f"quiet-{count}", memory)
-            kills, again, taken = fused_under_kills(scan, Path(scratch) / f"killed-{count}", memory, seed)
+            out, figures, cpu = fused(scan, Path(scratch) / f"quiet-{count}", memory)
+            contents[count] = file_digest(out / "fused.ply")
+            made, peak = figures["figures"], figures["peak_memory_mb"]
+            drawn.append((count, 1000 * cpu / count, peak))
+            of_mesh = f"{made['bricks']}", f"{made['triangles']:,}"
             print_row(
-                (
-                    f"{count:,}",
-                    f"{cpu:.0f} s",
-                    f"{1000 * cpu / count:.1f} ms",
-                    f"{figures['peak_memory_mb']:.0f} MB",
-                    f"{figures['figures']['bricks']}",
-                    f"{figures['figures']['triangles']:,}",
-                    f"{kills}×",
-                    f"{taken}",
-                    "yes" if file_digest(quiet / "fused.ply") == file_digest(again / "fused.ply") else "NO",
-                )
+                (f"{count:,}", f"{cpu:.0f} s", f"{1000 * cpu / count:.1f} ms", f"{peak:.0f} MB", *of_mesh)
             )
+            remove(out)
+        print()
+        print_head(("frames", "kills", "bricks taken over", "same bytes"), 0)
+        for count in killed:
+            scan, out = Path(scratch) / f"scan-{count}", Path(scratch) / f"killed-{count}"
+            kills, taken = fused_under_kills(scan, out, memory, seed)
+            same = "yes" if file_digest(out / "fused.ply") == contents[count] else "NO"
+            print_row((f"{count:,}", f"{kills}", f"{taken}", same))
+            remove(out)
+    if plot is not None:
+        draw(plot, drawn)
+
+
+def remove(out: Path) -> None:
+    """Remove results and their cache: of a building they take gigabytes."""
+    for folder in (out, Path(f"{out}-cache")):
+        shutil.rmtree(folder)
+
+
+def draw(path: Path, measured: list[tuple[int, float, float]]) -> None:
+    """Draw what a frame costs, ms of CPU, and peak memory, MB, over the number of frames."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 2.8), layout="constrained")
+    frames, costs, peaks = zip(*measured, strict=True)
+    for axes, values, label in zip(
+        figure.subplots(1, 2), (costs, peaks), ("CPU a frame, ms", "peak memory, MB"), strict=True
+    ):
+        axes.plot(frames, values, "o-", color="#0072b2")
+        axes.set(xscale="log", xlabel="frames", ylabel=label, ylim=(0, 1.2 * max(values)))
+        axes.grid(visible=True, color="#dddddd")
+    figure.savefig(path, dpi=150)
 
 
 def first_frames(building: Path, folder: Path, count: int) -> Path:
@@ -115,8 +139,8 @@ def fused(scan: Path, out: Path, memory: float) -> tuple[Path, Any, float]:
     return out, json.loads((out / "report.json").read_text())["stages"]["fuse"], cpu
 
 
-def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[int, Path, int]:
-    """Fuse a scan by runs that are killed at random, until one ends; return kills, folder, bricks taken."""
+def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[int, int]:
+    """Fuse a scan by runs that are killed at random, until one ends; return kills, bricks taken over."""
     draw, kills, longest = random.Random(seed), 0, 4.0
     while True:
         run = subprocess.Popen(command(scan, out, memory))
@@ -132,14 +156,18 @@ def fused_under_kills(scan: Path, out: Path, memory: float, seed: int) -> tuple[
         # It has to end some time, however large it is.
         longest *= 1.5
     figures = json.loads((out / "report.json").read_text())["stages"]["fuse"]["figures"]
-    return kills, out, figures["bricks"] - figures["bricks_fused"]
+    return kills, figures["bricks"] - figures["bricks_fused"]
 
 
 def add_to(commands: Any) -> None:
     """Add the command `bricks` to those of a parser."""
     parser = commands.add_parser("bricks", description=__doc__)
     parser.add_argument("--building", type=Path, help="made by benches/building.py")
-    parser.add_argument("--frames", type=int, nargs="+", default=[100, 1000, 10_000])
+    parser.add_argument("--frames", type=int, nargs="+", default=[100, 300, 1000, 3000, 10_000])
+    parser.add_argument(
+        "--killed", type=int, nargs="*", default=[1000], help="of these numbers, those killed"
+    )
+    parser.add_argument("--plot", type=Path, help="picture to draw (extra plot)")
     parser.add_argument("--memory", type=float, default=500, help="MB of voxels at a time")
     parser.add_argument("--rooms", type=int, default=50)
     parser.add_argument("--seed", type=int, default=3)

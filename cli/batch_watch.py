@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
+from contextlib import contextmanager
 
 from cli.options import as_typed
 from cli.output import Output, table_of
+from cli.passing_bar import PassingBar
 from pipeline.batch.records import DONE, RUNNING, WAITING, Record
 from pipeline.batch.summary import Summary
 from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, Told
-
-if TYPE_CHECKING:
-    from stages.progress import Progress
 
 
 @contextmanager
@@ -23,14 +20,13 @@ def watching_batch(out: Output) -> Iterator[Tell]:
     try:
         yield watcher
     finally:
-        watcher.close()
+        watcher.bar.close()
 
 
 class _Watcher:
     def __init__(self, out: Output) -> None:
         self._out = out
-        self._bar = ExitStack()
-        self._update: Progress | None = None
+        self.bar = PassingBar(out)
         self._counted = (0, 0)
 
     def __call__(self, told: Told) -> None:
@@ -39,28 +35,21 @@ class _Watcher:
                 self._counted = (told.ended, told.total)
                 self._show()
             case JobEnded():
-                self.close()
+                self.bar.close()
                 self._out.remark(line_of(told.record))
                 tell_warnings(self._out, told.record)
             case Noted():
-                self.close()
+                self.bar.close()
                 self._out.remark(told.text)
             case JobBegun():
                 if told.attempt:
-                    self.close()
+                    self.bar.close()
                     self._out.remark(f"{told.name}: begun again, from what is in the cache")
             case JobAt():
                 self._show()
 
-    def close(self) -> None:
-        """Take the bar away."""
-        self._bar.close()
-        self._update = None
-
     def _show(self) -> None:
-        if self._update is None:
-            self._update = self._bar.enter_context(self._out.progress("scans", "scans"))
-        self._update(*self._counted)
+        self.bar.show("scans", "scans")(*self._counted)
 
 
 def tell_warnings(out: Output, record: Record) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import Any
 
 from cli.options import as_typed
 from cli.output import Output
+from cli.passing_bar import PassingBar
 from pipeline.events import (
     Event,
     Events,
@@ -70,15 +71,13 @@ def watching(out: Output) -> Iterator[Events]:
     try:
         yield watcher
     finally:
-        watcher.close()
+        watcher.bar.close()
 
 
 class _Watcher:
     def __init__(self, out: Output) -> None:
         self._out = out
-        self._bar = ExitStack()
-        self._update: Progress | None = None
-        self._bar_stage = ""
+        self.bar = PassingBar(out)
         self._is_metric = True
 
     def __call__(self, event: Event) -> None:
@@ -86,38 +85,28 @@ class _Watcher:
             case RunStarted():
                 self._started(event)
             case StageStarted():
-                self._show_bar(event.stage)
+                self._bar_of(event.stage)
             case StageProgress():
-                self._show_bar(event.stage)
-                if self._update is not None:
-                    self._update(event.done, event.total)
+                self._bar_of(event.stage)(event.done, event.total)
             case StageFinished():
-                self.close()
+                self.bar.close()
                 self._out.remark(line_of(event, is_metric=self._is_metric))
             case Warned():
-                self.close()
+                self.bar.close()
                 self._out.warn(as_typed(event.text))
             case Waiting():
-                self.close()
+                self.bar.close()
                 self._out.remark(event.text)
 
-    def close(self) -> None:
-        """Take the bar away."""
-        self._bar.close()
-        self._update, self._bar_stage = None, ""
-
     def _started(self, event: RunStarted) -> None:
-        self.close()
+        self.bar.close()
         self._is_metric = event.is_metric
         self._out.remark(f"{event.layout}, {event.frames:,} frames; stages: {', '.join(event.stages)}")
         for warning in event.warnings:
             self._out.warn(as_typed(warning))
 
-    def _show_bar(self, stage: str) -> None:
-        if stage != self._bar_stage:
-            self.close()
-            self._update = self._bar.enter_context(self._out.progress(stage, _UNITS.get(stage, "steps")))
-            self._bar_stage = stage
+    def _bar_of(self, stage: str) -> Progress:
+        return self.bar.show(stage, _UNITS.get(stage, "steps"))
 
 
 def line_of(event: StageFinished, *, is_metric: bool = True) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from pipeline.config import Config
 from stages.errors import UsageError
@@ -51,21 +50,10 @@ class Asked:
 
 def from_anywhere(config: Config) -> Config:
     """Return a configuration whose files are named in full, so that it holds in another folder, too."""
-    for section in config.types():
+    for section, kind in config.types().items():
         params = getattr(config, section)
-        files = {name: _in_full(getattr(params, name)) for name in described(type(params))}
-        changed = {name: value for name, value in files.items() if value is not None}
-        if changed:
-            config = replace(config, **{section: replace(params, **changed)})
+        named = {name: getattr(params, name) for name, about in described(kind).items() if about.is_path}
+        in_full = {name: str(Path(path).absolute()) for name, path in named.items() if path is not None}
+        if in_full:
+            config = replace(config, **{section: replace(params, **in_full)})
     return config
-
-
-def _in_full(value: Any) -> str | Path | None:
-    """Return the absolute path that a value names; None if it is no file that is there."""
-    if not isinstance(value, (str, Path)) or not str(value):
-        return None
-    try:
-        is_there = Path(value).exists()
-    except (OSError, ValueError):
-        return None
-    return type(value)(Path(value).absolute()) if is_there else None

@@ -1,8 +1,7 @@
 """The optional stage `coverage`: what is missing in a scan.
 
-coverage.ply    the clean mesh in colours of what is missing, and what would close its holes behind it; its
-vertices
-                have `frames`, `angle` (degrees) and `pixel` (metres), how well the surface was seen there
+coverage.ply    the clean mesh in colours of what is missing, and what would close its holes behind it; of
+                each vertex `frames`, `angle` (degrees) and `pixel` (metres), how well it was seen there
 coverage.glb    the same, upright
 coverage.json   the places where one should go again, and the figures
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from stages.scans.scan import Scan
@@ -53,6 +53,10 @@ class Expectation:
         beyond = max(self.memory_bytes - BASE_BYTES, 0)
         memory = int(min(self.memory_bytes, BASE_BYTES) + factor * beyond)
         return Expectation(self.seconds * factor, memory, self.basis, int(self.disk_bytes * factor))
+
+    def bounded(self, memory_bytes: int) -> Expectation:
+        """Return it for a stage that keeps to so much memory."""
+        return replace(self, memory_bytes=min(self.memory_bytes, memory_bytes))
 
 
 def megapixels(scan: Scan) -> float:

@@ -1,7 +1,7 @@
 """The stage `fuse`: its mesh, the plane that was left out of it, and what could not be joined to it.
 
 fused.ply
-fused.pieces.json      which of it is of which brick, if space was cut in bricks
+fused.pieces.json      which of it is of which piece, if it is large
 plane.json             what is up from the plane that things stand on, if one was found and left out
 pieces/fused-N.ply     frames that poses could not join to those that are used
 """

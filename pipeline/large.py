@@ -9,15 +9,12 @@ import numpy as np
 from stages.errors import StageError
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
-from stages.surface.pieces import Pieces, table_of
-
-# Triangles; simplifying more at once takes more than 2 GB.
-MOST_AT_ONCE = 5_000_000
+from stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of
 
 
 def is_large(path: Path) -> bool:
     """Whether a mesh that a stage left in pieces has to be worked on piece by piece."""
-    return table_of(path).exists() and Pieces(path).triangle_count > MOST_AT_ONCE
+    return table_of(path).exists()
 
 
 def whole(path: Path, stage: str) -> Mesh:

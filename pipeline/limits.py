@@ -49,10 +49,10 @@ NO_LIMITS = Limits()
 
 
 def within(config: Config, limits: Limits) -> Config:
-    """Return the configuration whose volume of voxels stays within the limit too; no result depends on it."""
+    """Return the configuration whose volume of voxels takes half of the limit; no result depends on it."""
     if limits.memory is None:
         return config
-    most = max((limits.memory - BASE_BYTES) / 1e6, 1.0)
+    most = max((limits.memory - BASE_BYTES) / 2e6, 1.0)
     return replace(config, fuse=replace(config.fuse, memory=min(config.fuse.memory, most)))
 
 

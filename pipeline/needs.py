@@ -12,7 +12,7 @@ from typing import Any
 from pipeline.config import Config
 from pipeline.digest import digest
 from pipeline.entry import DamagedError, read_manifest
-from pipeline.expectation import Expectation, as_before, expected, megapixels
+from pipeline.expectation import BASE_BYTES, Expectation, as_before, expected, megapixels
 from pipeline.plan import plan_for
 from stages.fusion.params import FuseParams
 from stages.scans.scan import Scan
@@ -51,7 +51,9 @@ def expected_of(scan: Scan, config: Config, planned: Sequence[str], cache: Path)
             factor = _finer(earlier[0], voxels, config.fuse)
             if factor is not None:
                 take = as_before(earlier[0], factor * (size / then if then else 1.0), "scaled")
-        found[stage.name] = take
+        # Space is cut in bricks where the volume would outgrow its memory; the rest takes about as much.
+        bound = int(BASE_BYTES + 2e6 * config.fuse.memory)
+        found[stage.name] = take.bounded(bound) if stage.name == "fuse" else take
     return found
 
 

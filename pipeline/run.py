@@ -253,7 +253,7 @@ def run_wanted(
         events,
         overwrite=overwrite,
         megapixels=megapixels(scan),
-        guard=_guard(wanted, cache, limits, events),
+        guard=_guard(wanted, config, cache, limits, events),
     ) as engine:
         if scan.folder is not None:
             engine.results.note(Asked(scan.folder.absolute(), from_anywhere(config), planned[-1]).record())
@@ -269,10 +269,10 @@ def run_wanted(
     return RunResult(out, cache.folder, outcomes, written, page)
 
 
-def _guard(wanted: Wanted, cache: Cache, limits: Limits, events: Events) -> LimitGuard | None:
+def _guard(wanted: Wanted, config: Config, cache: Cache, limits: Limits, events: Events) -> LimitGuard | None:
     if not limits:
         return None
-    expected = expected_of(wanted.scan, wanted.config, wanted.planned, cache.folder)
+    expected = expected_of(wanted.scan, config, wanted.planned, cache.folder)
     by_voxels = [stage.name for stage in wanted.plan if stage.cost.by_voxels]
     return LimitGuard(limits, wanted.config, expected, by_voxels, lambda text: events(Warned(text)))
 

@@ -43,6 +43,7 @@ class TextureSection(TextureParams):
         "their colours are taken, and none of the frames'.",
         # What is in the folder decides, not its name.
         invalidates=False,
+        is_path=True,
     )
 
 

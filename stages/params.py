@@ -37,6 +37,7 @@ class Described:
     invalidates: bool
     group: str
     was: str
+    is_path: bool
 
 
 def param(
@@ -51,6 +52,7 @@ def param(
     invalidates: bool = True,
     group: str = "",
     was: str = "",
+    is_path: bool = False,
 ) -> Any:
     """Declare a field of a parameter class.
 
@@ -58,11 +60,13 @@ def param(
     allowed range, both included (`low_open` leaves `low` out). `invalidates=False` marks what cannot
     change the result (threads, previews), so that the cache ignores it. `group` is a heading for those that
     belong together, in a help that has many. `was` is the name it had before, which is understood for one
-    version more.
+    version more. `is_path` marks the name of a file or folder.
     """
     return field(
         default=default,
-        metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates, group, was)},
+        metadata={
+            "param": Described(text, unit, low, high, low_open, choices, invalidates, group, was, is_path)
+        },
     )
 
 

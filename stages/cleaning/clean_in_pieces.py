@@ -34,12 +34,14 @@ class _Islands:
     of_vertex : (n,) of each vertex, in a file.
     first : of each piece, the number of its first part; one more at the end.
     island : (k,) of each part.
+    in_part : (k,) triangles of each part.
     area, triangles : of each island, m² and how many.
     """
 
     of_vertex: Ids
     first: list[int]
     island: NDArray[np.int64]
+    in_part: NDArray[np.int64]
     area: NDArray[np.float64]
     triangles: NDArray[np.int64]
 
@@ -53,7 +55,7 @@ def clean_in_pieces(
     ----------
     fused, result : PLY files, each with its table of pieces beside it.
     params : of them, those that islands are judged by.
-    progress : called after each piece, three times.
+    progress : called after each piece, twice.
 
     Returns
     -------
@@ -77,7 +79,7 @@ def clean_in_pieces(
             "leave it out, or give a larger fuse.voxel_size."
         )
     pieces = Pieces(fused)
-    steps = 3 * len(pieces)
+    steps = 2 * len(pieces)
     with tempfile.TemporaryDirectory(dir=result.parent) as scratch:
         labels, numbers = (
             np.memmap(Path(scratch) / name, np.int32, "w+", shape=(max(pieces.vertex_count, 1),))
@@ -85,7 +87,7 @@ def clean_in_pieces(
         )
         islands = _islands(pieces, labels, lambda done: progress(done, steps))
         is_kept, min_area = is_large(islands.area, params)
-        sizes = _numbered(pieces, islands, is_kept, numbers, lambda done: progress(len(pieces) + done, steps))
+        sizes = _numbered(pieces, islands, is_kept, numbers)
         if not sizes or not sizes[-1].triangles[1]:
             raise MeshError("has no triangle with an area; nothing is left of it.", "mesh")
 
@@ -97,7 +99,7 @@ def clean_in_pieces(
                 colors = None if part.mesh.colors is None else part.mesh.colors[: part.own][own]
                 triangles = numbers[part.numbers[part.mesh.triangles[chosen]]]
                 yield Written(part.mesh.vertices[: part.own][own], colors, triangles)
-                progress(2 * len(pieces) + number + 1, steps)
+                progress(len(pieces) + number + 1, steps)
 
         write_pieces(result, sizes, kept(), has_colors=pieces.has_colors, spacing=pieces.spacing)
     vertices, triangles = sizes[-1].vertices[1], sizes[-1].triangles[1]
@@ -130,29 +132,28 @@ def _islands(pieces: Pieces, labels: Ids, told: Any) -> _Islands:
     there = np.concatenate([labels[numbers] for numbers, _ in meetings] or [np.zeros(0, np.int32)])
     here = np.concatenate([own for _, own in meetings] or [np.zeros(0, np.int64)])
     islands, island = components(first[-1], here, there)
+    in_part = np.concatenate([np.zeros(0, np.int64), *count])
     return _Islands(
         labels,
         first,
         island.astype(np.int64),
-        np.bincount(island, np.concatenate(area), islands).astype(np.float64),
-        np.bincount(island, np.concatenate(count), islands).astype(np.int64),
+        in_part,
+        np.bincount(island, np.concatenate([np.zeros(0), *area]), islands).astype(np.float64),
+        np.bincount(island, in_part, islands).astype(np.int64),
     )
 
 
-def _numbered(
-    pieces: Pieces, islands: _Islands, is_kept: NDArray[np.bool_], numbers: Ids, told: Any
-) -> list[Extent]:
+def _numbered(pieces: Pieces, islands: _Islands, is_kept: NDArray[np.bool_], numbers: Ids) -> list[Extent]:
     """Give the vertices that stay their new numbers, −1 to all others; return how large the pieces become."""
+    stays_in = is_kept[islands.island]
     at = (0, 0)
     sizes = []
     for number, extent in enumerate(pieces.extents):
-        part = pieces.part(number)
-        of_own = islands.of_vertex[slice(*extent.vertices)]
-        stays = is_kept[islands.island[of_own]]
-        numbers[slice(*extent.vertices)] = np.where(stays, at[0] + np.cumsum(stays) - 1, -1)
-        chosen = is_kept[islands.island[islands.of_vertex[part.numbers[part.mesh.triangles[:, 0]]]]]
-        end = at[0] + int(stays.sum()), at[1] + int(chosen.sum())
+        own = slice(*extent.vertices)
+        stays = stays_in[islands.of_vertex[own]]
+        numbers[own] = np.where(stays, at[0] + np.cumsum(stays) - 1, -1)
+        parts = slice(islands.first[number], islands.first[number + 1])
+        end = at[0] + int(stays.sum()), at[1] + int(islands.in_part[parts][stays_in[parts]].sum())
         sizes.append(Extent((at[0], end[0]), (at[1], end[1]), extent.low, extent.high))
         at = end
-        told(number + 1)
     return sizes

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
@@ -46,27 +47,23 @@ class Work:
     where: Path | None
 
 
-@dataclass
-class Added:
-    """What became of frames: which could not be used; of all others how many pixels had depth, and were used.
+@dataclass(frozen=True)
+class Tally:
+    """Of a frame, how many pixels there are, have a depth, and show what is fused."""
 
-    Attributes
-    ----------
-    outside : how many frames show nothing of what is fused.
-    """
+    pixels: int
+    valid: int
+    used: int
 
-    skipped: list[SkippedFrame] = field(default_factory=list)
-    pixels: int = 0
-    valid: int = 0
-    used: int = 0
-    outside: int = 0
+
+# What became of a frame.
+Outcome: TypeAlias = Tally | SkippedFrame
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """A frame ready to be added: how many pixels are used, the field's own of it, and its colours."""
 
-    frame: Frame
     view: PosedDepth
     used: int
     parts: Any
@@ -114,96 +111,100 @@ def own_volume(work: Work, within: Box | None = None) -> Volume:
     )
 
 
-def add_frames(work: Work, volume: Field, frames: Sequence[Frame], progress: Progress) -> Added:
-    """Add frames to a field, in their order.
+def add_frames(work: Work, volume: Field, frames: Sequence[Frame], progress: Progress) -> list[Outcome]:
+    """Add frames to a field, in their order; return what became of each.
 
     Raises
     ------
     InputError
-        If more than `max_bad_share` of them cannot be used.
+        If more than `max_bad_share` of all frames cannot be used.
     StageError
         If the field outgrows its memory.
     """
 
-    def add(item: Prepared) -> None:
+    def add(_number: int, item: Prepared) -> None:
         # Without parts, nothing is added.
         volume.integrate(item.view, item.parts, work.plan.local(item.view.pose), item.color)
 
     return _each(work, frames, volume.prepared, add, progress, color=work.color)
 
 
-def look_through(work: Work, seen: Callable[[Prepared], object], progress: Progress) -> Added:
-    """Call `seen` with each frame, whose parts are the blocks it touches, and whose colours are not read.
+def look_through(work: Work, seen: Callable[[int, Keys], object], progress: Progress) -> list[Outcome]:
+    """Call `seen` with the number of each frame and the blocks it touches; colours are not read.
 
     Raises
     ------
     InputError
-        If more than `max_bad_share` of them cannot be used.
+        If more than `max_bad_share` of the frames cannot be used.
     """
+    plan = work.plan
 
-    def touched(view: PosedDepth, here: Any, pose: Pose) -> Keys:
-        plan = work.plan
+    def touched(view: PosedDepth, here: NDArray[np.bool_], pose: Pose) -> Keys:
         return touched_blocks(view, here, pose, voxel_size=plan.voxel_size, truncation=plan.truncation)
 
-    return _each(work, work.frames, touched, seen, progress, color=False)
+    def look(number: int, item: Prepared) -> None:
+        seen(number, item.parts)
+
+    return _each(work, work.frames, touched, look, progress, color=False)
 
 
 def _each(
     work: Work,
     frames: Sequence[Frame],
-    parts_of: Callable[[PosedDepth, Any, Pose], Any],
-    take: Callable[[Prepared], object],
+    parts_of: Callable[[PosedDepth, NDArray[np.bool_], Pose], Any],
+    take: Callable[[int, Prepared], object],
     progress: Progress,
     *,
     color: bool,
-) -> Added:
+) -> list[Outcome]:
     plan, params = work.plan, work.params
 
     def prepare(frame: Frame) -> Prepared | SkippedFrame:
         try:
-            if params.upsample == "guided":
-                frame = upsampled_frame(frame, params)
-            view = read_posed_depth(frame, plan.limits)
+            larger = upsampled_frame(frame, params) if params.upsample == "guided" else frame
+            view = read_posed_depth(larger, plan.limits)
             here = plan.fused(view)
-            image = read_matching_color(frame, view.surface.depth) if color and here.any() else None
+            image = read_matching_color(larger, view.surface.depth) if color and here.any() else None
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
         used = int(np.count_nonzero(here))
-        return Prepared(frame, view, used, parts_of(view, here, plan.local(view.pose)), image)
+        return Prepared(view, used, parts_of(view, here, plan.local(view.pose)), image)
 
-    added = Added()
-    for done, item in enumerate(read_ahead(prepare, frames, threads=work.threads, ahead=work.threads + 2), 1):
+    outcomes: list[Outcome] = []
+    ahead = work.threads + 2
+    for number, item in enumerate(read_ahead(prepare, frames, threads=work.threads, ahead=ahead)):
         if isinstance(item, SkippedFrame):
-            added.skipped.append(item)
-            require_share(added.skipped, work)
+            outcomes.append(item)
+            require_share(work, outcomes)
         else:
-            take(item)
-            added.outside += item.used == 0
-            added.pixels += item.view.surface.depth.size
-            added.valid += item.view.valid
-            added.used += item.used
-        progress(done, len(frames))
-    return added
+            take(number, item)
+            outcomes.append(Tally(item.view.surface.depth.size, item.view.valid, item.used))
+        progress(number + 1, len(frames))
+    return outcomes
 
 
-def facts_of(work: Work, added: Added, min_weight: int, volume_bytes: int, device: str) -> dict[str, Any]:
-    """Return the fields of `Facts`."""
+def facts_of(
+    work: Work, outcomes: Sequence[Outcome], min_weight: int, volume_bytes: int, device: str
+) -> dict[str, Any]:
+    """Return the fields of `Facts`; the outcomes are those of all frames."""
     plan = work.plan
+    read = [one for one in outcomes if isinstance(one, Tally)]
+    pixels, valid, used = (sum(getattr(one, name) for one in read) for name in ("pixels", "valid", "used"))
     return {
         "voxel_size": plan.voxel_size,
         "truncation": plan.truncation,
         "max_depth": plan.max_depth,
         "min_weight": min_weight,
         "noise": plan.noise,
-        "frames": len(work.frames) - len(added.skipped) - added.outside,
-        "skipped": tuple(added.skipped),
-        "pixels_valid": added.valid / added.pixels,
-        "pixels_used": added.used / added.pixels,
+        "frames": sum(one.used > 0 for one in read),
+        "skipped": tuple(one for one in outcomes if isinstance(one, SkippedFrame)),
+        "pixels_valid": valid / pixels,
+        "pixels_used": used / pixels,
         "volume_bytes": volume_bytes,
         "device": device,
         "crop": plan.crop,
         "support": plan.support,
-        "outside": added.outside,
+        "outside": sum(one.used == 0 for one in read),
         "warnings": plan.warnings,
         "upsampled": work.factor,
     }
@@ -217,12 +218,12 @@ def least_weight(typical: float, frames: Sequence[Frame]) -> int:
     return min(least, max(len(frames) // 4, 1)) if is_masked else least
 
 
-def nothing_fused(work: Work, added: Added, min_weight: int) -> InputError:
+def nothing_fused(work: Work, outcomes: Sequence[Outcome], min_weight: int) -> InputError:
     """Return the error of a fusion that nothing came out of."""
-    frames = len(work.frames) - len(added.skipped) - added.outside
+    used = [one.used for one in outcomes if isinstance(one, Tally) and one.used]
     return InputError(
-        f"no surface came out of {frames} frames at voxels of {work.plan.voxel_size:g} m: none was seen "
-        f"by {min_weight} of them{inside(work.plan.crop, added.used)}. Check poses and depth scale, or lower "
+        f"no surface came out of {len(used)} frames at voxels of {work.plan.voxel_size:g} m: none was seen "
+        f"by {min_weight} of them{inside(work.plan.crop, sum(used))}. Check poses and depth scale, or lower "
         "min_weight.",
         work.where,
     )
@@ -268,8 +269,9 @@ def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
         )
 
 
-def require_share(skipped: Sequence[SkippedFrame], work: Work) -> None:
+def require_share(work: Work, outcomes: Sequence[Outcome]) -> None:
     """Raise InputError if too many of the frames cannot be used."""
+    skipped = [one for one in outcomes if isinstance(one, SkippedFrame)]
     count, share = len(work.frames), work.params.max_bad_share
     if len(skipped) > share * count:
         raise InputError(

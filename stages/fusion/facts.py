@@ -12,6 +12,7 @@ from stages.fusion.crop import Crop
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise
 from stages.scans.scan import SkippedFrame
+from stages.surface.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +23,12 @@ class MeshFigures:
     highest: NDArray[np.float64]
     vertices: int
     triangles: int
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> MeshFigures:
+        """Return those of a mesh in memory."""
+        vertices = mesh.vertices
+        return cls(vertices.min(axis=0), vertices.max(axis=0), len(vertices), len(mesh.triangles))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from stages.errors import InputError, UsageError
 from stages.fusion.adding import (
@@ -27,6 +28,7 @@ from stages.fusion.params import FuseKeywords, FuseParams
 from stages.fusion.posed_depth import read_matching_color
 from stages.fusion.relief import read_whole, relief
 from stages.fusion.voxels import Field, OutgrownError, Seen, block_bytes
+from stages.fusion.writing import write_fused
 from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 RESULT_VERSION = 6
+
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,10 +63,7 @@ class Fused(Facts):
 
     def figures(self) -> dict[str, Any]:
         """Return the figures for a report, JSON-able, units in the names."""
-        vertices = self.mesh.vertices
-        return self.figures_of(
-            MeshFigures(vertices.min(axis=0), vertices.max(axis=0), len(vertices), len(self.mesh.triangles))
-        )
+        return self.figures_of(MeshFigures.of(self.mesh))
 
 
 def fuse(
@@ -100,21 +101,16 @@ def fuse(
 
     References
     ----------
-    Curless and Levoy 1996; the volume is Open3D's VoxelBlockGrid (see stages.fusion.voxels).
+    Curless and Levoy 1996 (see stages.fusion.voxels).
     """
-    params = resolve(FuseParams, params, changes)
-    device = device_of(params)
-    work = begun(scan, params)
-    if not _is_in_bricks(work, device):
-        try:
-            return _in_one_piece(work, device, progress)
-        except OutgrownError:
-            if not _has_bricks(work, device):
-                raise
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "fused.ply"
-        fused = fuse_in_bricks(work, path, progress=progress)
-        return Fused(mesh=read_ply(path), **fused.facts())
+    work = begun(scan, resolve(FuseParams, params, changes))
+
+    def in_bricks() -> Fused:
+        with tempfile.TemporaryDirectory() as folder:
+            fused = fuse_in_bricks(work, Path(folder) / "fused.ply", progress=progress)
+            return Fused(mesh=read_ply(fused.path), **fused.facts())
+
+    return _fused(work, progress, in_bricks)
 
 
 def fuse_to_file(
@@ -131,17 +127,27 @@ def fuse_to_file(
     InputError, UsageError, StageError
         As `fuse`.
     """
-    device = device_of(params)
     work = begun(scan, params)
-    if not _is_in_bricks(work, device):
-        try:
-            fused = _in_one_piece(work, device, progress)
+    fused = _fused(work, progress, partial(fuse_in_bricks, work, path, kept=kept, progress=progress))
+    if isinstance(fused, Fused):
+        if len(work.frames) > 1 and _has_bricks(work, fused.device):
+            write_fused(path, fused.mesh, work.plan)
+        else:
             write_ply(path, fused.mesh)
-            return fused
-        except OutgrownError:
-            if not _has_bricks(work, device):
-                raise
-    return fuse_in_bricks(work, path, kept=kept, progress=progress)
+    return fused
+
+
+def _fused(work: Work, progress: Progress, in_bricks: Callable[[], R]) -> Fused | R:
+    """Fuse in one piece; or in bricks, where that is asked for or one piece does not fit."""
+    device = device_of(work.params)
+    if _is_in_bricks(work, device):
+        return in_bricks()
+    try:
+        return _in_one_piece(work, device, progress)
+    except OutgrownError:
+        if not _has_bricks(work, device):
+            raise
+        return in_bricks()
 
 
 def _is_in_bricks(work: Work, device: str) -> bool:

@@ -9,6 +9,7 @@ gives in one piece.
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,9 +21,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from stages.files.documents import read_document
 from stages.fusion.adding import (
-    Added,
-    Prepared,
+    Outcome,
     Work,
     add_frames,
     facts_of,
@@ -35,17 +36,14 @@ from stages.fusion.adding import (
 from stages.fusion.bricks import Cube, Seen, bricks_of, level_of, passes, touched_bricks
 from stages.fusion.crop import cut
 from stages.fusion.facts import Facts, MeshFigures
-from stages.fusion.joining import Brick, Joined, Piece, write_piece
-from stages.fusion.scene import point_of
-from stages.fusion.voxels import BLOCK, Box, Keys, Volume, block_bytes, median_of
+from stages.fusion.joining import Joined, Piece, write_piece
+from stages.fusion.voxels import Box, Keys, Volume, block_bytes, median_of
+from stages.fusion.writing import PIECE_SIZE, write_fused, write_joined
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.scan import SkippedFrame
-from stages.surface.pieces import Extent, Written, write_pieces
 
-# Metres; of a brick, where nothing else is said.
-BRICK_SIZE = 4.0
-_COUNTS, _PIECE = "frame_counts.npy", "surface.npz"
+_COUNTS, _SKIPPED = "frame_counts.npy", "skipped.json"
 
 
 class Kept(Protocol):
@@ -101,9 +99,8 @@ def fuse_in_bricks(
     InputError, StageError
         As `fuse`; a single brick may outgrow the memory, too.
     """
-    level = level_of(work.params.brick_size or BRICK_SIZE, work.plan.voxel_size)
+    level = level_of(work.params.brick_size or PIECE_SIZE, work.plan.voxel_size)
     index = _index(work, level, progress)
-    added = index.added
     with _somewhere(kept, result.parent) as kept:
         # A frame that touches a block measured some of its voxels: about half.
         min_weight = work.params.min_weight or least_weight(index.typical / 2, work.frames)
@@ -113,18 +110,17 @@ def fuse_in_bricks(
         if known != min_weight:
             min_weight = known
             made = _make(work, index, level, kept, min_weight, progress)
-        added.skipped = _all_skipped(work, added, made.skipped)
-        pieces = (folder / _PIECE for folder in made.folders)
-        joined = Joined([Brick(cube, path) for cube, path in zip(made.bricks, pieces, strict=True)])
+        outcomes = _outcomes(work, index, made)
+        joined = Joined(made.bricks, made.folders)
         if not joined.triangle_count:
-            raise nothing_fused(work, added, min_weight)
+            raise nothing_fused(work, outcomes, min_weight)
         figures = _write(work, joined, result)
     return FusedInBricks(
         path=result,
         mesh_figures=figures,
         bricks=len(made.bricks),
         fused_bricks=made.fused,
-        **facts_of(work, added, min_weight, made.volume_bytes, "CPU:0"),
+        **facts_of(work, outcomes, min_weight, made.volume_bytes, "CPU:0"),
     )
 
 
@@ -134,13 +130,13 @@ class _Index:
 
     Attributes
     ----------
-    added : what became of them.
+    outcomes : what became of each, by its depth.
     blocks : keys of all blocks that are touched, in their order.
     typical : how many frames touch the median one.
     frames : by brick, the numbers of the frames that its surface may depend on.
     """
 
-    added: Added
+    outcomes: list[Outcome]
     blocks: Keys
     typical: float
     frames: Mapping[int, list[int]]
@@ -148,16 +144,15 @@ class _Index:
 
 def _index(work: Work, level: int, progress: Progress) -> _Index:
     seen, frames = Seen(), defaultdict(list)
-    numbers = {id(frame): i for i, frame in enumerate(work.frames)}
 
-    def note(item: Prepared) -> None:
-        seen.add(item.parts)
-        for brick in touched_bricks(item.parts, level):
-            frames[brick].append(numbers[id(item.frame)])
+    def note(number: int, keys: Keys) -> None:
+        seen.add(keys)
+        for brick in touched_bricks(keys, level):
+            frames[brick].append(number)
 
-    added = look_through(work, note, progress)
+    outcomes = look_through(work, note, progress)
     keys, times = seen.all()
-    return _Index(added, keys, float(np.median(times)) if len(times) else 0.0, frames)
+    return _Index(outcomes, keys, float(np.median(times)) if len(times) else 0.0, frames)
 
 
 @dataclass
@@ -168,7 +163,6 @@ class _Made:
     folders: list[Path]
     fused: int
     volume_bytes: int
-    skipped: list[SkippedFrame]
 
 
 def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, progress: Progress) -> _Made:
@@ -176,7 +170,7 @@ def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, pr
     most_blocks = int(work.params.memory * 1e6 / block_bytes(color=work.color))
     with_blocks = {int(number) for number in np.unique(index.blocks >> np.uint64(3 * level))}
     decided = _decided(work, min_weight)
-    made = _Made([], [], 0, 0, [])
+    made = _Made([], [], 0, 0)
     for cube in passes(index.blocks, level, most_blocks):
         bricks = bricks_of(cube, with_blocks, level)
         folders = {brick: kept.get(brick, index.frames[brick.number], decided) for brick in bricks}
@@ -184,13 +178,20 @@ def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, pr
         if missing:
             numbers = sorted({frame for brick in missing for frame in index.frames[brick.number]})
             volume = own_volume(work, _around(missing))
-            added = add_frames(work, volume, [work.frames[i] for i in numbers], progress)
-            made.skipped += added.skipped
+            outcomes = add_frames(work, volume, [work.frames[i] for i in numbers], progress)
+            reasons = {
+                number: one.reason
+                for number, one in zip(numbers, outcomes, strict=True)
+                if isinstance(one, SkippedFrame)
+            }
             made.volume_bytes = max(made.volume_bytes, volume.bytes)
             made.fused += len(missing)
             for brick in missing:
-                write = partial(_write_brick, volume, min_weight, brick)
-                folders[brick] = kept.store(brick, index.frames[brick.number], decided, write)
+                frames = index.frames[brick.number]
+                # By places among the brick's own: other frames may come between before it is used again.
+                skipped = {at: reasons[number] for at, number in enumerate(frames) if number in reasons}
+                write = partial(_write_brick, volume, min_weight, brick, skipped)
+                folders[brick] = kept.store(brick, frames, decided, write)
         made.bricks += bricks
         made.folders += [folder for folder in folders.values() if folder is not None]
     return made
@@ -221,54 +222,37 @@ def _around(bricks: Sequence[Cube]) -> Box:
     return (int(x), int(y), int(z)), (int(right), int(top), int(back))
 
 
-def _write_brick(volume: Volume, min_weight: int, brick: Cube, folder: Path) -> None:
-    """Write a brick's surface, and how often its voxels were seen."""
+def _write_brick(
+    volume: Volume, min_weight: int, brick: Cube, skipped: Mapping[int, str], folder: Path
+) -> None:
+    """Write a brick's surface, how often its voxels were seen, and which frames were skipped, and why."""
     within = brick.low, brick.high
     np.save(folder / _COUNTS, volume.frame_counts(within))
     mesh, _, joints = volume.surface(min_weight, within)
-    write_piece(folder / _PIECE, Piece(mesh.vertices, mesh.triangles, mesh.colors, joints))
+    write_piece(folder, Piece(mesh.vertices, mesh.triangles, mesh.colors), joints)
+    (folder / _SKIPPED).write_text(json.dumps(skipped) + "\n", encoding="utf-8", newline="\n")
 
 
-def _all_skipped(work: Work, added: Added, later: Sequence[SkippedFrame]) -> list[SkippedFrame]:
-    """Return all frames that were skipped, once, in order: colours are read only where they are used."""
-    reasons = {one.name: one for one in [*added.skipped, *later]}
-    skipped = [reasons[frame.name] for frame in work.frames if frame.name in reasons]
-    require_share(skipped, work)
-    return skipped
+def _outcomes(work: Work, index: _Index, made: _Made) -> list[Outcome]:
+    """Return what became of all frames, also of those whose colours were no good where they were used."""
+    outcomes = list(index.outcomes)
+    for brick, folder in zip(made.bricks, made.folders, strict=True):
+        for at, reason in read_document(folder / _SKIPPED).items():
+            number = index.frames[brick.number][int(at)]
+            outcomes[number] = SkippedFrame(work.frames[number].name, reason)
+    require_share(work, outcomes)
+    return outcomes
 
 
 def _write(work: Work, joined: Joined, result: Path) -> MeshFigures:
-    """Write the whole, in pieces; cut at the crop it is one piece, which then has room in memory."""
+    """Write the whole; what is cut at a crop has room in memory."""
     plan = work.plan
-    block = BLOCK * plan.voxel_size
-    if plan.crop:
-        mesh = joined.mesh()
-        mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
-        lowest, highest = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-        size = Extent((0, len(mesh.vertices)), (0, len(mesh.triangles)), point_of(lowest), point_of(highest))
-        whole = Written(mesh.vertices, mesh.colors, mesh.triangles)
-        write_pieces(result, [size], [whole], has_colors=work.color, spacing=plan.voxel_size)
-        return MeshFigures(lowest, highest, len(mesh.vertices), len(mesh.triangles))
-    lowest, highest = np.full(3, np.inf), np.full(3, -np.inf)
-
-    def pieces() -> Iterator[Written]:
-        for piece, triangles in zip(joined.pieces(), joined.triangles(), strict=True):
-            places = piece.vertices + plan.origin
-            if len(places):
-                np.minimum(lowest, places.min(axis=0), out=lowest)
-                np.maximum(highest, places.max(axis=0), out=highest)
-            yield Written(places, piece.colors, triangles)
-
-    sizes = [
-        Extent(
-            vertices,
-            triangles,
-            *(point_of(np.array(c) * block + plan.origin) for c in (brick.low, brick.high)),
-        )
-        for brick, vertices, triangles in joined.sizes()
-    ]
-    write_pieces(result, sizes, pieces(), has_colors=work.color, spacing=plan.voxel_size)
-    return MeshFigures(lowest, highest, joined.vertex_count, joined.triangle_count)
+    if not plan.crop:
+        return write_joined(result, joined, plan, has_colors=work.color)
+    mesh = joined.mesh()
+    mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
+    write_fused(result, mesh, plan)
+    return MeshFigures.of(mesh)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from stages.surface.mesh import Mesh
 
 # Edges of a block, first and second vertices, have codes below this.
 _CODES = 1 << 12
-_JOINTS = ("foreign_blocks", "foreign_codes", "shared_blocks", "shared_codes", "shared_numbers")
+_SURFACE, _JOINT = "surface.npz", "joint.npz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,41 +34,48 @@ class Piece:
     vertices : (n, 3) float64 metres, in the field's axes.
     triangles : (m, 3) int32; numbers from n upward are those of vertices that neighbours have.
     colors : (n, 3) uint8, or None.
-    joints : uint64; blocks (k,) in Z-order and codes of edges (k,) of the vertices that neighbours have; the
-        same (j,) of the vertices on lower faces, which neighbours may name, and their numbers.
     """
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
     colors: NDArray[np.uint8] | None
-    joints: Sequence[Keys]
 
 
-def write_piece(path: Path, piece: Piece) -> None:
-    """Write a piece as an uncompressed .npz file."""
-    arrays: dict[str, NDArray[Any]] = dict(zip(_JOINTS, piece.joints, strict=True))
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """How a piece is joined to those beside it, and how large it is.
+
+    Attributes
+    ----------
+    foreign : uint64; blocks (k,) in Z-order, and codes of edges (k,), of the vertices that neighbours have.
+    shared : the same (j,) of the vertices on lower faces, which neighbours may name, and their numbers.
+    size : of vertices and triangles.
+    """
+
+    foreign: tuple[Keys, Keys]
+    shared: tuple[Keys, Keys, Keys]
+    size: tuple[int, int]
+
+
+def write_piece(folder: Path, piece: Piece, joints: Sequence[Keys]) -> None:
+    """Write a piece as uncompressed .npz files: the surface, and beside it how it is joined."""
+    arrays: dict[str, NDArray[Any]] = {"vertices": piece.vertices, "triangles": piece.triangles}
     if piece.colors is not None:
         arrays["colors"] = piece.colors
-    np.savez(path, allow_pickle=False, vertices=piece.vertices, triangles=piece.triangles, **arrays)
+    np.savez(folder / _SURFACE, allow_pickle=False, **arrays)
+    size = np.array([len(piece.vertices), len(piece.triangles)])
+    np.savez(folder / _JOINT, size, *joints)
 
 
-def read_piece(path: Path) -> Piece:
-    """Read what `write_piece` wrote."""
-    with np.load(path) as kept:
-        return Piece(
-            kept["vertices"],
-            kept["triangles"],
-            kept.get("colors"),
-            [kept[name] for name in _JOINTS],
-        )
+def _read_piece(folder: Path) -> Piece:
+    with np.load(folder / _SURFACE) as kept:
+        return Piece(kept["vertices"], kept["triangles"], kept.get("colors"))
 
 
-@dataclass(frozen=True)
-class Brick:
-    """A brick, and the file of its piece."""
-
-    cube: Cube
-    path: Path
+def _read_joint(folder: Path) -> Joint:
+    with np.load(folder / _JOINT) as kept:
+        size, *joints = (kept[f"arr_{i}"] for i in range(6))
+    return Joint((joints[0], joints[1]), (joints[2], joints[3], joints[4]), (int(size[0]), int(size[1])))
 
 
 class Joined:
@@ -76,7 +83,13 @@ class Joined:
 
     Parameters
     ----------
-    bricks : in their order.
+    cubes : the bricks, in their order.
+    folders : of their pieces.
+
+    Attributes
+    ----------
+    vertex_ends, triangle_ends : (k + 1,) how many there are before each brick, and in all.
+    vertex_count, triangle_count : in all.
 
     Raises
     ------
@@ -84,51 +97,40 @@ class Joined:
         If there are more triangles than can be numbered.
     """
 
-    def __init__(self, bricks: Sequence[Brick]) -> None:
-        self._bricks = list(bricks)
-        self._level = bricks[0].cube.level if bricks else 0
-        self._place = {brick.cube.number: i for i, brick in enumerate(bricks)}
-        self._shared: list[tuple[Keys, NDArray[np.int64]]] = []
-        vertices, triangles = [0], [0]
-        for brick, piece in zip(self._bricks, self.pieces(), strict=True):
-            vertices.append(len(piece.vertices))
-            triangles.append(len(piece.triangles))
-            blocks, codes, numbers = piece.joints[2:]
-            self._shared.append((self._local(brick.cube.number, blocks, codes), numbers.astype(np.int64)))
-        self._vertices, self._triangles = np.cumsum(vertices), np.cumsum(triangles)
-        self.vertex_count, self.triangle_count = int(self._vertices[-1]), int(self._triangles[-1])
+    def __init__(self, cubes: Sequence[Cube], folders: Sequence[Path]) -> None:
+        self.cubes = list(cubes)
+        self._folders = list(folders)
+        self._level = cubes[0].level if cubes else 0
+        self._place = {cube.number: i for i, cube in enumerate(cubes)}
+        self._joints = [_read_joint(folder) for folder in folders]
+        sizes = np.array([(0, 0), *(joint.size for joint in self._joints)], np.int64)
+        self.vertex_ends, self.triangle_ends = np.cumsum(sizes, axis=0).T
+        self.vertex_count, self.triangle_count = int(self.vertex_ends[-1]), int(self.triangle_ends[-1])
         if max(self.vertex_count, self.triangle_count) > np.iinfo(np.int32).max:
             raise StageError(
                 f"the surface has {self.triangle_count:,} triangles, more than can be numbered. Give a "
                 "larger voxel_size, or fuse a part of the scan (box)."
             )
+        self._shared = [
+            self._local(cube.number, *joint.shared[:2])
+            for cube, joint in zip(cubes, self._joints, strict=True)
+        ]
 
-    def sizes(self) -> Iterator[tuple[Cube, tuple[int, int], tuple[int, int]]]:
-        """Yield each brick with first and end of its vertices and of its triangles."""
-        for i, brick in enumerate(self._bricks):
-            vertices, triangles = (
-                (int(ends[i]), int(ends[i + 1])) for ends in (self._vertices, self._triangles)
-            )
-            yield brick.cube, vertices, triangles
-
-    def pieces(self) -> Iterator[Piece]:
-        """Yield the pieces one after the other, as they are."""
-        return (read_piece(brick.path) for brick in self._bricks)
-
-    def triangles(self) -> Iterator[NDArray[np.int32]]:
-        """Yield the triangles of each piece by numbers that count through all of them."""
-        for first, piece in zip(self._vertices, self.pieces(), strict=False):
+    def __iter__(self) -> Iterator[tuple[Piece, NDArray[np.int32]]]:
+        """Yield the pieces, each with its triangles by numbers that count through all of them."""
+        for first, folder, joint in zip(self.vertex_ends, self._folders, self._joints, strict=False):
+            piece = _read_piece(folder)
             own = np.arange(first, first + len(piece.vertices))
-            numbers = np.concatenate([own, self._numbers(*piece.joints[:2])])
-            yield numbers[piece.triangles].astype(np.int32)
+            numbers = np.concatenate([own, self._numbers(*joint.foreign)])
+            yield piece, numbers[piece.triangles].astype(np.int32)
 
     def mesh(self) -> Mesh:
         """Return all of it, in memory."""
-        pieces = list(self.pieces())
+        pieces, triangles = zip(*self, strict=True)
         colors = [piece.colors for piece in pieces if piece.colors is not None]
         return Mesh(
             np.concatenate([piece.vertices for piece in pieces]),
-            np.concatenate(list(self.triangles())),
+            np.concatenate(triangles),
             np.concatenate(colors) if colors else None,
         )
 
@@ -145,12 +147,12 @@ class Joined:
             place = self._place.get(int(brick))
             if place is None:
                 raise _do_not_fit()
-            known, its_numbers = self._shared[place]
+            known, its_numbers = self._shared[place], self._joints[place].shared[2].astype(np.int64)
             wanted = self._local(int(brick), blocks[here], codes[here])
             at = np.searchsorted(known, wanted)
             if (at == len(known)).any() or (known[at] != wanted).any():
                 raise _do_not_fit()
-            numbers[here] = self._vertices[place] + its_numbers[at]
+            numbers[here] = self.vertex_ends[place] + its_numbers[at]
         return numbers
 
 

@@ -131,6 +131,7 @@ class FuseParams:
         unit="m",
         low=0,
         low_open=True,
+        high=4,
         invalidates=False,
     )
     backend: str = param(

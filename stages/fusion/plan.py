@@ -38,7 +38,7 @@ _EVERY, _SHOWN = 16, 1 / 6
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
 # Degrees. What is seen more obliquely, other frames see better, if there are any.
-_MAX_ANGLE, _MAX_ANGLE_ALONE = 87.0, 89.0
+MAX_ANGLE, MAX_ANGLE_ALONE = 87.0, 89.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -173,7 +173,7 @@ def limits_of(params: FuseParams, *, alone: bool = False) -> DepthLimits:
         min_depth=params.min_depth,
         max_depth=params.max_depth or math.inf,
         max_jump=params.max_jump,
-        max_angle=params.max_angle or (_MAX_ANGLE_ALONE if alone else _MAX_ANGLE),
+        max_angle=params.max_angle or (MAX_ANGLE_ALONE if alone else MAX_ANGLE),
     )
 
 

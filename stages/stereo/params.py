@@ -86,6 +86,7 @@ class DepthParams:
         "measured, with scale and shift as measured depth has them, of confidence 1",
         # What is in the file and beside it decides, not its name.
         invalidates=False,
+        is_path=True,
     )
     model_error: float = param(
         0.1,

@@ -1,7 +1,7 @@
 """Meshes that no memory holds at once: a PLY file in pieces, each a range of its vertices and triangles.
 
 mesh.ply           as any program reads it
-mesh.pieces.json   which vertices and triangles belong to which piece, and the box of each
+mesh.pieces.json   if it is that large: which vertices and triangles belong to which piece, and its box
 
 A piece's triangles name vertices of other pieces where they join them. Whatever works piece by piece reads a
 piece with those, as a mesh of its own, and the numbers its vertices have in all.
@@ -27,6 +27,13 @@ from stages.surface.mesh import Mesh
 Point = tuple[float, float, float]
 
 _FACE = np.dtype([("length", "u1"), ("corners", "<i4", (3,))])
+# Triangles; of more, a mesh is worked on in pieces. To simplify so many at once takes about 2 GB.
+MOST_AT_ONCE = 5_000_000
+
+
+def is_many(triangles: int) -> bool:
+    """Whether a mesh of so many triangles is worked on in pieces."""
+    return triangles > MOST_AT_ONCE
 
 
 @dataclass(frozen=True)
@@ -160,7 +167,7 @@ class Written:
 def write_pieces(
     path: Path, sizes: Sequence[Extent], pieces: Iterable[Written], *, has_colors: bool, spacing: float
 ) -> None:
-    """Write a PLY file and the table of its pieces.
+    """Write a PLY file, and the table of its pieces if it has more than MOST_AT_ONCE triangles.
 
     Parameters
     ----------
@@ -193,6 +200,8 @@ def write_pieces(
                 file.seek(ends[which])
                 file.write(table.data)
                 ends[which] += table.nbytes
+    if not is_many(triangle_count):
+        return
     document = {"has_colors": has_colors, "spacing_m": spacing, "pieces": [asdict(one) for one in sizes]}
     with replacing(table_of(path)) as part:
         part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.errors import InputError
+from stages.fusion.plan import MAX_ANGLE, MAX_ANGLE_ALONE
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.prefetch import read_ahead, workers
@@ -30,9 +31,6 @@ _MOST_DRAWN = 1_500_000
 _MARGIN = 1 / 210
 # Of the mesh's diagonal, before which nothing is seen.
 _NEAR = 1e-4
-# Degrees to the normal beyond which a photo shows nothing of a place, as fusion believes no depth: of several
-# photos, and of one alone.
-_FLATTEST, _FLATTEST_ALONE = 87.0, 89.0
 # Standard deviation of the blur that parts details from the rest, of the photo's width.
 _BLUR = 3 / 640
 
@@ -64,7 +62,8 @@ def see(
     progress : called after each photo.
     """
     near = near_of(mesh)
-    flattest = float(np.cos(np.radians(_FLATTEST_ALONE if len(photos) == 1 else _FLATTEST)))
+    # Beyond, fusion believes no depth either.
+    flattest = float(np.cos(np.radians(MAX_ANGLE_ALONE if len(photos) == 1 else MAX_ANGLE)))
 
     def prepared(number: int) -> _kernels.View:
         photo = photos.read(number)

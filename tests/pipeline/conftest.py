@@ -5,6 +5,8 @@ from types import ModuleType
 
 import pytest
 
+from pipeline.cache import Cache
+
 _TOY = Path(__file__).with_name("toy.py")
 
 
@@ -24,3 +26,13 @@ def toy() -> ModuleType:
 def scan(toy: ModuleType, tmp_path: Path) -> Path:
     """A small scan folder for the toy pipeline."""
     return toy.write_scan(tmp_path / "scan")
+
+
+@pytest.fixture
+def warnings() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def cache(tmp_path: Path, warnings: list[str]) -> Cache:
+    return Cache(tmp_path / "cache", warnings.append)

@@ -9,8 +9,8 @@ from typing import Any
 
 import cv2
 import pytest
+from sample_in_pieces import small_pieces
 
-from pipeline import large
 from pipeline.config import Config
 from pipeline.run import run
 from stages.errors import StageError
@@ -42,7 +42,7 @@ def part_of_sample(folder: Path, numbers: list[int]) -> Path:
 
 
 def figures(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str, Any]:
-    result = run(scan, out, Config().set([*QUICK, *more]), until=until)
+    result = run(scan, out, Config().set([*QUICK, *more]), until=until, cache_dir=f"{out}-cache")
     stages: Any = result.report["stages"]
     return {name: stage["figures"] for name, stage in stages.items()}
 
@@ -95,23 +95,24 @@ def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
     assert (out / "fused.ply").read_bytes() == (tmp_path / "alone" / "fused.ply").read_bytes()
 
 
-def test_large_meshes_go_from_stage_to_stage_in_pieces(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> None:
     scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
     ratio = "simplify.ratio=0.2"
     at_once = figures(scan, tmp_path / "at-once", ratio, until="simplify")
-    monkeypatch.setattr(large, "MOST_AT_ONCE", 5_000)
-    in_pieces = figures(scan, tmp_path / "pieces", ratio, until="simplify")
-    assert in_pieces["simplify"]["parts"] > 5
+    whole = "fuse.brick_size=none"
+    ways = {"bricks": ("fuse.brick_size=0.16",), "one": (whole,), "tight": (whole, "fuse.memory=1")}
+    with small_pieces():
+        for way, settings in ways.items():
+            in_pieces = figures(scan, tmp_path / way, ratio, *settings, until="simplify")
+            assert ("bricks" in in_pieces["fuse"]) == (way != "one")
+            assert in_pieces["simplify"]["parts"] > 5
+        with pytest.raises(StageError, match=r"lod reads all of clean\.ply at once"):
+            figures(scan, tmp_path / "one", ratio, "lod.enabled=true", until="lod")
     assert in_pieces["simplify"]["triangles"] == pytest.approx(at_once["simplify"]["triangles"], abs=2)
+    for name in ("fused.ply", "clean.ply", "simplified.ply"):
+        assert len({(tmp_path / way / name).read_bytes() for way in ways}) == 1
     for name in ("fused.ply", "clean.ply"):
-        assert (tmp_path / "pieces" / name).read_bytes() == (tmp_path / "at-once" / name).read_bytes()
-    one, other = (topology(read_ply(tmp_path / out / "simplified.ply")) for out in ("at-once", "pieces"))
-    assert (one.euler, one.components, one.boundary_loops) == (
-        other.euler,
-        other.components,
-        other.boundary_loops,
-    )
-    with pytest.raises(StageError, match=r"lod reads all of clean\.ply at once"):
-        figures(scan, tmp_path / "pieces", ratio, "lod.enabled=true", until="lod")
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "at-once" / name).read_bytes()
+    one, other = (topology(read_ply(tmp_path / out / "simplified.ply")) for out in ("at-once", "one"))
+    assert (one.euler, one.components) == (other.euler, other.components)
+    assert one.boundary_loops == other.boundary_loops

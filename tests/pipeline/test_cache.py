@@ -1,57 +1,19 @@
-"""Entries are whole or absent, damage is noticed, and processes do not harm each other."""
+"""Entries are whole or absent, damage is noticed, and what is unused goes."""
 
 import builtins
 import errno
 import json
 import os
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, drafts, flip, make, stored
 
 from pipeline.cache import Cache
 from pipeline.entry import Recipe
 from stages.errors import StageError
-
-ON_WINDOWS = sys.platform == "win32"
-MAY_WRITE_ANYWHERE = ON_WINDOWS or os.geteuid() == 0
-
-RECIPE = Recipe("fuse", {"fuse": 1}, {"fuse": {"voxel_size": 0.01}}, {"frames": "abc"})
-
-
-def make(folder: Path) -> dict:
-    (folder / "maps").mkdir()
-    (folder / "maps" / "0.bin").write_bytes(bytes(range(200)))
-    (folder / "fused.ply").write_bytes(b"ply" * 1000)
-    return {"figures": {"triangles": 7}, "made": {"seconds": 1.5}}
-
-
-def fail(folder: Path) -> dict:
-    raise AssertionError(f"made again in {folder}")
-
-
-def stored(cache: Cache, recipe: Recipe = RECIPE, how=make, **options) -> Path:
-    entry = cache.store(recipe, how, **options)
-    entry.close()
-    return entry.folder
-
-
-def drafts(cache: Cache) -> list[Path]:
-    return list((cache.folder / "drafts").iterdir())
-
-
-@pytest.fixture
-def warnings() -> list[str]:
-    return []
-
-
-@pytest.fixture
-def cache(tmp_path: Path, warnings: list[str]) -> Cache:
-    return Cache(tmp_path / "cache", warnings.append)
 
 
 def test_entry_comes_back_as_it_was_stored(cache):
@@ -95,12 +57,6 @@ def test_failing_stage_leaves_nothing(cache, error):
         cache.store(RECIPE, break_off)
     assert cache.get(RECIPE) is None
     assert drafts(cache) == []
-
-
-def flip(path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0x10
-    path.write_bytes(data)
 
 
 def cut_short(path: Path) -> None:
@@ -174,144 +130,6 @@ def test_files_a_person_adds_do_no_harm(cache, warnings):
     (stored(cache) / "notes.txt").write_text("mine")
     assert cache.get(RECIPE) is not None
     assert warnings == []
-
-
-def test_slower_of_two_makers_uses_the_entry_of_the_faster(cache):
-    def slow(folder):
-        stored(Cache(cache.folder))
-        (folder / "fused.ply").write_bytes(b"of the slower one")
-        return {"figures": {"triangles": 8}}
-
-    entry = cache.store(RECIPE, slow)
-    assert entry.figures == {"triangles": 7}
-    assert drafts(cache) == []
-
-
-def test_slower_maker_replaces_an_entry_that_is_damaged(cache, warnings):
-    def slow(folder):
-        flip(stored(Cache(cache.folder)) / "fused.ply")
-        (folder / "fused.ply").write_bytes(b"of the slower one")
-        return {"figures": {"triangles": 8}}
-
-    entry = cache.store(RECIPE, slow)
-    assert entry.figures == {"triangles": 8}
-    assert len(warnings) == 1
-
-
-def test_forced_result_takes_the_place_of_the_old_one(cache):
-    stored(cache)
-
-    def again(folder):
-        (folder / "fused.ply").write_bytes(b"again")
-        return {"figures": {}}
-
-    assert (stored(cache, how=again, replace=True) / "fused.ply").read_bytes() == b"again"
-    assert drafts(cache) == []
-
-
-def test_entry_in_use_is_not_pruned(cache):
-    entry = cache.store(RECIPE, make)
-    reader = Cache(cache.folder).get(RECIPE)
-    entry.close()
-    assert cache.prune() == []
-    assert entry.folder.exists()
-    reader.close()
-    assert [removed.key for removed in cache.prune()] == [RECIPE.key]
-    assert not entry.folder.exists()
-    assert drafts(cache) == []
-
-
-@pytest.mark.skipif(ON_WINDOWS, reason="Windows moves nothing that is open")
-def test_entry_replaced_while_it_is_read_stays_until_the_reader_lets_go(cache):
-    stored(cache)
-    reader = cache.get(RECIPE)
-    with (reader.folder / "fused.ply").open("rb") as file:
-        stored(cache, how=make, replace=True)
-        assert file.read() == b"ply" * 1000
-    assert len(drafts(cache)) == 1, "put aside, not deleted"
-    reader.close()
-    cache.remove_abandoned()
-    assert drafts(cache) == []
-
-
-@pytest.mark.skipif(not ON_WINDOWS, reason="elsewhere what is open can be moved")
-def test_entry_that_is_being_read_is_not_replaced_where_open_files_cannot_be_moved(cache):
-    stored(cache)
-    reader = cache.get(RECIPE)
-    with pytest.raises(StageError, match=r"^the result of fuse cannot be written to the cache"):
-        stored(cache, how=make, replace=True)
-    assert (reader.folder / "fused.ply").read_bytes() == b"ply" * 1000
-    assert drafts(cache) == []
-    reader.close()
-    stored(cache, how=make, replace=True)
-
-
-def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cache):
-    script = (
-        "import time; from pathlib import Path\n"
-        "from pipeline.cache import Cache; from pipeline.entry import Recipe\n"
-        "def make(folder):\n"
-        "    (folder / 'part').write_bytes(b'half'); print('made', flush=True); time.sleep(60)\n"
-        f"Cache(Path({str(cache.folder)!r})).store(Recipe('fuse', {{'fuse': 1}}), make)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline() == b"made\n"
-        cache.remove_abandoned()
-        assert [(draft / "part").exists() for draft in drafts(cache)] == [True]
-        process.kill()
-    cache.remove_abandoned()
-    assert drafts(cache) == []
-    assert cache.ls() == []
-
-
-def test_draft_of_another_machine_is_its_own_matter(cache, monkeypatch):
-    # Its lock may be held where this machine cannot see it.
-    with monkeypatch.context() as patched:
-        patched.setattr("pipeline.cache.machine_mark", lambda: "m00000000")
-        cache._new_draft("fuse")[1].release()
-    stored(cache)
-    cache.remove_abandoned()
-    assert [draft.name.split("-")[1] for draft in drafts(cache)] == ["m00000000"]
-    cache.prune(everywhere=True)
-    assert drafts(cache) == []
-
-
-@pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
-@pytest.mark.parametrize("code", [errno.ENOLCK, errno.EOPNOTSUPP])
-def test_a_shared_folder_without_locks_is_used_all_the_same(cache, monkeypatch, code):
-    def refuse(*_):
-        raise OSError(code, os.strerror(code))
-
-    monkeypatch.setattr("fcntl.flock", refuse)
-    first = stored(cache)
-    assert cache.get(RECIPE).folder == first
-    # Nobody can say whether somebody is at it.
-    draft, lock = cache._new_draft("fuse")
-    lock.release()
-    cache.remove_abandoned()
-    assert draft.exists()
-
-
-@pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
-def test_of_two_that_make_one_entry_without_locks_the_first_has_it(cache, monkeypatch):
-    monkeypatch.setattr("fcntl.flock", lambda *_: None)
-
-    usual, looks = cache._is_entry, []
-
-    def look(place):
-        # The other comes in the moment between the look whether it is there and the move.
-        looks.append(place)
-        if len(looks) == 1:
-            stored(Cache(cache.folder))
-            return False
-        return usual(place)
-
-    monkeypatch.setattr(cache, "_is_entry", look)
-    entry = cache.store(RECIPE, make)
-    monkeypatch.undo()
-    assert len(looks) > 1
-    assert entry.folder == cache.get(RECIPE).folder
-    assert drafts(cache) == []
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
@@ -411,25 +229,6 @@ def test_unreadable_record_of_a_run_counts_as_none(cache, tmp_path):
         assert cache.ls() == []
 
 
-@pytest.mark.slow
-def test_two_processes_at_once_make_one_whole_entry_each(toy: ModuleType, scan, tmp_path):
-    expected = [outcome.folder.name for outcome in toy.run(scan, tmp_path / "alone")]
-    shared = tmp_path / "out"
-    processes = [
-        subprocess.Popen([sys.executable, toy.__file__, str(scan), str(shared)], stderr=subprocess.PIPE)
-        for _ in range(4)
-    ]
-    errors = [process.communicate()[1] for process in processes]
-    assert [process.returncode for process in processes] == [0] * 4, errors
-    cache = Cache(shared / "cache")
-    assert sorted(e.key for e in cache.verify()) == sorted(expected)
-    assert [e.problem for e in cache.verify()] == [None] * 3
-    assert drafts(cache) == []
-    for name in ("mixed.bin", "cut.bin", "tables/counts.txt"):
-        assert (shared / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
-    assert not list(shared.rglob("*.part"))
-
-
 def test_writing_never_happens_in_an_entrys_place(cache, monkeypatch):
     """No file below a stage's folder is ever opened for writing, but for locks."""
     opened = []
@@ -444,204 +243,6 @@ def test_writing_never_happens_in_an_entrys_place(cache, monkeypatch):
     stored(cache)
     assert opened
     assert all("drafts" in path.parts for path in opened if path.parent != cache.folder)
-
-
-def what_is_outside(tmp_path: Path) -> Path:
-    """A folder that is none of the cache's, with a file in it."""
-    outside = tmp_path / "outside"
-    outside.mkdir()
-    (outside / "file").write_bytes(b"mine")
-    return outside
-
-
-def untouched(outside: Path) -> bool:
-    return {path.name: path.read_bytes() for path in outside.iterdir()} == {"file": b"mine"}
-
-
-def become_a_file(path: Path, outside: Path) -> None:  # noqa: ARG001
-    path.write_bytes(b"x")
-
-
-def lead_nowhere(path: Path, outside: Path) -> None:
-    path.symlink_to(outside / "none")
-
-
-def lead_to_a_file(path: Path, outside: Path) -> None:
-    path.symlink_to(outside / "file")
-
-
-def lead_to_a_folder(path: Path, outside: Path) -> None:
-    path.symlink_to(outside, target_is_directory=True)
-
-
-def become_a_pipe(path: Path, outside: Path) -> None:  # noqa: ARG001
-    os.mkfifo(path)
-
-
-def become_an_empty_folder(path: Path, outside: Path) -> None:  # noqa: ARG001
-    path.mkdir()
-
-
-IN_THE_WAY = [become_a_file, lead_nowhere, lead_to_a_file, lead_to_a_folder]
-if not ON_WINDOWS:
-    IN_THE_WAY.append(become_a_pipe)
-
-
-@pytest.mark.parametrize("become", IN_THE_WAY)
-@pytest.mark.parametrize("looked_up", [False, True])
-def test_what_is_no_folder_in_an_entrys_place_is_removed(cache, warnings, tmp_path, become, looked_up):
-    """A file there was no hit and kept the new entry out, for ever."""
-    outside = what_is_outside(tmp_path)
-    place = cache.folder / "fuse" / RECIPE.key
-    place.parent.mkdir(parents=True)
-    become(place, outside)
-    [listed] = cache.ls()
-    assert listed.problem == "it is no folder"
-    if looked_up:
-        assert cache.get(RECIPE) is None
-    assert stored(cache) == place
-    assert "was no folder; it is removed" in warnings[0]
-    assert cache.get(RECIPE) is not None
-    assert untouched(outside)
-
-
-@pytest.mark.parametrize("become", [*IN_THE_WAY[1:], become_an_empty_folder])
-@pytest.mark.parametrize("name", ["names.lock", f"fuse/{RECIPE.key}/in-use.lock"])
-def test_what_is_no_file_in_a_locks_place_is_removed_and_not_followed(cache, tmp_path, name, become):
-    outside = what_is_outside(tmp_path)
-    stored(cache)
-    (cache.folder / name).unlink()
-    become(cache.folder / name, outside)
-    entry = cache.get(RECIPE)
-    assert entry is not None
-    assert (cache.folder / name).is_file()
-    assert not (cache.folder / name).is_symlink()
-    assert untouched(outside)
-
-
-def test_folder_with_something_in_it_in_a_locks_place_is_one_sentence(cache):
-    stored(cache)
-    (cache.folder / "names.lock").unlink()
-    (cache.folder / "names.lock" / "mine").mkdir(parents=True)
-    with pytest.raises(StageError, match=r"cannot be used: Directory not empty .*names\.lock"):
-        cache.get(RECIPE)
-    assert (cache.folder / "names.lock" / "mine").is_dir()
-
-
-@pytest.mark.parametrize("become", [*IN_THE_WAY[1:], become_an_empty_folder])
-def test_lock_of_an_output_folder_is_healed(cache, tmp_path, become):
-    outside = what_is_outside(tmp_path)
-    cache.sole_run(tmp_path / "out", lambda: None).release()
-    [lock] = (cache.folder / "runs").glob("*.lock")
-    lock.unlink()
-    become(lock, outside)
-    cache.sole_run(tmp_path / "out", lambda: None).release()
-    assert untouched(outside)
-
-
-@pytest.mark.parametrize("become", IN_THE_WAY)
-@pytest.mark.parametrize("name", ["fuse", "drafts", "runs"])
-def test_folders_of_the_cache_that_lead_elsewhere_are_refused(cache, tmp_path, name, become):
-    outside = what_is_outside(tmp_path)
-    cache.folder.mkdir()
-    become(cache.folder / name, outside)
-    with pytest.raises(StageError, match=rf"/{name}: a folder of the cache is expected here.*; remove it"):
-        stored(cache)
-    assert cache.ls() == []
-    cache.remove_abandoned()
-    assert untouched(outside)
-
-
-def test_files_of_an_entry_that_lead_elsewhere_are_damage(cache, warnings, tmp_path):
-    for name, other in (("fused.ply", "file"), ("maps", "folder")):
-        folder = stored(cache)
-        moved = tmp_path / f"moved-{other}"
-        (folder / name).rename(moved)
-        (folder / name).symlink_to(moved)
-        assert cache.get(RECIPE) is None
-        assert "leads elsewhere" in warnings.pop()
-        assert moved.exists()
-
-
-def test_marks_and_drafts_are_not_followed(cache, tmp_path):
-    outside = what_is_outside(tmp_path)
-    (cache.folder / "drafts").mkdir(parents=True)
-    (cache.folder / "CACHEDIR.TAG").symlink_to(outside / "none")
-    (cache.folder / "drafts" / "fuse-abc").symlink_to(outside, target_is_directory=True)
-    stored(cache)
-    cache.remove_abandoned()
-    assert untouched(outside)
-
-
-@pytest.fixture
-def read_only(cache, monkeypatch) -> None:
-    """Have the system refuse what it refuses below the cache's folder on a disk that is mounted read-only."""
-
-    def refusing(real, writes):
-        def call(path, *arguments, **options):
-            inside = (
-                Path(os.fsdecode(path)).is_relative_to(cache.folder) if isinstance(path, (str, Path)) else 0
-            )
-            if inside and writes(path, *arguments):
-                raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
-            return real(path, *arguments, **options)
-
-        return call
-
-    def to_write(path, flags, *more):  # noqa: ARG001
-        return flags & (os.O_RDWR | os.O_WRONLY | os.O_CREAT)
-
-    def always(*arguments):  # noqa: ARG001
-        return True
-
-    def absent(path, *more):  # noqa: ARG001
-        return not os.path.lexists(path)
-
-    monkeypatch.setattr(os, "open", refusing(os.open, to_write))
-    monkeypatch.setattr(os, "mkdir", refusing(os.mkdir, absent))
-    for name in ("rename", "replace", "unlink", "rmdir"):
-        monkeypatch.setattr(os, name, refusing(getattr(os, name), always))
-    real_utime = os.utime
-
-    def utime(path, *arguments, **options):
-        if isinstance(path, int):
-            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-        real_utime(path, *arguments, **options)
-
-    monkeypatch.setattr(os, "utime", utime)
-
-
-def test_cache_that_may_only_be_read_serves_hits(cache, warnings, tmp_path, request):
-    stored(cache)
-    (cache.folder / "names.lock").unlink()
-    request.getfixturevalue("read_only")
-    cache.remove_abandoned()
-    (tmp_path / "out").mkdir()
-    sole = cache.sole_run(tmp_path / "out", lambda: pytest.fail("nobody else is there"))
-
-    def interrupt():
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        cache.sole_run(tmp_path / "out", interrupt)
-    entry = cache.get(RECIPE)
-    assert entry.figures == {"triangles": 7}
-    for _ in range(2):
-        cache.remember_run(tmp_path / "out", {"keys": [entry.key]})
-    assert [text.partition(":")[0] for text in warnings] == [f"the cache {cache.folder} may only be read"]
-    with pytest.raises(StageError, match=r"^the result of fuse cannot be written to the cache .*Read-only"):
-        cache.store(Recipe("fuse", {"fuse": 2}), make)
-    sole.release()
-
-
-@pytest.mark.skipif(MAY_WRITE_ANYWHERE, reason="root may write anywhere")
-def test_folder_without_permission_to_write_serves_hits(cache):
-    folder = stored(cache)
-    for path in (folder, folder.parent, cache.folder):
-        path.chmod(0o555)
-    assert cache.get(RECIPE) is not None
-    for path in (cache.folder, folder.parent, folder):
-        path.chmod(0o755)
 
 
 def test_limit_takes_the_longest_unused_and_never_what_a_latest_run_used(cache, warnings, tmp_path):

@@ -206,14 +206,17 @@ def test_the_record_holds_what_was_asked_for_with_files_in_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "poses.txt").write_text("")
+    for name in ("poses.txt", "auto", "apriltag-36h11"):
+        (tmp_path / name).write_text("")
     config = Config().set(("scan.poses=poses.txt", "scan.tag_family=apriltag-36h11", "coverage.oblique=60"))
     asked = Asked(tmp_path / "scan", from_anywhere(config), "report")
     again = Asked.of(json.loads(json.dumps(asked.record())))
 
     assert again == asked
     assert again.config.scan.poses == str(tmp_path / "poses.txt")
+    # What only happens to be called as a file there is no file.
     assert again.config.scan.tag_family == "apriltag-36h11"
+    assert again.config.depth.matcher == "auto"
     assert again.config.coverage.oblique == 60
     for wrong in (
         None,

@@ -30,11 +30,13 @@ class ReadingParams:
     calibration: str | None = param(
         None,
         "Calibration file (JSON, TOML, OpenCV YAML or XML, Kalibr or ROS YAML), in place of the folder's.",
+        is_path=True,
     )
     poses: str | None = param(
         None,
         "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv) in place of the folder's; "
         "camera-to-world, but for a .traj.",
+        is_path=True,
     )
     poses_by_order: bool = param(
         False,
@@ -44,11 +46,13 @@ class ReadingParams:
         None,
         "Folder with an image of 8 bits for each frame, of its name or number: what is 0 in it shows nothing "
         "of the scene (a backdrop, what moves) and gets no depth.",
+        is_path=True,
     )
     adjusted: str | None = param(
         None,
         "A cameras.json of `scanloom adjust`, or of a run's adjusted/: its poses and its colour camera in "
         "place of the folder's.",
+        is_path=True,
     )
     depth_scale: float | None = param(
         None,

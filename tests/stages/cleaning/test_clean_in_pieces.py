@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sample_in_bricks import sample_in_bricks
+from sample_in_pieces import sample_in_pieces, small_pieces
 
 from stages.cleaning.clean import CleanParams, clean
 from stages.cleaning.clean_in_pieces import clean_in_pieces
@@ -17,7 +17,7 @@ from stages.surface.pieces import Pieces
 
 @pytest.fixture(scope="module")
 def fused(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return sample_in_bricks(tmp_path_factory.mktemp("fused") / "fused.ply")
+    return sample_in_pieces(tmp_path_factory.mktemp("fused") / "fused.ply")
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,8 @@ def test_islands_go_as_from_the_whole(fused: Path, params: dict[str, Any], tmp_p
     whole = clean(read_ply(fused), **params)
     write_ply(tmp_path / "whole.ply", whole.mesh)
     result = tmp_path / "clean.ply"
-    figures = clean_in_pieces(fused, result, CleanParams(**params))
+    with small_pieces():
+        figures = clean_in_pieces(fused, result, CleanParams(**params))
     assert result.read_bytes() == (tmp_path / "whole.ply").read_bytes()
     expected = whole.figures()
     assert figures == {name: pytest.approx(expected[name]) for name in figures}

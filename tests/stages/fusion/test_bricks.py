@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sample_in_pieces import small_pieces
 
 from stages.errors import InputError, StageError, UsageError
 from stages.fusion.adding import begun
@@ -20,6 +21,7 @@ from stages.fusion.params import FuseParams
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan
 from stages.surface.formats.ply import read_ply, write_ply
+from stages.surface.pieces import Pieces
 from stages.surface.topology import topology
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rgbd"
@@ -87,7 +89,28 @@ def test_bricks_give_the_bytes_of_one_piece(
     assert found.bricks == found.fused_bricks > 1
     assert found.volume_bytes <= memory * 1e6
     assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["fused.pieces.json", "fused.ply"]
+    assert [path.name for path in tmp_path.iterdir()] == ["fused.ply"]
+
+
+@pytest.mark.parametrize("crop", [{}, {"radius": 0.3, "center": (0.1, -0.1, 0.1)}])
+def test_pieces_of_a_large_mesh_follow_from_the_mesh_alone(
+    scan: Scan, crop: dict[str, Any], tmp_path: Path
+) -> None:
+    ways: dict[str, dict[str, Any]] = {"one": {}, "small": {"brick_size": 0.08}, "tight": {"memory": 1.5}}
+    with small_pieces():
+        for way, params in ways.items():
+            fuse_to_file(scan, FuseParams(voxel_size=0.01, **crop, **params), tmp_path / f"{way}.ply")
+    tables = {way: (tmp_path / f"{way}.pieces.json").read_bytes() for way in ways}
+    assert tables["one"] == tables["small"] == tables["tight"]
+    pieces = Pieces(tmp_path / "one.ply")
+    assert len(pieces) > 8
+    whole = read_ply(tmp_path / "one.ply")
+    assert pieces.triangle_count == len(whole.triangles)
+    for number, extent in enumerate(pieces.extents):
+        part = pieces.part(number)
+        places = part.mesh.vertices[: part.own]
+        # Each owned vertex is in the box, or on an edge that leads out of it.
+        assert ((places >= np.array(extent.low) - 1e-9) & (places < np.array(extent.high))).all()
 
 
 def test_the_surface_is_a_manifold_as_fused(in_one_piece: bytes, tmp_path: Path) -> None:
@@ -182,3 +205,29 @@ def test_bricks_that_are_kept_are_not_fused_again(scan: Scan, in_one_piece: byte
         del kept.places[name]
     assert 0 < again().fused_bricks < first.fused_bricks
     assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
+
+
+def test_a_frame_skipped_for_its_colours_is_told_from_bricks_that_are_kept(
+    scan: Scan, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.jpg").write_bytes(b"no picture")
+    frames = [*scan.frames]
+    frames[3] = replace(frames[3], color=tmp_path / "bad.jpg")
+    work = begun(replace(scan, frames=frames), FuseParams(voxel_size=0.02, brick_size=0.3))
+    kept = Shelf(tmp_path)
+    first, again = (fuse_in_bricks(work, tmp_path / "fused.ply", kept=kept) for _ in range(2))
+    assert again.fused_bricks == 0
+    assert [one.name for one in first.skipped] == [one.name for one in again.skipped] == [frames[3].name]
+    assert first.figures() == again.figures() | {
+        "bricks_fused": first.fused_bricks,
+        "volume_mb": first.volume_bytes / 1e6,
+    }
+
+
+@pytest.mark.slow
+def test_a_real_kitchen_in_bricks_is_the_one_in_one_piece(shared_data: Path, tmp_path: Path) -> None:
+    kitchen = read_scan(shared_data / "rgbd" / "7scenes_redkitchen")
+    every_fifth = replace(kitchen, frames=kitchen.frames[::5])
+    for name, params in {"whole": {}, "bricks": {"brick_size": 1.0, "memory": 10}}.items():
+        fuse_to_file(every_fifth, FuseParams(voxel_size=0.02, **params), tmp_path / f"{name}.ply")
+    assert (tmp_path / "bricks.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_in_bricks import sample_in_bricks
+from sample_in_pieces import sample_in_pieces, small_pieces
 
 from stages.cleaning.clean import CleanParams
 from stages.cleaning.clean_in_pieces import clean_in_pieces
@@ -22,7 +22,9 @@ from stages.surface.topology import topology
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("clean")
-    clean_in_pieces(sample_in_bricks(folder / "fused.ply"), folder / "clean.ply", CleanParams())
+    fused = sample_in_pieces(folder / "fused.ply")
+    with small_pieces():
+        clean_in_pieces(fused, folder / "clean.ply", CleanParams())
     return folder / "clean.ply"
 
 

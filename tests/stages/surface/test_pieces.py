@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
+from stages.surface import pieces
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Pieces, Written, table_of, write_pieces
@@ -18,6 +19,11 @@ VERTICES = np.array([[x, y, 0.1 * x] for x in (0, 1, 2) for y in (0, 1)], float)
 TRIANGLES = np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]], np.int32)
 COLORS = np.arange(18, dtype=np.uint8).reshape(6, 3)
 SIZES = [Extent((0, 2), (0, 2), (0, 0, 0), (1, 1, 1)), Extent((2, 6), (2, 4), (1, 0, 0), (3, 1, 1))]
+
+
+@pytest.fixture(autouse=True)
+def _any_mesh_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "MOST_AT_ONCE", -1)
 
 
 def written(path: Path, *, colors: bool = True) -> Path:
@@ -41,14 +47,14 @@ def test_the_file_is_that_of_the_whole(colors: bool, tmp_path: Path) -> None:
 
 
 def test_a_piece_has_the_vertices_it_names(tmp_path: Path) -> None:
-    pieces = Pieces(written(tmp_path / "mesh.ply"))
-    assert (len(pieces), pieces.vertex_count, pieces.triangle_count, pieces.spacing) == (2, 6, 4, 1.0)
-    first = pieces.part(0)
+    found = Pieces(written(tmp_path / "mesh.ply"))
+    assert (len(found), found.vertex_count, found.triangle_count, found.spacing) == (2, 6, 4, 1.0)
+    first = found.part(0)
     assert first.own == 2
     assert first.numbers.tolist() == [0, 1, 2, 3]
     assert (first.mesh.vertices[first.mesh.triangles] == VERTICES[TRIANGLES[:2]]).all()
     assert (first.mesh.colors == COLORS[:4]).all()
-    second = pieces.part(1)
+    second = found.part(1)
     assert second.numbers.tolist() == [2, 3, 4, 5]
     assert (second.numbers[second.mesh.triangles] == TRIANGLES[2:]).all()
 
@@ -73,6 +79,12 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         table_of(path).write_text(json.dumps(wrong))
         with pytest.raises(InputError):
             Pieces(path)
+
+
+def test_a_mesh_that_is_not_large_has_no_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "MOST_AT_ONCE", len(TRIANGLES))
+    assert not table_of(written(tmp_path / "mesh.ply")).exists()
+    assert len(read_ply(tmp_path / "mesh.ply").triangles) == len(TRIANGLES)
 
 
 def test_no_pieces_are_an_empty_mesh(tmp_path: Path) -> None:

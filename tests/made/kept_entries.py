@@ -1,0 +1,40 @@
+"""An entry of a cache, as tests make and keep it."""
+
+import os
+import sys
+from pathlib import Path
+
+from pipeline.cache import Cache
+from pipeline.entry import Recipe
+
+ON_WINDOWS = sys.platform == "win32"
+MAY_WRITE_ANYWHERE = ON_WINDOWS or os.geteuid() == 0
+
+RECIPE = Recipe("fuse", {"fuse": 1}, {"fuse": {"voxel_size": 0.01}}, {"frames": "abc"})
+
+
+def make(folder: Path) -> dict:
+    (folder / "maps").mkdir()
+    (folder / "maps" / "0.bin").write_bytes(bytes(range(200)))
+    (folder / "fused.ply").write_bytes(b"ply" * 1000)
+    return {"figures": {"triangles": 7}, "made": {"seconds": 1.5}}
+
+
+def fail(folder: Path) -> dict:
+    raise AssertionError(f"made again in {folder}")
+
+
+def stored(cache: Cache, recipe: Recipe = RECIPE, how=make, **options) -> Path:
+    entry = cache.store(recipe, how, **options)
+    entry.close()
+    return entry.folder
+
+
+def drafts(cache: Cache) -> list[Path]:
+    return list((cache.folder / "drafts").iterdir())
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    path.write_bytes(data)

@@ -1,0 +1,35 @@
+"""The sample scan fused into a PLY file in pieces, as if it were large."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from stages.fusion import writing
+from stages.fusion.fuse import fuse_to_file
+from stages.fusion.params import FuseParams
+from stages.scans.read import read_scan
+from stages.surface import pieces
+
+_SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
+
+
+@contextmanager
+def small_pieces() -> Iterator[None]:
+    """Let meshes of more than 3,000 triangles be large, and their pieces about 0.3 m."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pieces, "MOST_AT_ONCE", 3_000)
+        patch.setattr(writing, "PIECE_SIZE", 0.3)
+        yield
+
+
+def sample_in_pieces(path: Path) -> Path:
+    """Fuse every fourth frame of the sample, and return the path of the mesh."""
+    scan = read_scan(_SAMPLE)
+    with small_pieces():
+        fuse_to_file(replace(scan, frames=scan.frames[::4]), FuseParams(voxel_size=0.015), path)
+    return path

@@ -1,0 +1,209 @@
+"""What stands in the place of an entry or a lock, where links lead, and what may not be written."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, make, stored
+
+from pipeline.entry import Recipe
+from stages.errors import StageError
+
+
+def what_is_outside(tmp_path: Path) -> Path:
+    """A folder that is none of the cache's, with a file in it."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "file").write_bytes(b"mine")
+    return outside
+
+
+def untouched(outside: Path) -> bool:
+    return {path.name: path.read_bytes() for path in outside.iterdir()} == {"file": b"mine"}
+
+
+def become_a_file(path: Path, outside: Path) -> None:  # noqa: ARG001
+    path.write_bytes(b"x")
+
+
+def lead_nowhere(path: Path, outside: Path) -> None:
+    path.symlink_to(outside / "none")
+
+
+def lead_to_a_file(path: Path, outside: Path) -> None:
+    path.symlink_to(outside / "file")
+
+
+def lead_to_a_folder(path: Path, outside: Path) -> None:
+    path.symlink_to(outside, target_is_directory=True)
+
+
+def become_a_pipe(path: Path, outside: Path) -> None:  # noqa: ARG001
+    os.mkfifo(path)
+
+
+def become_an_empty_folder(path: Path, outside: Path) -> None:  # noqa: ARG001
+    path.mkdir()
+
+
+IN_THE_WAY = [become_a_file, lead_nowhere, lead_to_a_file, lead_to_a_folder]
+if not ON_WINDOWS:
+    IN_THE_WAY.append(become_a_pipe)
+
+
+@pytest.mark.parametrize("become", IN_THE_WAY)
+@pytest.mark.parametrize("looked_up", [False, True])
+def test_what_is_no_folder_in_an_entrys_place_is_removed(cache, warnings, tmp_path, become, looked_up):
+    """A file there was no hit and kept the new entry out, for ever."""
+    outside = what_is_outside(tmp_path)
+    place = cache.folder / "fuse" / RECIPE.key
+    place.parent.mkdir(parents=True)
+    become(place, outside)
+    [listed] = cache.ls()
+    assert listed.problem == "it is no folder"
+    if looked_up:
+        assert cache.get(RECIPE) is None
+    assert stored(cache) == place
+    assert "was no folder; it is removed" in warnings[0]
+    assert cache.get(RECIPE) is not None
+    assert untouched(outside)
+
+
+@pytest.mark.parametrize("become", [*IN_THE_WAY[1:], become_an_empty_folder])
+@pytest.mark.parametrize("name", ["names.lock", f"fuse/{RECIPE.key}/in-use.lock"])
+def test_what_is_no_file_in_a_locks_place_is_removed_and_not_followed(cache, tmp_path, name, become):
+    outside = what_is_outside(tmp_path)
+    stored(cache)
+    (cache.folder / name).unlink()
+    become(cache.folder / name, outside)
+    entry = cache.get(RECIPE)
+    assert entry is not None
+    assert (cache.folder / name).is_file()
+    assert not (cache.folder / name).is_symlink()
+    assert untouched(outside)
+
+
+def test_folder_with_something_in_it_in_a_locks_place_is_one_sentence(cache):
+    stored(cache)
+    (cache.folder / "names.lock").unlink()
+    (cache.folder / "names.lock" / "mine").mkdir(parents=True)
+    with pytest.raises(StageError, match=r"cannot be used: Directory not empty .*names\.lock"):
+        cache.get(RECIPE)
+    assert (cache.folder / "names.lock" / "mine").is_dir()
+
+
+@pytest.mark.parametrize("become", [*IN_THE_WAY[1:], become_an_empty_folder])
+def test_lock_of_an_output_folder_is_healed(cache, tmp_path, become):
+    outside = what_is_outside(tmp_path)
+    cache.sole_run(tmp_path / "out", lambda: None).release()
+    [lock] = (cache.folder / "runs").glob("*.lock")
+    lock.unlink()
+    become(lock, outside)
+    cache.sole_run(tmp_path / "out", lambda: None).release()
+    assert untouched(outside)
+
+
+@pytest.mark.parametrize("become", IN_THE_WAY)
+@pytest.mark.parametrize("name", ["fuse", "drafts", "runs"])
+def test_folders_of_the_cache_that_lead_elsewhere_are_refused(cache, tmp_path, name, become):
+    outside = what_is_outside(tmp_path)
+    cache.folder.mkdir()
+    become(cache.folder / name, outside)
+    with pytest.raises(StageError, match=rf"/{name}: a folder of the cache is expected here.*; remove it"):
+        stored(cache)
+    assert cache.ls() == []
+    cache.remove_abandoned()
+    assert untouched(outside)
+
+
+def test_files_of_an_entry_that_lead_elsewhere_are_damage(cache, warnings, tmp_path):
+    for name, other in (("fused.ply", "file"), ("maps", "folder")):
+        folder = stored(cache)
+        moved = tmp_path / f"moved-{other}"
+        (folder / name).rename(moved)
+        (folder / name).symlink_to(moved)
+        assert cache.get(RECIPE) is None
+        assert "leads elsewhere" in warnings.pop()
+        assert moved.exists()
+
+
+def test_marks_and_drafts_are_not_followed(cache, tmp_path):
+    outside = what_is_outside(tmp_path)
+    (cache.folder / "drafts").mkdir(parents=True)
+    (cache.folder / "CACHEDIR.TAG").symlink_to(outside / "none")
+    (cache.folder / "drafts" / "fuse-abc").symlink_to(outside, target_is_directory=True)
+    stored(cache)
+    cache.remove_abandoned()
+    assert untouched(outside)
+
+
+@pytest.fixture
+def read_only(cache, monkeypatch) -> None:
+    """Have the system refuse what it refuses below the cache's folder on a disk that is mounted read-only."""
+
+    def refusing(real, writes):
+        def call(path, *arguments, **options):
+            inside = (
+                Path(os.fsdecode(path)).is_relative_to(cache.folder) if isinstance(path, (str, Path)) else 0
+            )
+            if inside and writes(path, *arguments):
+                raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+            return real(path, *arguments, **options)
+
+        return call
+
+    def to_write(path, flags, *more):  # noqa: ARG001
+        return flags & (os.O_RDWR | os.O_WRONLY | os.O_CREAT)
+
+    def always(*arguments):  # noqa: ARG001
+        return True
+
+    def absent(path, *more):  # noqa: ARG001
+        return not os.path.lexists(path)
+
+    monkeypatch.setattr(os, "open", refusing(os.open, to_write))
+    monkeypatch.setattr(os, "mkdir", refusing(os.mkdir, absent))
+    for name in ("rename", "replace", "unlink", "rmdir"):
+        monkeypatch.setattr(os, name, refusing(getattr(os, name), always))
+    real_utime = os.utime
+
+    def utime(path, *arguments, **options):
+        if isinstance(path, int):
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        real_utime(path, *arguments, **options)
+
+    monkeypatch.setattr(os, "utime", utime)
+
+
+def test_cache_that_may_only_be_read_serves_hits(cache, warnings, tmp_path, request):
+    stored(cache)
+    (cache.folder / "names.lock").unlink()
+    request.getfixturevalue("read_only")
+    cache.remove_abandoned()
+    (tmp_path / "out").mkdir()
+    sole = cache.sole_run(tmp_path / "out", lambda: pytest.fail("nobody else is there"))
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cache.sole_run(tmp_path / "out", interrupt)
+    entry = cache.get(RECIPE)
+    assert entry.figures == {"triangles": 7}
+    for _ in range(2):
+        cache.remember_run(tmp_path / "out", {"keys": [entry.key]})
+    assert [text.partition(":")[0] for text in warnings] == [f"the cache {cache.folder} may only be read"]
+    with pytest.raises(StageError, match=r"^the result of fuse cannot be written to the cache .*Read-only"):
+        cache.store(Recipe("fuse", {"fuse": 2}), make)
+    sole.release()
+
+
+@pytest.mark.skipif(MAY_WRITE_ANYWHERE, reason="root may write anywhere")
+def test_folder_without_permission_to_write_serves_hits(cache):
+    folder = stored(cache)
+    for path in (folder, folder.parent, cache.folder):
+        path.chmod(0o555)
+    assert cache.get(RECIPE) is not None
+    for path in (cache.folder, folder.parent, folder):
+        path.chmod(0o755)

@@ -1,0 +1,170 @@
+"""Processes and machines that use one cache do not harm each other."""
+
+import errno
+import os
+import subprocess
+import sys
+from types import ModuleType
+
+import pytest
+from kept_entries import ON_WINDOWS, RECIPE, drafts, flip, make, stored
+
+from pipeline.cache import Cache
+from stages.errors import StageError
+
+
+def test_slower_of_two_makers_uses_the_entry_of_the_faster(cache):
+    def slow(folder):
+        stored(Cache(cache.folder))
+        (folder / "fused.ply").write_bytes(b"of the slower one")
+        return {"figures": {"triangles": 8}}
+
+    entry = cache.store(RECIPE, slow)
+    assert entry.figures == {"triangles": 7}
+    assert drafts(cache) == []
+
+
+def test_slower_maker_replaces_an_entry_that_is_damaged(cache, warnings):
+    def slow(folder):
+        flip(stored(Cache(cache.folder)) / "fused.ply")
+        (folder / "fused.ply").write_bytes(b"of the slower one")
+        return {"figures": {"triangles": 8}}
+
+    entry = cache.store(RECIPE, slow)
+    assert entry.figures == {"triangles": 8}
+    assert len(warnings) == 1
+
+
+def test_forced_result_takes_the_place_of_the_old_one(cache):
+    stored(cache)
+
+    def again(folder):
+        (folder / "fused.ply").write_bytes(b"again")
+        return {"figures": {}}
+
+    assert (stored(cache, how=again, replace=True) / "fused.ply").read_bytes() == b"again"
+    assert drafts(cache) == []
+
+
+def test_entry_in_use_is_not_pruned(cache):
+    entry = cache.store(RECIPE, make)
+    reader = Cache(cache.folder).get(RECIPE)
+    entry.close()
+    assert cache.prune() == []
+    assert entry.folder.exists()
+    reader.close()
+    assert [removed.key for removed in cache.prune()] == [RECIPE.key]
+    assert not entry.folder.exists()
+    assert drafts(cache) == []
+
+
+@pytest.mark.skipif(ON_WINDOWS, reason="Windows moves nothing that is open")
+def test_entry_replaced_while_it_is_read_stays_until_the_reader_lets_go(cache):
+    stored(cache)
+    reader = cache.get(RECIPE)
+    with (reader.folder / "fused.ply").open("rb") as file:
+        stored(cache, how=make, replace=True)
+        assert file.read() == b"ply" * 1000
+    assert len(drafts(cache)) == 1, "put aside, not deleted"
+    reader.close()
+    cache.remove_abandoned()
+    assert drafts(cache) == []
+
+
+@pytest.mark.skipif(not ON_WINDOWS, reason="elsewhere what is open can be moved")
+def test_entry_that_is_being_read_is_not_replaced_where_open_files_cannot_be_moved(cache):
+    stored(cache)
+    reader = cache.get(RECIPE)
+    with pytest.raises(StageError, match=r"^the result of fuse cannot be written to the cache"):
+        stored(cache, how=make, replace=True)
+    assert (reader.folder / "fused.ply").read_bytes() == b"ply" * 1000
+    assert drafts(cache) == []
+    reader.close()
+    stored(cache, how=make, replace=True)
+
+
+def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cache):
+    script = (
+        "import time; from pathlib import Path\n"
+        "from pipeline.cache import Cache; from pipeline.entry import Recipe\n"
+        "def make(folder):\n"
+        "    (folder / 'part').write_bytes(b'half'); print('made', flush=True); time.sleep(60)\n"
+        f"Cache(Path({str(cache.folder)!r})).store(Recipe('fuse', {{'fuse': 1}}), make)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"made\n"
+        cache.remove_abandoned()
+        assert [(draft / "part").exists() for draft in drafts(cache)] == [True]
+        process.kill()
+    cache.remove_abandoned()
+    assert drafts(cache) == []
+    assert cache.ls() == []
+
+
+def test_draft_of_another_machine_is_its_own_matter(cache, monkeypatch):
+    # Its lock may be held where this machine cannot see it.
+    with monkeypatch.context() as patched:
+        patched.setattr("pipeline.cache.machine_mark", lambda: "m00000000")
+        cache._new_draft("fuse")[1].release()
+    stored(cache)
+    cache.remove_abandoned()
+    assert [draft.name.split("-")[1] for draft in drafts(cache)] == ["m00000000"]
+    cache.prune(everywhere=True)
+    assert drafts(cache) == []
+
+
+@pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_shared_folder_without_locks_is_used_all_the_same(cache, monkeypatch, code):
+    def refuse(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    first = stored(cache)
+    assert cache.get(RECIPE).folder == first
+    # Nobody can say whether somebody is at it.
+    draft, lock = cache._new_draft("fuse")
+    lock.release()
+    cache.remove_abandoned()
+    assert draft.exists()
+
+
+@pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
+def test_of_two_that_make_one_entry_without_locks_the_first_has_it(cache, monkeypatch):
+    monkeypatch.setattr("fcntl.flock", lambda *_: None)
+
+    usual, looks = cache._is_entry, []
+
+    def look(place):
+        # The other comes in the moment between the look whether it is there and the move.
+        looks.append(place)
+        if len(looks) == 1:
+            stored(Cache(cache.folder))
+            return False
+        return usual(place)
+
+    monkeypatch.setattr(cache, "_is_entry", look)
+    entry = cache.store(RECIPE, make)
+    monkeypatch.undo()
+    assert len(looks) > 1
+    assert entry.folder == cache.get(RECIPE).folder
+    assert drafts(cache) == []
+
+
+@pytest.mark.slow
+def test_two_processes_at_once_make_one_whole_entry_each(toy: ModuleType, scan, tmp_path):
+    expected = [outcome.folder.name for outcome in toy.run(scan, tmp_path / "alone")]
+    shared = tmp_path / "out"
+    processes = [
+        subprocess.Popen([sys.executable, toy.__file__, str(scan), str(shared)], stderr=subprocess.PIPE)
+        for _ in range(4)
+    ]
+    errors = [process.communicate()[1] for process in processes]
+    assert [process.returncode for process in processes] == [0] * 4, errors
+    cache = Cache(shared / "cache")
+    assert sorted(e.key for e in cache.verify()) == sorted(expected)
+    assert [e.problem for e in cache.verify()] == [None] * 3
+    assert drafts(cache) == []
+    for name in ("mixed.bin", "cut.bin", "tables/counts.txt"):
+        assert (shared / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+    assert not list(shared.rglob("*.part"))
