@@ -154,6 +154,11 @@ class Pieces:
         colors = np.stack([rows[c] for c in _COLORS], axis=1) if self.has_colors else None
         return Part(Mesh(places, local.astype(np.int32), colors), numbers, end - first)
 
+    def places(self, step: int) -> NDArray[np.float64]:
+        """Read every `step`-th vertex (k, 3), metres."""
+        rows = self._vertices[::step]
+        return np.stack([rows[axis] for axis in "xyz"], axis=1)
+
 
 @dataclass(frozen=True, eq=False)
 class Written:
