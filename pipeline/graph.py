@@ -46,7 +46,7 @@ from pipeline.bricks import KeptBricks
 from pipeline.depth_maps import measure_of, write_depth_maps
 from pipeline.engine import Job, Stage
 from pipeline.expectation import Cost
-from pipeline.large import is_large, some_of, whole
+from pipeline.large import is_large, some_of, surface_of, whole
 from pipeline.own_paths import from_folder
 from pipeline.skipped import said_of_skipped
 from pipeline.standing import Up, read_up
@@ -204,8 +204,9 @@ def _coverage(job: Job) -> Mapping[str, Any]:
 
 
 def _report(job: Job) -> Mapping[str, Any]:
-    names = ("fused", "clean", "simplified")
-    meshes = {name: whole(job.inputs[name] / f"{name}.ply", "report") for name in names}
+    # Neither of these has to have room in memory.
+    origins = {name: surface_of(job.inputs[name] / f"{name}.ply") for name in ("fused", "clean")}
+    meshes = {"simplified": read_ply(job.inputs["simplified"] / "simplified.ply")}
     by_photo = None
     if "textured" in job.inputs:
         meshes["textured"] = read_mesh(job.inputs["textured"] / texturing.FILE)
@@ -214,18 +215,19 @@ def _report(job: Job) -> Mapping[str, Any]:
     pictures.mkdir()
     frames, params = _frames(job).frames, job.config.report
     held_out = _held_out(job) if HELD_OUT in job.inputs else []
-    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress, by_photo, held_out)
+    shown = {**origins, **meshes}
+    made = report.make(pictures, shown, frames, job.config.compare, params, job.progress, by_photo, held_out)
     drawn_in = pictures if params.pictures else None
     if "remeshed" in job.inputs:
         levels = remeshing.read_levels(job.inputs["remeshed"])
-        viewpoint = report.viewpoints_of(meshes["fused"], frames, params)[-1]
+        viewpoint = report.viewpoints_of(origins["fused"], frames, params)[-1]
         made["normal_mesh"], drawn = remeshing.report(
             drawn_in, meshes["simplified"], levels, viewpoint, job.config.compare
         )
         made["pictures"] += drawn
     if HELD_OUT in job.inputs:
-        shown = meshes.get("textured", meshes["simplified"])
-        made["held_out"], drawn = holding_out.judge(drawn_in, shown, held_out, job.progress)
+        result = meshes.get("textured", meshes["simplified"])
+        made["held_out"], drawn = holding_out.judge(drawn_in, result, held_out, job.progress)
         made["pictures"] += drawn
     return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}
 

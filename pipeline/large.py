@@ -10,6 +10,7 @@ from stages.errors import StageError
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of
+from stages.surface.piecewise import Piecewise
 
 
 def is_large(path: Path) -> bool:
@@ -31,6 +32,11 @@ def whole(path: Path, stage: str) -> Mesh:
             f"it takes up to {MOST_AT_ONCE:,}. Give a larger fuse.voxel_size, or fuse a part (fuse.box)."
         )
     return read_ply(path)
+
+
+def surface_of(path: Path) -> Mesh | Piecewise:
+    """Return a mesh for a stage that takes it in pieces, too."""
+    return Piecewise(path) if is_large(path) else read_ply(path)
 
 
 def some_of(path: Path) -> Mesh:
