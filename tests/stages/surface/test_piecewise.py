@@ -1,0 +1,54 @@
+"""A mesh in pieces, looked over: what each knows of its neighbours, and of all together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sample_in_pieces import sample_in_pieces
+
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Mesh
+from stages.surface.pieces import Pieces
+from stages.surface.piecewise import Piecewise
+from stages.surface.raycasting import Surface, bounding_box
+from stages.surface.topology import areas
+from stages.surface.vertex_normals import vertex_normals
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return sample_in_pieces(tmp_path_factory.mktemp("fused") / "fused.ply")
+
+
+@pytest.fixture(scope="module")
+def whole(path: Path) -> Mesh:
+    return read_ply(path)
+
+
+def test_with_what_is_around_them_vertices_face_as_in_the_whole(path: Path, whole: Mesh) -> None:
+    expected, pieces, met = vertex_normals(whole), Pieces(path), 0
+    for piece in Piecewise(path).pieces():
+        numbers = pieces.part(piece.number).numbers
+        used = np.unique(piece.mesh.triangles)
+        found = vertex_normals(piece.around)
+        np.testing.assert_allclose(found[used], expected[numbers[used]], atol=1e-12)
+        assert (piece.around.triangles[: len(piece.mesh.triangles)] == piece.mesh.triangles).all()
+        alone = vertex_normals(piece.mesh)[used]
+        met += np.count_nonzero(np.abs(alone - expected[numbers[used]]).max(axis=1) > 0.1)
+    assert met > 100, "without it they would not"
+
+
+def test_areas_and_boxes_are_those_of_the_whole(path: Path, whole: Mesh) -> None:
+    found = Piecewise(path)
+    assert found.area_ends[-1] == np.cumsum(areas(whole.vertices, whole.triangles))[-1]
+    assert (found.box == bounding_box(whole)).all()
+    assert sum(len(piece.mesh.triangles) for piece in found.pieces()) == len(whole.triangles)
+    assert (found.some_vertices(1000) == whole.vertices[:: 1 + len(whole.vertices) // 1000]).all()
+
+
+def test_no_point_is_farther_than_it_is_said_to_be_at_most(path: Path, whole: Mesh) -> None:
+    low, high = bounding_box(whole)
+    points = np.random.default_rng(0).uniform(low - 1, high + 1, (500, 3))
+    assert (Surface(whole).closest(points).distances <= Piecewise(path).at_most(points) + 1e-12).all()
