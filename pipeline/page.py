@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,19 @@ def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None
         kept = read_deviations(pictures)
     if kept is not None and _is_same(kept.vertices, result):
         return kept
-    return None if clean is None else kept_of(stages.deviations(clean, result, signed_samples=SIGNED_SAMPLES))
+    if clean is not None:
+        return kept_of(stages.deviations(clean, result, signed_samples=SIGNED_SAMPLES))
+    return None if kept is None else _of_other_file(kept, result)
+
+
+def _of_other_file(kept: Kept, result: Mesh) -> Kept | None:
+    """Return deviations of the same mesh in another file, whose vertices may come in another order."""
+    from scipy.spatial import cKDTree
+
+    away, rows = cKDTree(kept.vertices).query(result.vertices, workers=-1)
+    if len(away) == 0 or away.max() > _SAME * _size(result):
+        return None
+    return replace(kept, vertices=result.vertices, at_vertices=kept.at_vertices[rows])
 
 
 def _bounds(path: Path, report: Mapping[str, Any]) -> tuple[float | None, float | None]:

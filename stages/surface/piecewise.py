@@ -24,22 +24,22 @@ Numbers = NDArray[np.int64]
 
 # Vertices that are kept of all of them, about: no point is farther from the surface than from one of these.
 _LANDMARKS = 200_000
+# Triangles that are worked on at a time: to search them takes about a kilobyte for each.
+AT_ONCE = 500_000
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A piece that has triangles.
+    """A piece, or of one with many triangles some of them.
 
     Attributes
     ----------
-    number : which it is.
     mesh : its triangles.
-    around : the same vertices and triangles, and then those of other pieces that touch them: normals of all
-        that `mesh` has are those of the whole.
+    around : the same vertices and triangles, and then those others that touch them: normals of all that
+        `mesh` has are those of the whole.
     box : (2, 3) lowest and highest corner around its triangles, metres.
     """
 
-    number: int
     mesh: Mesh
     around: Mesh
     box: Floats
@@ -57,9 +57,7 @@ class Piecewise:
     Attributes
     ----------
     has_colors : whether vertices have colours.
-    boxes : (p, 2, 3) around the triangles of each piece, metres; the lowest corner is infinite where it has
-        none.
-    box : (2, 3) around all.
+    box : (2, 3) lowest and highest corner around all triangles, metres.
     area_ends : (p,) area of the pieces up to and with each, m²: sums over all their triangles in order.
 
     Raises
@@ -72,7 +70,7 @@ class Piecewise:
         self._pieces = Pieces(path)
         self.has_colors = self._pieces.has_colors
         count = len(self._pieces)
-        self.boxes = np.broadcast_to(np.array([np.inf, -np.inf])[:, None], (count, 2, 3)).copy()
+        self.box = np.stack([np.full(3, np.inf), np.full(3, -np.inf)])
         self.area_ends = np.zeros(count)
         step = 1 + self._pieces.triangle_count // _LANDMARKS
         landmarks, named = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
@@ -80,10 +78,10 @@ class Piecewise:
             part = self._pieces.part(number)
             self.area_ends[number] = self.areas_up_to(number, part.mesh)[-1]
             if len(part.mesh.triangles):
-                self.boxes[number] = bounding_box(part.mesh)
+                low, high = bounding_box(part.mesh)
+                self.box = np.stack([np.minimum(self.box[0], low), np.maximum(self.box[1], high)])
             landmarks.append(part.mesh.vertices[part.mesh.triangles[::step, 0]])
             named.append(part.numbers[part.own :])
-        self.box = np.array([self.boxes[:, 0].min(axis=0), self.boxes[:, 1].max(axis=0)])
         self._landmarks = np.concatenate(landmarks)
         self._rims = _rims(self._pieces, np.unique(np.concatenate(named)))
 
@@ -106,11 +104,14 @@ class Piecewise:
         return self._pieces.part(number).mesh
 
     def pieces(self) -> Iterator[Piece]:
-        """Read one after the other of the pieces that have triangles."""
+        """Read one after the other, each with so many triangles that much can be done with it."""
         for number in range(len(self._pieces)):
             part = self._pieces.part(number)
-            if len(part.mesh.triangles):
-                yield Piece(number, part.mesh, self._rims.around(number, part), self.boxes[number])
+            around = self._rims.around(number, part)
+            count = len(part.mesh.triangles)
+            # What follows on each other in a piece is near each other.
+            for first in range(0, count, AT_ONCE):
+                yield _cut(part.mesh, around, slice(first, min(first + AT_ONCE, count)))
 
     def some_vertices(self, wanted: int) -> Floats:
         """Return about so many vertices (k, 3), at equal steps through all."""
@@ -125,6 +126,33 @@ class Piecewise:
         from scipy.spatial import cKDTree
 
         return cKDTree(self._landmarks, balanced_tree=False)
+
+
+def _cut(mesh: Mesh, around: Mesh, rows: slice) -> Piece:
+    """Return some triangles of a mesh, with what touches them of itself and of what is around it."""
+    own = np.zeros(len(around.triangles), np.bool_)
+    own[rows] = True
+    used = np.zeros(len(around.vertices), np.bool_)
+    used[mesh.triangles[rows]] = True
+    touching = used[around.triangles].any(axis=1) & ~own
+    count = int(used.sum())
+    beyond = np.zeros(len(used), np.bool_)
+    beyond[around.triangles[touching]] = True
+    beyond &= ~used
+    index = np.zeros(len(used), np.int32)
+    index[used] = np.arange(count)
+    index[beyond] = count + np.arange(int(beyond.sum()))
+    triangles = index[mesh.triangles[rows]]
+    vertices = around.vertices[used]
+    colors = None if mesh.colors is None else mesh.colors[used[: len(mesh.vertices)]]
+    return Piece(
+        Mesh(vertices, triangles, colors),
+        Mesh(
+            np.concatenate([vertices, around.vertices[beyond]]),
+            np.concatenate([triangles, index[around.triangles[touching]]]),
+        ),
+        np.stack([vertices.min(axis=0), vertices.max(axis=0)]),
+    )
 
 
 class _Rims:

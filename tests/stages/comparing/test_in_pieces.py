@@ -16,7 +16,7 @@ from stages.comparing.in_pieces import compare_in_pieces
 from stages.comparing.measurable import box_of
 from stages.comparing.needles import WithNeedles
 from stages.simplification.simplify import simplify
-from stages.surface import pieces
+from stages.surface import pieces, piecewise
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Written
@@ -25,6 +25,12 @@ from stages.surface.raycasting import Floats, Surface
 
 PARAMS = CompareParams(samples=20_000)
 SIGNED = DeviationParams(signed_samples=5_000)
+
+
+@pytest.fixture(autouse=True)
+def _few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let some pieces be worked on in several steps."""
+    monkeypatch.setattr(piecewise, "AT_ONCE", 800)
 
 
 @pytest.fixture(scope="module")

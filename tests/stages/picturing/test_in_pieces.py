@@ -13,11 +13,18 @@ from stages.picturing.in_pieces import draw_in_pieces
 from stages.picturing.render import Model, Shading
 from stages.picturing.viewpoints import looking_at, viewpoints
 from stages.scans.read import read_scan
+from stages.surface import piecewise
 from stages.surface.formats.ply import read_ply
 from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Surface
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rgbd"
+
+
+@pytest.fixture(autouse=True)
+def _few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let some pieces be worked on in several steps."""
+    monkeypatch.setattr(piecewise, "AT_ONCE", 800)
 
 
 @pytest.fixture(scope="module")

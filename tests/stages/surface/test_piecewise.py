@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from sample_in_pieces import sample_in_pieces
 
+from stages.surface import piecewise
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
-from stages.surface.pieces import Pieces
 from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.topology import areas
@@ -27,24 +27,39 @@ def whole(path: Path) -> Mesh:
     return read_ply(path)
 
 
-def test_with_what_is_around_them_vertices_face_as_in_the_whole(path: Path, whole: Mesh) -> None:
-    expected, pieces, met = vertex_normals(whole), Pieces(path), 0
+@pytest.mark.parametrize("at_once", [300, 500_000])
+def test_with_what_is_around_them_vertices_face_as_in_the_whole(
+    path: Path, whole: Mesh, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(piecewise, "AT_ONCE", at_once)
+    expected = vertex_normals(whole)
+    met = count = done = 0
     for piece in Piecewise(path).pieces():
-        numbers = pieces.part(piece.number).numbers
-        used = np.unique(piece.mesh.triangles)
-        found = vertex_normals(piece.around)
-        np.testing.assert_allclose(found[used], expected[numbers[used]], atol=1e-12)
-        assert (piece.around.triangles[: len(piece.mesh.triangles)] == piece.mesh.triangles).all()
-        alone = vertex_normals(piece.mesh)[used]
-        met += np.count_nonzero(np.abs(alone - expected[numbers[used]]).max(axis=1) > 0.1)
+        count += 1
+        own = piece.mesh.triangles
+        rows = whole.triangles[done : done + len(own)]
+        numbers = np.full(len(piece.mesh.vertices), -1)
+        numbers[own] = rows
+        assert (numbers[own] == rows).all()
+        assert (piece.mesh.vertices == whole.vertices[numbers]).all()
+        found = vertex_normals(piece.around)[: len(numbers)]
+        np.testing.assert_allclose(found, expected[numbers], atol=1e-12)
+        assert (piece.around.triangles[: len(own)] == own).all()
+        assert (piece.box == bounding_box(piece.mesh)).all()
+        assert whole.colors is not None
+        assert (piece.mesh.colors == whole.colors[numbers]).all()
+        alone = vertex_normals(piece.mesh)
+        met += np.count_nonzero(np.abs(alone - expected[numbers]).max(axis=1) > 0.1)
+        done += len(own)
     assert met > 100, "without it they would not"
+    assert done == len(whole.triangles)
+    assert count > (60 if at_once == 300 else 30)
 
 
 def test_areas_and_boxes_are_those_of_the_whole(path: Path, whole: Mesh) -> None:
     found = Piecewise(path)
     assert found.area_ends[-1] == np.cumsum(areas(whole.vertices, whole.triangles))[-1]
     assert (found.box == bounding_box(whole)).all()
-    assert sum(len(piece.mesh.triangles) for piece in found.pieces()) == len(whole.triangles)
     assert (found.some_vertices(1000) == whole.vertices[:: 1 + len(whole.vertices) // 1000]).all()
 
 
