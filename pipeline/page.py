@@ -29,7 +29,6 @@ from stages.surface.pieces import is_many
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
 # How far from a place the camera flies to, as a share of the model's size.
 _NEAR = 0.25
-_LEFT_OUT = "its {:,} triangles are too many for the page, which shows the result without it."
 # Vertices of two files are those of one mesh if they are as near as this share of its size.
 _SAME = 1e-5
 
@@ -62,7 +61,8 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     if (folder / "clean.ply").is_file():
         count = promised(folder / "clean.ply", "face")
         if is_many(count):
-            clean, said = None, _LEFT_OUT.format(count)
+            clean = None
+            said = f"its {count:,} triangles are too many for the page, which shows the result without it."
             warn(f"{folder / 'clean.ply'}: {said}")
             told["warnings"] = [*told.get("warnings", ()), f"clean.ply: {said}"]
         else:
