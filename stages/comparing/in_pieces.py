@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.comparing.asked import Levels, Nearest, Points, asked, corners_of
 from stages.comparing.compare import CompareParams, Comparison, all_sums, comparison_of, one_way, sums_of
@@ -22,9 +23,12 @@ from stages.comparing.signed import Sides, sides_of
 from stages.surface.color import color_at, has_color
 from stages.surface.mesh import Mesh
 from stages.surface.piecewise import Piece, Piecewise
-from stages.surface.raycasting import Floats, Surface, chunks, interpolated
+from stages.surface.raycasting import Floats, Located, Surface, chunks, interpolated
 
-# A box counts as this much nearer than it is, for rounding.
+Mask = NDArray[np.bool_]
+
+# For rounding: a box counts as this much nearer than it is, and places as near as this share of the mesh's
+# size are one.
 _SLACK = 1e-9
 
 
@@ -120,7 +124,7 @@ class _Asked:
 
     def __init__(self, piece: Piece, box: Floats) -> None:
         self.mesh, self.box = piece.mesh, piece.box
-        self._piece, self._all = piece, box
+        self._all = box
 
     @cached_property
     def searched(self) -> WithNeedles:
@@ -128,7 +132,7 @@ class _Asked:
 
     @cached_property
     def sides(self) -> Sides | None:
-        return sides_of(self._piece.around)
+        return sides_of(self.mesh)
 
 
 class _Question:
@@ -138,8 +142,11 @@ class _Question:
         self._points, self._signed = points, signed
         self._enough = large.at_most(points) * (1 + _SLACK)
         self._distances = np.full(len(points), np.inf)
-        self._signs = np.ones(len(points))
         self._colors: Levels | None = np.zeros((len(points), 3)) if colored else None
+        # For signs: how high points are there, and where that is.
+        self._heights = np.zeros(len(points) if signed else 0)
+        self._places = np.full((len(points) if signed else 0, 3), np.inf)
+        self._one_place = _SLACK * float(np.linalg.norm(large.box[1] - large.box[0]))
         self.has_sides = signed
 
     def ask(self, piece: _Asked) -> None:
@@ -154,20 +161,33 @@ class _Question:
             return
         found = piece.searched.closest(self._points[rows])
         is_nearer = found.distances < self._distances[rows]
+        if self._signed:
+            self._look(piece, rows, found, is_nearer)
         nearer = rows[is_nearer]
         self._distances[nearer] = found.distances[is_nearer]
         self._enough[nearer] = np.minimum(self._enough[nearer], self._distances[nearer] * (1 + _SLACK))
         if self._colors is not None:
             self._colors[nearer] = color_at(piece.mesh, found.triangles[is_nearer], found.weights[is_nearer])
-        if self._signed:
-            self.has_sides &= piece.sides is not None
-        if self._signed and piece.sides is not None:
-            self._signs[nearer] = piece.sides.signs(self._points[rows], found)[is_nearer]
+
+    def _look(self, piece: _Asked, rows: NDArray[np.intp], found: Located, is_nearer: Mask) -> None:
+        """Keep on which side points are: where pieces meet, what all of them say together counts."""
+        if piece.sides is None:
+            self.has_sides = False
+            return
+        places = interpolated(piece.mesh.vertices, piece.mesh, found)
+        heights = piece.sides.heights(self._points[rows], found)
+        is_same = (np.abs(places - self._places[rows]) <= self._one_place).all(axis=1)
+        self._heights[rows[is_same]] += heights[is_same]
+        is_other = is_nearer & ~is_same
+        self._heights[rows[is_other]] = heights[is_other]
+        self._places[rows[is_other]] = places[is_other]
 
     def nearest(self, rows: slice) -> Nearest:
         """Return what was found, with signs if these were asked for and all pieces have sides."""
-        signs = self._signs[rows] if self.has_sides else 1.0
-        return Nearest(self._distances[rows] * signs, None if self._colors is None else self._colors[rows])
+        distances = self._distances[rows]
+        if self.has_sides:
+            distances = np.where(self._heights[rows] < 0, -distances, distances)
+        return Nearest(distances, None if self._colors is None else self._colors[rows])
 
 
 class _Off:

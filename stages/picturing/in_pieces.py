@@ -39,10 +39,10 @@ def draw_in_pieces(
 
 
 def _add(large: Piecewise, pictures: Sequence[Picture], box: Floats) -> None:
-    for piece in large.pieces():
+    for piece in large.pieces(facing=True):
         showing = [picture for picture in pictures if sees(picture.viewpoint, piece.box)]
         if showing:
-            model = Model(Surface(piece.mesh, box), piece.around)
+            model = Model(Surface(piece.mesh, box), piece.normals)
             for picture in showing:
                 picture.add(model, piece.box)
 

@@ -100,15 +100,12 @@ class Model:
     Parameters
     ----------
     surface : of a mesh with at least one triangle.
-    around : where that is a piece of another: its vertices and triangles first, and then those that touch
-        them.
+    normals : (n, 3) float32 of its vertices, where it is a piece of another surface; else they are its own.
     """
 
-    def __init__(self, surface: Surface, around: Mesh | None = None) -> None:
+    def __init__(self, surface: Surface, normals: _Floats | None = None) -> None:
         self.surface = surface
-        # Of a piece: vertices that others have, too, come first in `around`.
-        normals = vertex_normals(surface.mesh if around is None else around)
-        self._normals = normals[: len(surface.mesh.vertices)].astype(np.float32)
+        self._normals = vertex_normals(surface.mesh).astype(np.float32) if normals is None else normals
         self._is_colored = has_color(surface.mesh)
 
     def showing(self, mesh: Mesh) -> Model:

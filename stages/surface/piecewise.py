@@ -1,8 +1,4 @@
-"""A mesh in pieces, of which one at a time is worked on as if the others were there.
-
-Alone, a piece does not know how the surface goes on behind its rim: normals there would be other ones than
-those of the whole. So each comes with the triangles of others that touch its vertices.
-"""
+"""A mesh in pieces, of which some triangles at a time are worked on, as of the whole."""
 
 from __future__ import annotations
 
@@ -19,8 +15,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.pieces import Part, Pieces
 from stages.surface.raycasting import Floats, bounding_box
 from stages.surface.topology import areas
-
-Numbers = NDArray[np.int64]
+from stages.surface.vertex_normals import normal_sums, unit
 
 # Vertices that are kept of all of them, about: no point is farther from the surface than from one of these.
 _LANDMARKS = 200_000
@@ -35,20 +30,19 @@ class Piece:
     Attributes
     ----------
     mesh : its triangles.
-    around : the same vertices and triangles, and then those others that touch them: normals of all that
-        `mesh` has are those of the whole.
-    box : (2, 3) lowest and highest corner around its triangles, metres.
+    box : (2, 3) lowest and highest corner around them, metres.
+    normals : (n, 3) float32 unit normals of the vertices, those of the whole; None if not asked for.
     """
 
     mesh: Mesh
-    around: Mesh
     box: Floats
+    normals: NDArray[np.float32] | None
 
 
 class Piecewise:
     """A PLY file in pieces, looked over.
 
-    Beside a piece, memory holds the triangles along the faces where pieces meet, a few in a hundred.
+    Beside a piece, memory holds what is known of vertices that several pieces name.
 
     Parameters
     ----------
@@ -73,26 +67,19 @@ class Piecewise:
         self.box = np.stack([np.full(3, np.inf), np.full(3, -np.inf)])
         self.area_ends = np.zeros(count)
         step = 1 + self._pieces.triangle_count // _LANDMARKS
-        landmarks, named = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
+        landmarks = [np.zeros((0, 3))]
         for number in range(count):
-            part = self._pieces.part(number)
-            self.area_ends[number] = self.areas_up_to(number, part.mesh)[-1]
-            if len(part.mesh.triangles):
-                low, high = bounding_box(part.mesh)
+            mesh = self.mesh(number)
+            self.area_ends[number] = self.areas_up_to(number, mesh)[-1]
+            landmarks.append(mesh.vertices[mesh.triangles[::step, 0]])
+            if len(mesh.triangles):
+                low, high = bounding_box(mesh)
                 self.box = np.stack([np.minimum(self.box[0], low), np.maximum(self.box[1], high)])
-            landmarks.append(part.mesh.vertices[part.mesh.triangles[::step, 0]])
-            named.append(part.numbers[part.own :])
         self._landmarks = np.concatenate(landmarks)
-        self._rims = _rims(self._pieces, np.unique(np.concatenate(named)))
 
     def __len__(self) -> int:
         """Return how many pieces there are."""
         return len(self._pieces)
-
-    @property
-    def triangle_count(self) -> int:
-        """How many triangles all pieces have."""
-        return self._pieces.triangle_count
 
     def areas_up_to(self, number: int, mesh: Mesh) -> Floats:
         """Return what `area_ends` is after each triangle of a piece (m,), after the one before it first."""
@@ -103,15 +90,19 @@ class Piecewise:
         """Read the triangles of a piece."""
         return self._pieces.part(number).mesh
 
-    def pieces(self) -> Iterator[Piece]:
-        """Read one after the other, each with so many triangles that much can be done with it."""
+    def pieces(self, *, facing: bool = False) -> Iterator[Piece]:
+        """Read one after the other, of each no more triangles at a time than much can be done with.
+
+        Parameters
+        ----------
+        facing : whether normals are wanted.
+        """
         for number in range(len(self._pieces)):
             part = self._pieces.part(number)
-            around = self._rims.around(number, part)
-            count = len(part.mesh.triangles)
+            normals = self._normals(part) if facing else None
             # What follows on each other in a piece is near each other.
-            for first in range(0, count, AT_ONCE):
-                yield _cut(part.mesh, around, slice(first, min(first + AT_ONCE, count)))
+            for first in range(0, len(part.mesh.triangles), AT_ONCE):
+                yield _some(part.mesh, normals, slice(first, first + AT_ONCE))
 
     def some_vertices(self, wanted: int) -> Floats:
         """Return about so many vertices (k, 3), at equal steps through all."""
@@ -127,94 +118,50 @@ class Piecewise:
 
         return cKDTree(self._landmarks, balanced_tree=False)
 
+    def _normals(self, part: Part) -> NDArray[np.float32]:
+        """Return the unit normals (n, 3) of the vertices of a piece, with what others have there."""
+        sums = normal_sums(part.mesh)
+        numbers, of_all = self._shared
+        place, is_shared = _found(numbers, part.numbers)
+        sums[is_shared] = of_all[place[is_shared]]
+        return unit(sums).astype(np.float32)
 
-def _cut(mesh: Mesh, around: Mesh, rows: slice) -> Piece:
-    """Return some triangles of a mesh, with what touches them of itself and of what is around it."""
-    own = np.zeros(len(around.triangles), np.bool_)
-    own[rows] = True
-    used = np.zeros(len(around.vertices), np.bool_)
-    used[mesh.triangles[rows]] = True
-    touching = used[around.triangles].any(axis=1) & ~own
-    count = int(used.sum())
-    beyond = np.zeros(len(used), np.bool_)
-    beyond[around.triangles[touching]] = True
-    beyond &= ~used
-    index = np.zeros(len(used), np.int32)
-    index[used] = np.arange(count)
-    index[beyond] = count + np.arange(int(beyond.sum()))
-    triangles = index[mesh.triangles[rows]]
-    vertices = around.vertices[used]
-    colors = None if mesh.colors is None else mesh.colors[used[: len(mesh.vertices)]]
+    @cached_property
+    def _shared(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """The vertices that several pieces name, (s,) numbers in all and (s, 3) sums of normals there.
+
+        They are many where a wall or a floor runs along faces of pieces.
+        """
+        named = [np.zeros(0, np.int32)]
+        for number in range(len(self._pieces)):
+            part = self._pieces.part(number)
+            named.append(part.numbers[part.own :].astype(np.int32))
+        numbers = np.unique(np.concatenate(named))
+        sums = np.zeros((len(numbers), 3), np.float32)
+        for number in range(len(self._pieces)):
+            part = self._pieces.part(number)
+            place, is_shared = _found(numbers, part.numbers)
+            sums[place[is_shared]] += normal_sums(part.mesh)[is_shared].astype(np.float32)
+        return numbers, sums
+
+
+def _found(
+    numbers: NDArray[np.int32], wanted: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return where wanted numbers (n,) are among others, which ascend, and which are there at all."""
+    place = np.searchsorted(numbers, wanted.astype(np.int32))
+    place[place == len(numbers)] = 0
+    return place, np.asarray(numbers[place] == wanted) if len(numbers) else np.zeros(len(wanted), np.bool_)
+
+
+def _some(mesh: Mesh, normals: NDArray[np.float32] | None, rows: slice) -> Piece:
+    """Return some triangles of a mesh."""
+    triangles = mesh.triangles[rows]
+    used = np.zeros(len(mesh.vertices), np.bool_)
+    used[triangles] = True
+    vertices, index = mesh.vertices[used], np.cumsum(used, dtype=np.int32) - np.int32(1)
     return Piece(
-        Mesh(vertices, triangles, colors),
-        Mesh(
-            np.concatenate([vertices, around.vertices[beyond]]),
-            np.concatenate([triangles, index[around.triangles[touching]]]),
-        ),
+        Mesh(vertices, index[triangles], None if mesh.colors is None else mesh.colors[used]),
         np.stack([vertices.min(axis=0), vertices.max(axis=0)]),
+        None if normals is None else normals[used],
     )
-
-
-class _Rims:
-    """Triangles with a vertex that several pieces name.
-
-    Parameters
-    ----------
-    shared : (s,) numbers in all of these vertices, ascending.
-    triangles : (k, 3) numbers in all; owners : (k,) the piece each is of.
-    numbers, places : (v,), (v, 3) of all vertices they have, by number.
-    """
-
-    def __init__(
-        self, shared: Numbers, triangles: Numbers, owners: Numbers, numbers: Numbers, places: Floats
-    ) -> None:
-        self._shared, self._triangles, self._owners = shared, triangles, owners
-        self._numbers, self._places = numbers, places
-        corners = triangles.reshape(-1)
-        self._order = np.argsort(corners, kind="stable")
-        self._sorted = corners[self._order]
-
-    def around(self, number: int, part: Part) -> Mesh:
-        """Return the mesh of a piece, with those triangles of others that touch its vertices."""
-        (local,) = np.nonzero(np.isin(part.numbers, self._shared))
-        local = local[np.argsort(part.numbers[local])]
-        mine = part.numbers[local]
-        rows = np.unique(_between(self._order, self._sorted, mine) // 3)
-        others = self._triangles[rows[self._owners[rows] != number]]
-        # Whatever of them the piece has, too, is named by both and so shared.
-        is_mine = np.isin(others, mine)
-        new, place = np.unique(others[~is_mine], return_inverse=True)
-        triangles = np.empty(others.shape, np.int32)
-        triangles[is_mine] = local[np.searchsorted(mine, others[is_mine])]
-        triangles[~is_mine] = len(part.numbers) + place.reshape(-1)
-        places = self._places[np.searchsorted(self._numbers, new)]
-        return Mesh(
-            np.concatenate([part.mesh.vertices, places]), np.concatenate([part.mesh.triangles, triangles])
-        )
-
-
-def _rims(pieces: Pieces, shared: Numbers) -> _Rims:
-    """Read the triangles of all pieces that have a vertex among those that several name."""
-    triangles, owners = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
-    numbers, places = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
-    for number in range(len(pieces)):
-        part = pieces.part(number)
-        is_shared = np.isin(part.numbers, shared)
-        found = part.mesh.triangles[is_shared[part.mesh.triangles].any(axis=1)]
-        used = np.unique(found)
-        triangles.append(part.numbers[found])
-        owners.append(np.full(len(found), number))
-        numbers.append(part.numbers[used])
-        places.append(part.mesh.vertices[used])
-    distinct, first = np.unique(np.concatenate(numbers), return_index=True)
-    return _Rims(
-        shared, np.concatenate(triangles), np.concatenate(owners), distinct, np.concatenate(places)[first]
-    )
-
-
-def _between(values: Numbers, keys: Numbers, wanted: Numbers) -> Numbers:
-    """Return the values whose keys, ascending, are among those wanted."""
-    first, end = (np.searchsorted(keys, wanted, side) for side in ("left", "right"))
-    count = end - first
-    places = np.repeat(first - (np.cumsum(count) - count), count) + np.arange(count.sum())
-    return np.asarray(values[places])
