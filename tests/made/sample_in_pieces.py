@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from stages.fusion import in_bricks, writing
+from stages.fusion import writing
 from stages.fusion.fuse import fuse_to_file
 from stages.fusion.params import FuseParams
 from stages.scans.layouts.scan_json import write_scan_json
@@ -25,8 +25,7 @@ def small_pieces() -> Iterator[None]:
     """Let meshes of more than 3,000 triangles be large, and their pieces about 0.3 m."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pieces, "MOST_AT_ONCE", 3_000)
-        for module in (writing, in_bricks):
-            patch.setattr(module, "PIECE_SIZE", 0.3)
+        patch.setattr(writing, "PIECE_SIZE", 0.3)
         yield
 
 
