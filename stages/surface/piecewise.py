@@ -19,6 +19,8 @@ from stages.surface.vertex_normals import normal_sums, unit
 
 # Vertices that are kept of all of them, about: no point is farther from the surface than from one of these.
 _LANDMARKS = 200_000
+# Of the nearest of these, so much farther off may be the one that is taken.
+_ROUGHLY = 0.1
 # Triangles that are worked on at a time: to search them takes about a kilobyte for each.
 AT_ONCE = 500_000
 
@@ -110,7 +112,8 @@ class Piecewise:
 
     def at_most(self, points: Floats) -> Floats:
         """Return distances (k,) that points are no farther from the surface than, metres."""
-        return np.asarray(self._tree.query(points, workers=-1)[0], np.float64)
+        # Any of them will do, and one that is nearly the nearest is found much sooner where all are far off.
+        return np.asarray(self._tree.query(points, eps=_ROUGHLY, workers=-1)[0], np.float64)
 
     @cached_property
     def _tree(self) -> Any:
