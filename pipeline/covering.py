@@ -1,8 +1,8 @@
 """The optional stage `coverage`: what is missing in a scan.
 
 coverage.ply    the clean mesh in colours of what is missing, and what would close its holes behind it; of
-                each vertex `frames`, `angle` (degrees) and `pixel` (metres), how well it was seen there
-coverage.glb    the same, upright
+                each vertex how well it was seen there: VALUES
+coverage.glb    the same, upright; not of a large mesh
 coverage.json   the places where one should go again, and the figures
 """
 
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from pipeline.standing import Up
 from stages.inspecting.coverage.coverage import coverage
-from stages.inspecting.coverage.covered import Coverage
+from stages.inspecting.coverage.covered import Covered
+from stages.inspecting.coverage.evidence import Evidence
 from stages.inspecting.coverage.params import CoverageParams
 from stages.params import param
 from stages.progress import Progress
@@ -27,8 +28,13 @@ from stages.scans.scan import Frame
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import write_mesh
+from stages.surface.pieces import Written, write_by_pieces
+from stages.surface.piecewise import Piecewise
 
 MESH, MODEL, FILE = "coverage.ply", "coverage.glb", "coverage.json"
+# Of each vertex: how many frames measured it, the angle of the straightest look and of the mean one, degrees;
+# the width of a pixel, and how far off it frames have measured it, RMS, metres. 0 frames, 90° and 0 for none.
+VALUES = ("frames", "angle", "mean_angle", "pixel", "spread")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +52,7 @@ class CoverageSection(CoverageParams):
 
 def make(
     folder: Path,
-    mesh: Mesh,
+    mesh: Mesh | Piecewise,
     frames: Sequence[Frame],
     params: CoverageSection,
     up: Up | None,
@@ -54,22 +60,32 @@ def make(
 ) -> dict[str, Any]:
     """Write coverage.ply, coverage.glb and coverage.json, and return the figures."""
     found = coverage(mesh, frames, params, progress=progress)
-    write_ply(folder / MESH, found.painted, vertex_values=_values(found))
-    write_mesh(folder / MODEL, found.painted.with_(up=up))
     figures = found.figures()
     (folder / FILE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8", newline="\n")
-    return {**figures, "places": len(found.places)}
+    told = {**figures, "places": len(found.places)}
+    if isinstance(mesh, Piecewise):
+        return {**told, "warnings": [_in_pieces(folder / MESH, found.covered)]}
+    rows = np.concatenate([part.probes for part in found.covered.painted()])
+    values = dict(zip(VALUES, values_of(found.covered.evidence.at(rows)).T, strict=True))
+    write_ply(folder / MESH, found.painted, vertex_values=values)
+    write_mesh(folder / MODEL, found.painted.with_(up=up))
+    return told
 
 
-def _values(found: Coverage) -> dict[str, NDArray[np.float64]]:
-    """Return what is known of each vertex; of those that close holes, that no frame saw them."""
-    evidence, count = found.evidence, len(found.painted.vertices)
-    values = {
-        "frames": (evidence.frames, 0.0),
-        "angle": (np.degrees(np.arccos(evidence.cosine.clip(0, 1))), 90.0),
-        "pixel": (np.where(np.isfinite(evidence.pixel), evidence.pixel, 0.0), 0.0),
-    }
-    return {
-        name: np.concatenate([known, np.full(count - len(known), none)]).astype(np.float32)
-        for name, (known, none) in values.items()
-    }
+def _in_pieces(path: Path, covered: Covered) -> str:
+    """Write a large mesh in its colours, and return what is left out."""
+    pieces = (
+        Written(part.vertices, part.colors, part.triangles, values_of(covered.evidence.at(part.probes)))
+        for part in covered.painted()
+    )
+    count = covered.triangle_count
+    write_by_pieces(path, covered.vertex_count, count, pieces, has_colors=True, values=VALUES)
+    return f"{MODEL} is left out: {count:,} triangles are too many for it; {path.name} has them."
+
+
+def values_of(evidence: Evidence) -> NDArray[np.float32]:
+    """Return what is known of vertices (n, v), as VALUES names it; of what no frame saw, that it did not."""
+    is_seen = evidence.frames > 0
+    angles = (np.degrees(np.arccos(cosine.clip(0, 1))) for cosine in (evidence.cosine, evidence.mean_cosine))
+    pixel = np.where(is_seen, evidence.pixel, 0.0)
+    return np.stack([evidence.frames, *angles, pixel, evidence.spread], axis=1).astype(np.float32)

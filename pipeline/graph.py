@@ -211,7 +211,7 @@ def _export(job: Job) -> Mapping[str, Any]:
 
 def _coverage(job: Job) -> Mapping[str, Any]:
     scan = _frames(job)
-    mesh = whole(job.inputs["clean"] / "clean.ply", "coverage")
+    mesh = surface_of(job.inputs["clean"] / "clean.ply")
     figures = covering.make(job.folder, mesh, scan.frames, job.config.coverage, _up(job), job.progress)
     return from_folder(_with_skipped(figures), scan.folder)
 

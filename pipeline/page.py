@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 import stages
+from pipeline.covering import MESH
 from pipeline.deviations import FIGURES, Kept, kept_of, read_deviations
 from pipeline.page_cameras import as_runs_write, cameras_of
 from pipeline.page_coverage import missing_of
@@ -59,12 +60,9 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     models = {}
     kept = None
     if (folder / "clean.ply").is_file():
-        count = promised(folder / "clean.ply", "face")
-        if is_many(count):
+        if is_many(promised(folder / "clean.ply", "face")):
             clean = None
-            said = f"its {count:,} triangles are too many for the page, which shows the result without it."
-            warn(f"{folder / 'clean.ply'}: {said}")
-            told["warnings"] = [*told.get("warnings", ()), f"clean.ply: {said}"]
+            told["warnings"] = [*told.get("warnings", ()), _without(folder / "clean.ply", warn)]
         else:
             clean = _read(folder / "clean.ply", warn).with_(up=result.up)
             models["clean mesh"] = Shown(clean, "before simplification")
@@ -87,7 +85,10 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
             ]
     missing = missing_of(folder, result.up, turn, is_metric=at(report, "scan", "metric", otherwise=True))
     if missing is not None:
-        models["what is missing"] = missing.shown
+        if missing.shown is None:
+            told["warnings"] = [*told.get("warnings", ()), _without(folder / MESH, warn)]
+        else:
+            models["what is missing"] = missing.shown
         told["tables"] = [missing.table, *told.get("tables", ())]
     confidence = confidence_paint(result, folder / MAPS)
     if confidence is not None:
@@ -95,6 +96,14 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     models = {"result": Shown(_with_vertex_colors(folder, result), name, paints=paints), **models}
     cameras = cameras_of(folder / PICTURES, turn, skipped_in(report))
     return packed_page(folder.resolve().name, models, most_bytes, warn, told, cameras)
+
+
+def _without(path: Path, warn: Warn) -> str:
+    """Say that a mesh is too large for the page, and return what the page says of it."""
+    count = promised(path, "face")
+    said = f"its {count:,} triangles are too many for the page, which shows the result without it."
+    warn(f"{path}: {said}")
+    return f"{path.name}: {said}"
 
 
 def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None:

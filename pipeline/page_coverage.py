@@ -11,20 +11,23 @@ from numpy.typing import NDArray
 
 from pipeline.covering import FILE, MESH
 from pipeline.page_cameras import as_runs_write
+from pipeline.page_paints import spread_paint
 from pipeline.standing import Up
 from stages.files.documents import read_json
 from stages.inspecting.coverage.kinds import KINDS
 from stages.picturing.page.packing import Shown
 from stages.printing import place_in_words
-from stages.surface.formats.ply import read_ply
+from stages.surface.formats.ply import read_ply, read_vertex_values
+from stages.surface.formats.ply_format import promised
+from stages.surface.pieces import is_many
 
 _NEAREST = 2
 
 
 class Missing(NamedTuple):
-    """What the page shows of it: the model, and the table as `one_file` takes it."""
+    """What the page shows of it: the model, None if it is too large, and the table as `one_file` takes it."""
 
-    shown: Shown
+    shown: Shown | None
     table: Mapping[str, Any]
 
 
@@ -66,8 +69,14 @@ def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_met
         "",
     ]
     table = {"title": "Where to go again", "head": head, "rows": rows, "places": places}
+    if is_many(promised(folder / MESH, "face")):
+        return Missing(None, table)
     mesh = read_ply(folder / MESH).with_(up=up)
-    return Missing(Shown(mesh, _in_words(told["places"])), table)
+    spread, frames = (read_vertex_values(folder / MESH, name) for name in ("spread", "frames"))
+    paints = {}
+    if spread is not None and frames is not None:
+        paints["spread"] = spread_paint(mesh, np.where(frames > 0, spread, np.nan), is_metric=is_metric)
+    return Missing(Shown(mesh, _in_words(told["places"]), paints=paints), table)
 
 
 def _in_words(places: Any) -> str:

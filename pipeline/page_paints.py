@@ -24,6 +24,8 @@ _IN_RANGE = "99"
 # Of numbers of photos, from few to many: dark to light, told apart by all eyes; and of none.
 _FEW_TO_MANY = np.array(((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37.0)))
 _UNSEEN = (128, 128, 128)
+# Of the scale of spreads, and the share of vertices whose spread is within it.
+_SPREAD_STEPS, _SPREAD_IN_RANGE = 20, 0.98
 # Numbers written beside their scale, about.
 _MARKS = 4
 _TINY = float(np.finfo(np.float64).tiny)
@@ -88,6 +90,38 @@ def confidence_paint(mesh: Mesh, maps: Path) -> Paint | None:
     most = max(int(counts.max(initial=0)), 1)
     note = f"photos that show a place, of which {most} count at most"
     return Paint(_at_vertices(mesh, counts), _photo_scale(mesh, counts, most), note)
+
+
+def spread_paint(mesh: Mesh, spread: Floats, *, is_metric: bool) -> Paint:
+    """Return as a look how much frames disagree about where each place is.
+
+    Parameters
+    ----------
+    spread : (n,) of the vertices, metres; NaN for those that no frame measured.
+    is_metric : lengths are metres, else units of the scan.
+    """
+    unit, per = ("mm", 1000) if is_metric else ("units", 1)
+    known = np.isfinite(spread)
+    most = per * float(np.quantile(spread[known], _SPREAD_IN_RANGE)) if known.any() else 0.0
+    step = max(most, _TINY) / _SPREAD_STEPS
+    # Before the scale begins stands what nobody measured.
+    values = np.where(known, per * spread, -step / 2)
+    a, b, c = (mesh.vertices[corner] for corner in mesh.triangles.T)
+    area = np.repeat(np.linalg.norm(np.cross(b - a, c - a), axis=1), 3)
+    steps = np.floor(values[mesh.triangles.reshape(-1)] / step).clip(-1, _SPREAD_STEPS - 1).astype(np.int64)
+    shares = np.bincount(steps + 1, area, minlength=_SPREAD_STEPS + 1)
+    places = np.linspace(0, len(_FEW_TO_MANY) - 1, _SPREAD_STEPS)
+    colors = [np.interp(places, np.arange(len(_FEW_TO_MANY)), channel) for channel in _FEW_TO_MANY.T]
+    scale = PageScale(
+        unit=unit,
+        low=-step,
+        high=_SPREAD_STEPS * step,
+        within=None,
+        colors=_as_css(np.rint(np.vstack([_UNSEEN, np.stack(colors, axis=1)]))),
+        shares=(shares / max(shares.sum(), _TINY)).round(5).tolist(),
+        marks=[0.0, most / 2, most],
+    )
+    return Paint(values, scale, "how far off the surface frames measured it, RMS; grey where none did")
 
 
 def _at_vertices(mesh: Mesh, counts: Floats) -> Floats:

@@ -169,11 +169,15 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """A piece to be written: its own vertices, and triangles by numbers that count through all pieces."""
+    """A piece to be written: its own vertices, and triangles by numbers that count through all pieces.
+
+    `values` (n, v) are what is known of the vertices beside their colours.
+    """
 
     vertices: NDArray[np.float64]
     colors: NDArray[np.uint8] | None
     triangles: NDArray[np.integer[Any]]
+    values: NDArray[np.float32] | None = None
 
 
 def write_pieces(
@@ -193,8 +197,38 @@ def write_pieces(
         If the system refuses to write.
     """
     vertex_count, triangle_count = (sizes[-1].vertices[1], sizes[-1].triangles[1]) if sizes else (0, 0)
-    header = _header(vertex_count, triangle_count, has_colors=has_colors)
-    row = _row(has_colors=has_colors)
+    write_by_pieces(path, vertex_count, triangle_count, pieces, has_colors=has_colors)
+    if not is_many(triangle_count):
+        return
+    document = {"has_colors": has_colors, "spacing_m": spacing, "pieces": [asdict(one) for one in sizes]}
+    with replacing(table_of(path)) as part:
+        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
+
+
+def write_by_pieces(
+    path: Path,
+    vertex_count: int,
+    triangle_count: int,
+    pieces: Iterable[Written],
+    *,
+    has_colors: bool,
+    values: Sequence[str] = (),
+) -> None:
+    """Write a PLY file without a table: as it comes, one piece after the other, and read as any PLY file is.
+
+    Parameters
+    ----------
+    vertex_count, triangle_count : of all pieces.
+    pieces : read once.
+    values : names of those that vertices have.
+
+    Raises
+    ------
+    StageError
+        If the system refuses to write.
+    """
+    header = _header(vertex_count, triangle_count, has_colors=has_colors, values=values)
+    row = _row(has_colors=has_colors, values=values)
     with replacing(path) as part, part.open("wb") as file:
         file.write(header)
         ends = [len(header), len(header) + vertex_count * row.itemsize]
@@ -205,6 +239,8 @@ def write_pieces(
             if has_colors:
                 for channel, name in enumerate(_COLORS):
                     rows[name] = 0 if piece.colors is None else piece.colors[:, channel]
+            for column, name in enumerate(values):
+                rows[name] = 0 if piece.values is None else piece.values[:, column]
             corners = np.empty(len(piece.triangles), _FACE)
             corners["length"] = 3
             corners["corners"] = piece.triangles
@@ -212,24 +248,21 @@ def write_pieces(
                 file.seek(ends[which])
                 file.write(table.data)
                 ends[which] += table.nbytes
-    if not is_many(triangle_count):
-        return
-    document = {"has_colors": has_colors, "spacing_m": spacing, "pieces": [asdict(one) for one in sizes]}
-    with replacing(table_of(path)) as part:
-        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
 
 
 _COLORS = ("red", "green", "blue")
 
 
-def _row(*, has_colors: bool) -> np.dtype[Any]:
-    return np.dtype([*((axis, "<f8") for axis in "xyz"), *((c, "u1") for c in _COLORS if has_colors)])
+def _row(*, has_colors: bool, values: Sequence[str] = ()) -> np.dtype[Any]:
+    colors = ((name, "u1") for name in _COLORS if has_colors)
+    return np.dtype([*((axis, "<f8") for axis in "xyz"), *colors, *((name, "<f4") for name in values)])
 
 
-def _header(vertices: int, triangles: int, *, has_colors: bool) -> bytes:
+def _header(vertices: int, triangles: int, *, has_colors: bool, values: Sequence[str] = ()) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {vertices}"]
     lines += [f"property double {axis}" for axis in "xyz"]
     lines += [f"property uchar {color}" for color in _COLORS if has_colors]
+    lines += [f"property float {name}" for name in values]
     lines += [f"element face {triangles}", "property list uchar int vertex_indices", "end_header", ""]
     return "\n".join(lines).encode()
 

@@ -15,7 +15,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.pieces import Part, Pieces
 from stages.surface.raycasting import Floats, bounding_box
 from stages.surface.topology import areas
-from stages.surface.vertex_normals import normal_sums, unit
+from stages.surface.vertex_normals import normal_sums, unit, vertex_normals
 
 # Vertices that are kept of all of them, about: no point is farther from the surface than from one of these.
 _LANDMARKS = 200_000
@@ -34,11 +34,13 @@ class Piece:
     mesh : its triangles.
     box : (2, 3) lowest and highest corner around them, metres.
     normals : (n, 3) float32 unit normals of the vertices, those of the whole; None if not asked for.
+    numbers : (n,) int64, of its vertices in all.
     """
 
     mesh: Mesh
     box: Floats
     normals: NDArray[np.float32] | None
+    numbers: NDArray[np.int64]
 
 
 class Piecewise:
@@ -53,6 +55,7 @@ class Piecewise:
     Attributes
     ----------
     has_colors : whether vertices have colours.
+    triangle_count, vertex_count : of all pieces.
     box : (2, 3) lowest and highest corner around all triangles, metres.
     area_ends : (p,) area of the pieces up to and with each, m²: sums over all their triangles in order.
 
@@ -65,6 +68,8 @@ class Piecewise:
     def __init__(self, path: Path) -> None:
         self._pieces = Pieces(path)
         self.has_colors = self._pieces.has_colors
+        self.triangle_count = self._pieces.triangle_count
+        self.vertex_count = self._pieces.vertex_count
         count = len(self._pieces)
         self.box = np.stack([np.full(3, np.inf), np.full(3, -np.inf)])
         self.area_ends = np.zeros(count)
@@ -82,6 +87,11 @@ class Piecewise:
     def __len__(self) -> int:
         """Return how many pieces there are."""
         return len(self._pieces)
+
+    @property
+    def area(self) -> float:
+        """Of all triangles, m²."""
+        return float(self.area_ends[-1])
 
     def areas_up_to(self, number: int, mesh: Mesh) -> Floats:
         """Return what `area_ends` is after each triangle of a piece (m,), after the one before it first."""
@@ -101,10 +111,14 @@ class Piecewise:
         """
         for number in range(len(self._pieces)):
             part = self._pieces.part(number)
-            normals = self._normals(part) if facing else None
+            normals = self.normals(part) if facing else None
             # What follows on each other in a piece is near each other.
             for first in range(0, len(part.mesh.triangles), AT_ONCE):
-                yield _some(part.mesh, normals, slice(first, first + AT_ONCE))
+                yield _some(part, normals, slice(first, first + AT_ONCE))
+
+    def parts(self) -> Iterator[Part]:
+        """Read one piece after the other, each with its own vertices."""
+        return (self._pieces.part(number) for number in range(len(self._pieces)))
 
     def some_vertices(self, wanted: int) -> Floats:
         """Return about so many vertices (k, 3), at equal steps through all."""
@@ -121,7 +135,7 @@ class Piecewise:
 
         return cKDTree(self._landmarks, balanced_tree=False)
 
-    def _normals(self, part: Part) -> NDArray[np.float32]:
+    def normals(self, part: Part) -> NDArray[np.float32]:
         """Return the unit normals (n, 3) of the vertices of a piece, with what others have there."""
         sums = normal_sums(part.mesh)
         numbers, of_all = self._shared
@@ -157,8 +171,9 @@ def _found(
     return place, np.asarray(numbers[place] == wanted) if len(numbers) else np.zeros(len(wanted), np.bool_)
 
 
-def _some(mesh: Mesh, normals: NDArray[np.float32] | None, rows: slice) -> Piece:
-    """Return some triangles of a mesh."""
+def _some(part: Part, normals: NDArray[np.float32] | None, rows: slice) -> Piece:
+    """Return some triangles of a piece."""
+    mesh = part.mesh
     triangles = mesh.triangles[rows]
     used = np.zeros(len(mesh.vertices), np.bool_)
     used[triangles] = True
@@ -167,4 +182,37 @@ def _some(mesh: Mesh, normals: NDArray[np.float32] | None, rows: slice) -> Piece
         Mesh(vertices, index[triangles], None if mesh.colors is None else mesh.colors[used]),
         np.stack([vertices.min(axis=0), vertices.max(axis=0)]),
         None if normals is None else normals[used],
+        part.numbers[used],
     )
+
+
+class OnePiece:
+    """A mesh that memory holds, as the only piece of itself: for what works piece by piece on either.
+
+    Parameters
+    ----------
+    mesh : with at least one triangle.
+
+    Attributes
+    ----------
+    triangle_count, vertex_count, box, area : as of `Piecewise`.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.triangle_count, self.vertex_count = len(mesh.triangles), len(mesh.vertices)
+        self.box = bounding_box(mesh)
+        self.area = float(areas(mesh.vertices, mesh.triangles).sum())
+        self._normals = vertex_normals(mesh).astype(np.float32)
+        self._piece = Piece(mesh, self.box, self._normals, np.arange(self.vertex_count))
+
+    def pieces(self, *, facing: bool = False) -> Iterator[Piece]:  # noqa: ARG002
+        """Yield the piece, each time the same one; it has normals in any case."""
+        yield self._piece
+
+    def parts(self) -> Iterator[Part]:
+        """Yield the piece with its own vertices, which are all."""
+        yield Part(self._piece.mesh, self._piece.numbers, self.vertex_count)
+
+    def normals(self, part: Part) -> NDArray[np.float32]:  # noqa: ARG002
+        """Return the unit normals (n, 3) of the vertices."""
+        return self._normals

@@ -16,6 +16,7 @@ from pipeline.again import run_again
 from pipeline.asked import Asked, from_anywhere
 from pipeline.cache import Cache
 from pipeline.config import Config
+from pipeline.covering import VALUES
 from pipeline.run import CACHE_VARIABLE, run
 from stages.errors import InputError, UsageError
 from stages.scans.layouts.scan_json import write_scan_json
@@ -104,7 +105,8 @@ def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
     out = here / "out"
     run_again(out, "coverage", {})
     mesh, clean = read_ply(out / "coverage.ply"), read_ply(out / "clean.ply")
-    values = {name: read_vertex_values(out / "coverage.ply", name) for name in ("frames", "angle", "pixel")}
+    values = {name: read_vertex_values(out / "coverage.ply", name) for name in VALUES}
+    assert set(values) == {"frames", "angle", "mean_angle", "pixel", "spread"}
 
     count = len(clean.vertices)
     np.testing.assert_array_equal(mesh.vertices[:count], clean.vertices)
@@ -113,6 +115,11 @@ def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
     middle = np.abs(clean.vertices[:, 0] + 0.2) < 0.05
     assert values["angle"][:count][middle].max() < 30
     assert values["pixel"][:count][middle] == pytest.approx(1 / 80, rel=0.15)
+    assert (values["mean_angle"] >= values["angle"] - 1e-3).all()
+    # Depth is exact, and the surface as flat as voxels of 1.5 cm leave it.
+    assert values["spread"][:count][middle].max() < 0.001
+    told = json.loads((out / "coverage.json").read_text())
+    assert 0 <= told["spread_median_m"] <= told["spread_95_m"] < 0.02
     model = read_mesh(out / "coverage.glb")
     assert len(model.triangles) == len(mesh.triangles)
 
@@ -124,6 +131,13 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
 
     model = next(one for one in content["models"] if one["name"] == "what is missing")
     assert "red hole in the surface" in model["note"]
+    (look,) = (one for one in content["models"] if one["name"] == "spread")
+    scale = look["scale"]
+    assert (look["file"], scale["unit"]) == (model["file"], "mm")
+    assert sum(scale["shares"]) == pytest.approx(1, abs=1e-3)
+    # What nobody measured, caps of holes among it, stands before the scale begins.
+    assert scale["shares"][0] > 0
+    assert scale["marks"][0] == 0 > scale["low"]
     table = content["tables"][0]
     assert table["title"] == "Where to go again"
     told = json.loads((out / "coverage.json").read_text())["places"]

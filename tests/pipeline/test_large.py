@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from page_content import shown
 from sample_in_pieces import part_of_sample, small_pieces
@@ -14,11 +16,11 @@ from pipeline.dry_run import foresee
 from pipeline.events import Warned
 from pipeline.report import SIGNED_SAMPLES
 from pipeline.run import RunResult, run
-from stages import lod
+from stages import coverage, lod, read_scan
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare
 from stages.comparing.deviations import deviations
-from stages.surface.formats.ply import read_ply
+from stages.surface.formats.ply import read_ply, read_vertex_values
 
 QUICK = (
     *("adjust.enabled=false", "texture.enabled=false", "export.web=false", "fuse.voxel_size=0.015"),
@@ -34,7 +36,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, RunResul
     folder = tmp_path_factory.mktemp("large")
     scan, out = part_of_sample(folder / "scan", list(range(0, 24, 6))), folder / "out"
     with small_pieces():
-        return (scan, out, *ran(scan, out, BOUND, "lod.enabled=true"))
+        return (scan, out, *ran(scan, out, BOUND, "lod.enabled=true", "coverage.enabled=true"))
 
 
 def ran(scan: Path, out: Path, *more: str, until: str | None = None) -> tuple[RunResult, list[str]]:
@@ -76,8 +78,34 @@ def test_the_page_shows_the_result_without_the_clean_mesh_and_says_so(made: Any)
     page = shown((out / "report.html").read_bytes())
     assert [one["name"] for one in page["models"]] == ["result", "deviation"]
     warning = "are too many for the page, which shows the result without it."
-    assert any(warning in text for text in page["warnings"])
-    assert sum(warning in text for text in said) == 1
+    for name in ("clean.ply", "coverage.ply"):
+        assert sum(text.startswith(name) and text.endswith(warning) for text in page["warnings"]) == 1
+        assert sum(name in text and warning in text for text in said) == 1
+
+
+def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) -> None:
+    scan, out, result, said = made
+    expected = coverage(read_ply(out / "clean.ply"), read_scan(scan))
+    told = json.loads((out / "coverage.json").read_text())
+    assert figures_of(result, "coverage")["places"] == len(told["places"]) == len(expected.places) > 0
+    for place, one in zip(told["places"], expected.figures()["places"], strict=True):
+        for name in ("kind", "point_m", "look_from_m", "frames_towards"):
+            assert place[name] == one[name]
+        assert place["area_m2"] == pytest.approx(one["area_m2"], rel=1e-6)
+    painted = read_ply(out / "coverage.ply")
+    np.testing.assert_array_equal(painted.vertices, expected.painted.vertices)
+    np.testing.assert_array_equal(painted.triangles, expected.painted.triangles)
+    np.testing.assert_allclose(painted.colors.astype(int), expected.painted.colors.astype(int), atol=1)
+    count = len(expected.kinds)
+    for name, value in (("frames", expected.evidence.frames), ("spread", expected.evidence.spread)):
+        values = read_vertex_values(out / "coverage.ply", name)
+        np.testing.assert_allclose(values[:count], value, rtol=1e-4, atol=1e-7)
+        assert not values[count:].any()
+    assert not (out / "coverage.glb").exists()
+    assert sum("coverage.glb is left out:" in text for text in said) == 1
+    table = shown((out / "report.html").read_bytes())["tables"][0]
+    assert table["title"] == "Where to go again"
+    assert len(table["rows"]) == len(told["places"])
 
 
 def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one(made: Any) -> None:

@@ -10,11 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.inspecting.coverage.borders import Border
 from stages.inspecting.coverage.patches import Patch, cut_up, squares, unit
 from stages.inspecting.coverage.space import Space
 from stages.inspecting.coverage.views import Floats
-from stages.surface.edges import edges_of, next_corner
-from stages.surface.mesh import Mesh
 
 # Stretches of border at most; each is looked at with all others.
 _STRETCHES = 4000
@@ -32,17 +31,15 @@ _UNKNOWN, _FREE = 0.6, 0.1
 _BESIDE = 1.8
 
 
-def continued(
-    mesh: Mesh, normals: Floats, space: Space, origin: Floats, reach: float, size: float
-) -> list[Patch]:
+def continued(border: Border, space: Space, origin: Floats, reach: float, size: float) -> list[Patch]:
     """Return what lies between the sides of gaps, cut up into patches of `size` metres at most.
 
     Parameters
     ----------
-    normals : (n, 3) of the vertices.
+    border : of all of the mesh.
     reach : metres, how wide gaps may be.
     """
-    places, ways, facing = _border(mesh, normals, space.cell)
+    places, ways, facing = _stretches(border, space.cell)
     one, other = _pairs(places, ways, facing, _LEAST * space.cell, reach)
     if not len(one):
         return []
@@ -53,23 +50,18 @@ def continued(
     return _patches(points[kept], (facing[one] + facing[other])[of[kept]], space.cell, size)
 
 
-def _border(mesh: Mesh, normals: Floats, cell: float) -> tuple[Floats, Floats, Floats]:
+def _stretches(border: Border, cell: float) -> tuple[Floats, Floats, Floats]:
     """Return places on the border, which way the surface would go on there, and its normals, (k, 3) each.
 
     There is one for each cell that the border is in and that it does not wind about in.
     """
-    edges = edges_of(mesh.triangles, len(mesh.vertices))
-    border = edges.halfedges[edges.start[edges.count == 1]]
-    corners = mesh.triangles.reshape(-1)
-    first, second = corners[border], corners[next_corner(border)]
-    middles = (mesh.vertices[first] + mesh.vertices[second]) / 2
-    facing = normals[first] + normals[second]
+    middles = (border.starts + border.ends) / 2
     # A triangle lies to the left of its halfedges, seen from where its normal points.
-    outwards = unit(np.cross(mesh.vertices[second] - mesh.vertices[first], facing))
+    outwards = unit(np.cross(border.ends - border.starts, border.facing))
     _, of = np.unique(np.floor(middles / cell).astype(np.int64), axis=0, return_inverse=True)
     of = of.reshape(-1)
     counts = np.bincount(of)
-    means = [_means(values, of, counts) for values in (middles, outwards, unit(facing))]
+    means = [_means(values, of, counts) for values in (middles, outwards, unit(border.facing))]
     (straight,) = np.nonzero(np.linalg.norm(means[1], axis=1) >= _STRAIGHT)
     chosen = straight[:: max(1, -(-len(straight) // _STRETCHES))]
     places, ways, facing = (values[chosen] for values in means)

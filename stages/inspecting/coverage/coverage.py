@@ -8,37 +8,39 @@ which frames came nearest to seeing it, what kept them from it, and from where o
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stages.inspecting.coverage.borders import Border, border_of
 from stages.inspecting.coverage.continued import continued
-from stages.inspecting.coverage.covered import Coverage
-from stages.inspecting.coverage.evidence import with_rims
+from stages.inspecting.coverage.covered import Coverage, Covered
 from stages.inspecting.coverage.kinds import KINDS, MISSING, THIN
 from stages.inspecting.coverage.missing import before, patches_of_holes, patches_of_space
 from stages.inspecting.coverage.nearest import looks_at
-from stages.inspecting.coverage.painted import painted
 from stages.inspecting.coverage.params import CoverageKeywords, CoverageParams
 from stages.inspecting.coverage.patches import Patch
 from stages.inspecting.coverage.place import Place, place_of
+from stages.inspecting.coverage.probes import laid_out, with_rims
 from stages.inspecting.coverage.rims import caps
 from stages.inspecting.coverage.seen import Ground, Seen, look
-from stages.inspecting.coverage.standpoints import Standing
+from stages.inspecting.coverage.sight import Sight
+from stages.inspecting.coverage.standpoints import Standing, Standpoint
 from stages.inspecting.coverage.thin import Limits, kinds_at, patches_of_thin
+from stages.inspecting.coverage.views import Floats, Singles
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans.scan import Frame, Scan
 from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from stages.surface.piecewise import OnePiece, Piecewise
 from stages.surface.topology import require_area, require_manifold
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # Derived parameters; see CoverageParams.
 _FEW, _SHARE_OF_FRAMES = 3, 5
@@ -52,7 +54,7 @@ _NEAREST = 5
 
 
 def coverage(
-    mesh: MeshLike,
+    mesh: MeshLike | Piecewise,
     frames: Scan | Iterable[Frame],
     params: CoverageParams | None = None,
     *,
@@ -61,13 +63,14 @@ def coverage(
 ) -> Coverage:
     """Tell what is missing in a scan, and from where one should look at it.
 
-    Each frame's depth map is read once. Beside the mesh, and a grid of a million and a half cells at most,
-    memory grows by some 40 kB a frame. Equal input gives an equal result, on any number of threads.
+    Each frame's depth map is read once. Beside the mesh, of one in pieces a piece at a time, and a grid of a
+    million and a half cells at most, memory grows by some 40 kB a frame. Equal input gives an equal result,
+    on any number of threads, in pieces or not.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world of the poses; an oriented manifold,
-        border allowed, as `clean` leaves it.
+        border allowed, as `clean` leaves it; or one in pieces, as that leaves it.
     frames : with depth and poses, those that the mesh was made of.
     params : see CoverageParams; single ones can be given by name.
     progress : called after each frame.
@@ -77,55 +80,71 @@ def coverage(
     MeshError
         If the mesh is not valid, has no area, or is no oriented manifold.
     InputError
-        If no frame has a pose and depth, or none has measured the mesh.
+        If the file of pieces is damaged, no frame has a pose and depth, or none has measured the mesh.
     UsageError
         If a parameter is out of range.
     """
-    params = resolve(CoverageParams, params, changes)
+    where = frames.folder if isinstance(frames, Scan) else None
+    shown = list(frames.frames if isinstance(frames, Scan) else frames)
+    return _covered(_surface_of(mesh), shown, where, resolve(CoverageParams, params, changes), progress)
+
+
+def _surface_of(mesh: MeshLike | Piecewise) -> OnePiece | Piecewise:
+    """Return a mesh as one of pieces; what cleaning left in pieces is known to be an oriented manifold."""
+    if isinstance(mesh, Piecewise):
+        return mesh
     given = as_mesh(mesh)
     require_area(given, "mesh")
     require_manifold(given)
-    where = frames.folder if isinstance(frames, Scan) else None
-    shown = list(frames.frames if isinstance(frames, Scan) else frames)
-    ground = Ground.of(given, params.spacing)
-    seen = look(ground, shown, where, progress)
-    evidence = with_rims(seen.evidence.at(ground.probes.of_vertex), given.triangles)
-    known = (evidence.frames > 0) & (ground.around > 0)
+    return OnePiece(given)
+
+
+def _covered(
+    surface: OnePiece | Piecewise,
+    frames: Sequence[Frame],
+    where: Path | None,
+    params: CoverageParams,
+    progress: Progress,
+) -> Coverage:
+    ground = Ground.of(surface, params.spacing)
+    seen = look(ground, frames, where, progress)
+    probes = with_rims(ground.probes, surface, seen.evidence.frames)
+    laid = laid_out(probes, surface)
+    (known,) = np.nonzero(seen.evidence.frames[:-1])
+    measured, around = seen.evidence.at(known), laid.areas[known]
     # From how far the median place was measured best.
-    usual = float(np.median(evidence.distance[known]))
+    usual = _up_to(0.5, measured.distance, around)
     limits = _limits(len(seen.frames), usual, params)
-    kinds = kinds_at(evidence, limits)
-    least = _LEAST_AREA * float(ground.around.sum()) if params.least_area is None else params.least_area
+    kinds = kinds_at(seen.evidence, limits)
+    least = _LEAST_AREA * surface.area if params.least_area is None else params.least_area
     size = params.place_size or _PLACE_SIZE * usual
-    surface = Surface(given)
-    missing, ends = _missing(given, ground, surface, size, _REACH * usual, least)
-    thin = patches_of_thin(
-        ground.vertices, ground.normals, given.triangles, ground.around, kinds, size, least
-    )
+    sight = Sight(surface)
+    missing, ends = _missing(border_of(surface), ground, sight, size, _REACH * usual, least)
+    thin = patches_of_thin(probes, laid, kinds[:-1], size, least)
     ranked = sorted((*missing, *thin), key=lambda patch: -KINDS[patch.kind].weight * patch.area)
     standing = Standing(
-        ground.space, surface, np.array([frame.place for frame in seen.frames]), usual, ground.origin
+        ground.space, sight, np.array([frame.place for frame in seen.frames]), usual, ground.origin
     )
-    told = [_told(patch, seen, standing) for patch in ranked[: params.places]]
-    shapes = [
-        (place.kind, patch.corners + ground.origin)
-        for patch, place in zip(ranked, told, strict=False)
-        if len(patch.corners)
-    ]
+    chosen = ranked[: params.places]
+    places = tuple(
+        _told(patch, stand, seen, ground.origin)
+        for patch, stand in zip(chosen, standing.best(chosen), strict=True)
+    )
+    caps = tuple((patch.kind, patch.corners + ground.origin) for patch in chosen if len(patch.corners))
     return Coverage(
-        places=tuple(told),
-        left_out=len(ranked) - len(told),
-        evidence=evidence,
-        kinds=kinds,
-        painted=painted(given, ground.normals, kinds, shapes),
+        places=places,
+        left_out=len(ranked) - len(places),
+        covered=Covered(surface, probes, seen.evidence, kinds, caps),
         limits=limits,
         least_area=least,
         place_size=size,
         spacing=ground.space.cell,
         frames=len(seen.frames),
         skipped=tuple(seen.skipped),
-        surface_area=float(ground.around.sum()),
-        thin_areas={kind: float(ground.around[kinds == number].sum()) for number, kind in enumerate(THIN)},
+        surface_area=surface.area,
+        spread_median=_up_to(0.5, measured.spread, around),
+        spread_95=_up_to(0.95, measured.spread, around),
+        thin_areas={kind: float(laid.areas[kinds[:-1] == number].sum()) for number, kind in enumerate(THIN)},
         missing_areas={
             kind: float(sum(patch.area for patch in missing if patch.kind == kind)) for kind in MISSING
         },
@@ -138,18 +157,25 @@ def _limits(frames: int, usual: float, params: CoverageParams) -> Limits:
     return Limits(few, float(np.cos(np.radians(params.oblique))), params.far or _FAR * usual)
 
 
+def _up_to(share: float, values: Singles, areas: Floats) -> float:
+    """Return the value that so much of an area has at most."""
+    order = np.argsort(values, kind="stable")
+    ends = np.cumsum(areas[order])
+    return float(values[order[np.searchsorted(ends, share * ends[-1])]])
+
+
 def _missing(
-    mesh: Mesh, ground: Ground, surface: Surface, size: float, reach: float, least: float
+    border: Border, ground: Ground, sight: Sight, size: float, reach: float, least: float
 ) -> tuple[list[Patch], float]:
     """Return what is not there at all, and how much of the scan just ends, m²."""
-    holes = patches_of_holes(caps(mesh, ground.edge, least), ground.space, ground.origin, size)
+    holes = patches_of_holes(caps(border, ground.edge, least), ground.space, ground.origin, size)
     frontier = ground.space.frontier()
-    space, ends = patches_of_space(frontier, holes, ground.space, surface, ground.origin, size, reach)
-    gaps = continued(mesh, ground.normals, ground.space, ground.origin, reach, size)
+    space, ends = patches_of_space(frontier, holes, ground.space, sight, ground.origin, size, reach)
+    gaps = continued(border, ground.space, ground.origin, reach, size)
     space = before(space, gaps, ground.space.cell, reach)
     return [patch for patch in (*holes, *gaps, *space) if patch.area >= least], ends
 
 
-def _told(patch: Patch, seen: Seen, standing: Standing) -> Place:
-    looks = looks_at(patch.points, patch.normal, seen.frames, standing.origin, _NEAREST)
-    return place_of(patch, looks, standing.best(patch), standing.origin)
+def _told(patch: Patch, stand: Standpoint, seen: Seen, origin: Floats) -> Place:
+    looks = looks_at(patch.points, patch.normal, seen.frames, origin, _NEAREST)
+    return place_of(patch, looks, stand, origin)

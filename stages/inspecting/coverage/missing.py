@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from stages.inspecting.coverage.patches import Patch, cut_up, squares, total_area
 from stages.inspecting.coverage.rims import Cap
+from stages.inspecting.coverage.sight import Sight
 from stages.inspecting.coverage.space import BLANK, HIDDEN, NOTHING, Frontier, Space
-from stages.inspecting.coverage.surroundings import open_sector
+from stages.inspecting.coverage.surroundings import open_sectors
 from stages.inspecting.coverage.views import Floats
-from stages.surface.raycasting import Surface
 
 # What is told of the sides of a frontier.
 _KINDS = {NOTHING: "unseen", BLANK: "blank", HIDDEN: "hidden"}
@@ -55,7 +55,7 @@ def patches_of_space(
     frontier: Frontier,
     holes: list[Patch],
     space: Space,
-    surface: Surface,
+    sight: Sight,
     origin: Floats,
     size: float,
     reach: float,
@@ -75,7 +75,7 @@ def patches_of_space(
     at_rim = np.bincount(frontier.parts, frontier.at_rim & left)
     around = 2 * np.sqrt(np.pi * counts)
     is_kept = (counts >= _LEAST_FACES) & (at_rim >= _RIM * around)
-    found, ends = [], 0.0
+    found = []
     for part in np.flatnonzero(is_kept):
         (members,) = np.nonzero((frontier.parts == part) & left)
         points, normals = frontier.points[members], frontier.normals[members]
@@ -87,14 +87,27 @@ def patches_of_space(
             area = total_area(normals[rows], areas[rows])
             corners = squares(points[rows], normals[rows], space.cell)
             patch = Patch(_KINDS[behind], points[rows], normals[rows], areas[rows], area, corners)
-            if behind != HIDDEN:
-                sector = open_sector(patch.middle + origin, patch.normal, surface, reach)
-                if sector >= _OPEN[behind]:
-                    ends += area
-                    continue
-                patch = patch if sector < _OPEN[NOTHING] else replace(patch, kind="end")
-            found.append(patch)
-    return found, ends
+            found.append((behind, patch))
+    return _within(found, sight, origin, reach)
+
+
+def _within(
+    found: list[tuple[int, Patch]], sight: Sight, origin: Floats, reach: float
+) -> tuple[list[Patch], float]:
+    """Return patches within a scan, and the area of those where it ends, m²."""
+    asked = [patch for behind, patch in found if behind != HIDDEN]
+    middles, normals = (
+        np.array([getattr(patch, name) for patch in asked]).reshape(-1, 3) for name in ("middle", "normal")
+    )
+    sectors = iter(open_sectors(middles + origin, normals, sight, reach))
+    kept, ends = [], 0.0
+    for behind, patch in found:
+        sector = 0.0 if behind == HIDDEN else float(next(sectors))
+        if behind != HIDDEN and sector >= _OPEN[behind]:
+            ends += patch.area
+        else:
+            kept.append(patch if sector < _OPEN[NOTHING] else replace(patch, kind="end"))
+    return kept, ends
 
 
 def before(patches: list[Patch], gaps: list[Patch], cell: float, reach: float) -> list[Patch]:

@@ -2,43 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.inspecting.coverage.kinds import KINDS, THIN, WELL
+from stages.inspecting.coverage.probes import Ids, Probes
 from stages.inspecting.coverage.views import Floats
-from stages.surface.mesh import Mesh
+from stages.surface.piecewise import OnePiece, Piecewise
 
 # How dark it is where no light falls, and where that comes from: viewers may have none.
 _AMBIENT, _LIGHT = 0.6, np.array((0.35, 0.55, 0.75)) / np.linalg.norm((0.35, 0.55, 0.75))
 
 
-def painted(mesh: Mesh, normals: Floats, kinds: NDArray[np.int8], caps: Sequence[tuple[str, Floats]]) -> Mesh:
-    """Return the mesh, and behind its triangles those of the caps, each in the colour of its kind.
+@dataclass(frozen=True, eq=False)
+class Painted:
+    """A piece in its colours.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64, metres; its own, which follow those of the pieces before.
+    colors : (n, 3) uint8.
+    triangles : (m, 3) int64, by numbers that count through all pieces.
+    probes : (n,) which of the probes stands for each vertex; −1 for those that close holes.
+    """
+
+    vertices: Floats
+    colors: NDArray[np.uint8]
+    triangles: Ids
+    probes: Ids
+
+
+def painted(
+    surface: Piecewise | OnePiece,
+    probes: Probes,
+    kinds: NDArray[np.int8],
+    caps: Sequence[tuple[str, Floats]],
+) -> Iterator[Painted]:
+    """Yield a surface, and behind its triangles those of the caps, each in the colour of its kind.
 
     Parameters
     ----------
-    normals : (n, 3) of the vertices.
-    kinds : (n,) which of THIN each vertex is, -1 for none.
+    kinds : (k + 1,) which of THIN each probe is, −1 for none; the last is of what has no probe.
     caps : kind and corners (k, 3, 3), metres, of what would close holes.
     """
     palette = np.array([*(KINDS[kind].color for kind in THIN), WELL], np.float64)
-    light = _AMBIENT + (1 - _AMBIENT) * np.abs(normals @ _LIGHT)
-    vertices, colors = [mesh.vertices], [palette[kinds] * light[:, None]]
-    triangles, count = [mesh.triangles], len(mesh.vertices)
+    for part in surface.parts():
+        normals = surface.normals(part)[: part.own]
+        vertices = part.mesh.vertices[: part.own]
+        of = probes.of(vertices, normals, part.numbers[: part.own])
+        shade = _AMBIENT + (1 - _AMBIENT) * np.abs(normals @ _LIGHT)
+        colors = _levels(palette[kinds[of]] * shade[:, None])
+        yield Painted(vertices, colors, part.numbers[part.mesh.triangles], of)
+    count = surface.vertex_count
     for kind, corners in caps:
-        vertices.append(corners.reshape(-1, 3))
-        triangles.append((count + np.arange(3 * len(corners))).reshape(-1, 3).astype(np.int32))
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(np.float64).tiny)
         shade = _AMBIENT + (1 - _AMBIENT) * np.abs(across @ _LIGHT)
-        colors.append(np.repeat(np.array(KINDS[kind].color) * shade[:, None], 3, axis=0))
-        count += 3 * len(corners)
-    return Mesh(
-        np.concatenate(vertices),
-        np.concatenate(triangles),
-        np.rint(np.concatenate(colors)).astype(np.uint8),
-        up=mesh.up,
-    )
+        colors = _levels(np.repeat(np.array(KINDS[kind].color) * shade[:, None], 3, axis=0))
+        numbers = count + np.arange(3 * len(corners))
+        yield Painted(corners.reshape(-1, 3), colors, numbers.reshape(-1, 3), np.full(len(numbers), -1))
+        count += len(numbers)
+
+
+def _levels(colors: Floats) -> NDArray[np.uint8]:
+    return np.rint(colors).astype(np.uint8)

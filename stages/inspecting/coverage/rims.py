@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.inspecting.coverage.borders import Border
 from stages.inspecting.coverage.views import Floats
-from stages.surface.edges import edges_of, next_corner
-from stages.surface.mesh import Mesh
 
 # Of the angle between a cap and the triangles around it, the least cosine: at the open end of a tube they
 # stand at right angles.
@@ -41,17 +40,18 @@ class Cap:
     normal: Floats
 
 
-def caps(mesh: Mesh, edge: float, least_area: float) -> list[Cap]:
+def caps(border: Border, edge: float, least_area: float) -> list[Cap]:
     """Return caps of the holes within an oriented manifold.
 
     Parameters
     ----------
+    border : of all of it.
     edge : metres, the median of the mesh.
     least_area : m²; smaller ones are left out.
     """
     found = []
-    for loop, beside in _loops(mesh):
-        rim = mesh.vertices[loop]
+    for loop in _loops(border):
+        rim = border.ends[loop]
         after = np.roll(rim, -1, axis=0)
         corners = np.stack([rim, after, np.broadcast_to(rim.mean(axis=0), rim.shape)], axis=1)
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -62,32 +62,24 @@ def caps(mesh: Mesh, edge: float, least_area: float) -> list[Cap]:
             continue
         if 2 * area < _FLAT * np.linalg.norm(doubled, axis=1).sum():
             continue
-        a, b, c = mesh.vertices[mesh.triangles[beside]].transpose(1, 0, 2)
-        around = np.cross(b - a, c - a).sum(axis=0)
+        around = border.beside[loop].sum(axis=0)
         normal = total / (2 * area)
         if normal @ around >= _FACING * np.linalg.norm(around):
             found.append(Cap(corners, area, normal))
     return found
 
 
-def _loops(mesh: Mesh) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Return the closed chains of border edges, as a cap runs along them, and the triangle at each edge."""
-    edges = edges_of(mesh.triangles, len(mesh.vertices))
-    corners = mesh.triangles.reshape(-1)
-    border = edges.halfedges[edges.start[edges.count == 1]]
-    heads, tails = corners[next_corner(border)].tolist(), corners[border].tolist()
-    follower = {
-        head: (tail, triangle)
-        for head, tail, triangle in zip(heads, tails, (border // 3).tolist(), strict=True)
-    }
+def _loops(border: Border) -> list[NDArray[np.int64]]:
+    """Return the closed chains of border edges, as a cap runs along them."""
+    tails = border.tails.tolist()
+    follower = {head: row for row, head in enumerate(border.heads.tolist())}
     loops = []
     while follower:
         first = vertex = next(iter(follower))
-        loop, beside = [], []
+        loop = []
         while vertex in follower:
-            loop.append(vertex)
-            vertex, triangle = follower.pop(vertex)
-            beside.append(triangle)
+            loop.append(follower.pop(vertex))
+            vertex = tails[loop[-1]]
         if vertex == first and len(loop) > 2:
-            loops.append((np.array(loop, np.int64), np.array(beside, np.int64)))
+            loops.append(np.array(loop, np.int64))
     return loops

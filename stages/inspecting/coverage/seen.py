@@ -2,68 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stages.errors import InputError
-from stages.inspecting.coverage.evidence import Evidence, Measured, Probes, measured_by, probes_of
+from stages.inspecting.coverage.evidence import Evidence, Measured, measured_by
 from stages.inspecting.coverage.nearest import Remembered
+from stages.inspecting.coverage.probes import Probes, probes_of
 from stages.inspecting.coverage.space import Space
-from stages.inspecting.coverage.thin import vertex_areas
 from stages.inspecting.coverage.views import Floats, View, read_view
 from stages.progress import Progress
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, SkippedFrame
-from stages.surface.mesh import Mesh
+from stages.surface.piecewise import OnePiece, Piecewise
+from stages.surface.raycasting import is_used
 from stages.surface.topology import areas
-from stages.surface.vertex_normals import vertex_normals
 
 # Edges of the mesh that a cell of space is wide, where nobody says it.
 _CELL_EDGES = 4.0
+# Triangles whose edges are measured, about.
+_EDGES = 500_000
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A mesh made ready to be looked at.
+    """A surface made ready to be looked at.
 
     Attributes
     ----------
     origin : (3,) metres, what all coordinates are counted from: single precision is then enough for them.
-    vertices, normals : (n, 3) float64, from there on.
-    around : (n,) the area around each vertex, m².
     edge : metres, the median of the mesh.
     probes : vertices that stand for those around them.
     space : around the mesh, unknown before a frame is added.
     """
 
     origin: Floats
-    vertices: Floats
-    normals: Floats
-    around: Floats
     edge: float
     probes: Probes
     space: Space
 
     @classmethod
-    def of(cls, mesh: Mesh, spacing: float | None) -> Ground:
-        """Make a mesh ready; `spacing` is that of space, metres, None for what the mesh tells."""
-        origin = np.asarray(mesh.vertices.mean(axis=0))
-        vertices, normals = mesh.vertices - origin, vertex_normals(mesh)
-        ends = vertices[mesh.triangles[:, :2]]
-        edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
-        around = vertex_areas(mesh)
+    def of(cls, surface: Piecewise | OnePiece, spacing: float | None) -> Ground:
+        """Make a surface ready; `spacing` is that of space, metres, None for what the mesh tells."""
+        origin = surface.box.mean(axis=0)
+        edge = _edge_of(surface)
         cell = spacing or _CELL_EDGES * edge
-        probes = probes_of(vertices, normals, edge, float(around.sum()))
-        space = Space(_samples(vertices, mesh, cell / 2), cell)
-        return cls(origin, vertices, normals, around, edge, probes, space)
+        space = Space(surface.box - origin, _samples(surface, origin, cell / 2), cell)
+        return cls(origin, edge, probes_of(surface, origin, edge), space)
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What frames have told: of the ground's probes, and of themselves."""
+    """What frames have told: of the ground's probes, and one row more of what has none, and of themselves."""
 
     evidence: Evidence
     frames: list[Remembered]
@@ -88,9 +81,9 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
             view = read_view(frame, ground.origin)
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
-        return view, measured_by(view, ground.probes, ground.origin)
+        return view, measured_by(view, ground.probes, ground.origin, ground.edge)
 
-    seen = Seen(Evidence.none(len(ground.probes.points)), [], [])
+    seen = Seen(Evidence.none(len(ground.probes.points) + 1), [], [])
     threads = workers()
     for number, one in enumerate(read_ahead(prepared, frames, threads=threads, ahead=threads + 1)):
         if isinstance(one, SkippedFrame):
@@ -112,12 +105,26 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
     return seen
 
 
-def _samples(vertices: Floats, mesh: Mesh, spacing: float) -> Floats:
-    """Return points all over a mesh, about as close as `spacing`: more than one in large triangles."""
-    corners = vertices[mesh.triangles]
-    counts = np.ceil(2 * areas(mesh.vertices, mesh.triangles) / spacing**2).astype(np.int64)
-    large = np.repeat(np.flatnonzero(counts > 1), counts[counts > 1])
+def _edge_of(surface: Piecewise | OnePiece) -> float:
+    """Return the median length of edges, metres: of triangles at equal steps through all."""
+    step, before, lengths = 1 + surface.triangle_count // _EDGES, 0, []
+    for piece in surface.pieces():
+        ends = piece.mesh.vertices[piece.mesh.triangles[-before % step :: step, :2]]
+        lengths.append(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+        before += len(piece.mesh.triangles)
+    return float(np.median(np.concatenate(lengths)))
+
+
+def _samples(surface: Piecewise | OnePiece, origin: Floats, spacing: float) -> Iterator[Floats]:
+    """Yield points all over a surface, about as close as `spacing`: more than one in large triangles."""
     # Chosen by chance, but the same each time.
-    shares = np.random.default_rng(0).dirichlet((1, 1, 1), len(large))
-    spread = np.einsum("kc,kcx->kx", shares, corners[large])
-    return np.concatenate([vertices[np.unique(mesh.triangles)], corners.mean(axis=1), spread])
+    rng = np.random.default_rng(0)
+    for piece in surface.pieces():
+        mesh = piece.mesh
+        vertices = mesh.vertices - origin
+        corners = vertices[mesh.triangles]
+        counts = np.ceil(2 * areas(mesh.vertices, mesh.triangles) / spacing**2).astype(np.int64)
+        large = np.repeat(np.flatnonzero(counts > 1), counts[counts > 1])
+        shares = rng.dirichlet((1, 1, 1), len(large))
+        spread = np.einsum("kc,kcx->kx", shares, corners[large])
+        yield from (vertices[is_used(mesh)], corners.mean(axis=1), spread)

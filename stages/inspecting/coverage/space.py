@@ -12,6 +12,7 @@ empty meets unseen); Yamauchi, A Frontier-Based Approach for Autonomous Explorat
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,18 +65,20 @@ class Space:
 
     Parameters
     ----------
-    samples : (k, 3) points of the surface, closer than cells are; metres, from the origin on.
+    box : (2, 3) lowest and highest corner around the surface; metres, from the origin on.
+    samples : points of the surface (k, 3), closer than cells are, some at a time.
     cell : metres; made larger where there were too many.
     """
 
-    def __init__(self, samples: Floats, cell: float) -> None:
-        low, high = samples.min(axis=0), samples.max(axis=0)
+    def __init__(self, box: Floats, samples: Iterable[Floats], cell: float) -> None:
+        low, high = box
         self.cell = max(cell, _cell_for(high - low))
         self._low = low - _AROUND * self.cell
         self._shape = np.ceil((high - self._low) / self.cell).astype(np.int64) + _AROUND
         self._state = np.zeros(int(self._shape.prod()), np.uint8)
-        numbers, _ = self._numbers(samples)
-        self._state[numbers] |= _SURFACE
+        for some in samples:
+            numbers, _ = self._numbers(some)
+            self._state[numbers] |= _SURFACE
         self._blocks, self._ids, self._centers = self._in_blocks()
 
     def see(self, view: View) -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.inspecting.coverage.directions import all_around
 from stages.inspecting.coverage.patches import Patch
+from stages.inspecting.coverage.sight import Sight
 from stages.inspecting.coverage.space import Space
 from stages.inspecting.coverage.views import Floats
-from stages.surface.raycasting import Surface
 
 # Directions that are tried, those not too flat, and distances, of the usual one.
 _DIRECTIONS = 192
@@ -22,6 +24,8 @@ _POINTS = 12
 _BEFORE = 0.93
 # Cameras that a standpoint should be near to.
 _CAMERAS = 500
+# Patches that are looked at at a time, by some 7,000 rays each.
+_AT_ONCE = 100
 # What a straight look at all of a place is worth from where nobody knows that there is room, within the scan
 # or outside; and how much less it is for each usual distance away from all cameras, and for each factor of e
 # from that distance to the place.
@@ -46,58 +50,85 @@ class Standpoint:
     is_free: bool
 
 
+@dataclass(frozen=True, eq=False)
+class _Looks:
+    """Places (p, 3) that are tried, `reaches` (p,) from the middle (3,), and lines from there to points.
+
+    `rays` (p, k, 3) are unit, `lengths` (p, k) metres, `straight` (p, k) their cosines to the patch.
+    """
+
+    places: Floats
+    reaches: Floats
+    middle: Floats
+    rays: Floats
+    lengths: Floats
+    straight: Floats
+
+
 class Standing:
     """Where one can stand around a scan.
 
     Parameters
     ----------
     space : that frames have seen.
-    surface : what may be in the way, in the axes of the scan.
+    sight : what may be in the way, in the axes of the scan.
     cameras : (c, 3) where frames were taken, likewise, metres.
     usual : metres, from where places are seen.
     origin : (3,) what points of patches and of space are counted from.
     """
 
-    def __init__(self, space: Space, surface: Surface, cameras: Floats, usual: float, origin: Floats) -> None:
+    def __init__(self, space: Space, sight: Sight, cameras: Floats, usual: float, origin: Floats) -> None:
         rows = np.linspace(0, len(cameras) - 1, min(_CAMERAS, len(cameras))).round().astype(int)
-        self._space, self._surface, self._usual = space, surface, usual
+        self._space, self._sight, self._usual = space, sight, usual
         self._cameras = cameras[rows] - origin
         self.origin = origin
 
-    def best(self, patch: Patch) -> Standpoint:
-        """Return the best place to look at a patch from."""
+    def best(self, patches: Sequence[Patch]) -> list[Standpoint]:
+        """Return the best place to look at each patch from."""
+        found = []
+        for start in range(0, len(patches), _AT_ONCE):
+            some = [self._looks(patch) for patch in patches[start : start + _AT_ONCE]]
+            rays, lengths = (
+                np.concatenate([values.reshape(-1, *values.shape[2:]) for values in columns])
+                for columns in zip(*((one.rays, one.lengths) for one in some), strict=True)
+            )
+            places = np.concatenate([np.repeat(one.places, one.lengths.shape[1], axis=0) for one in some])
+            met = self._sight.is_met(places + self.origin, rays, _BEFORE * lengths)
+            ends = np.cumsum([one.lengths.size for one in some])
+            for one, hidden in zip(some, np.split(met, ends[:-1]), strict=True):
+                found.append(self._best(one, ~hidden.reshape(one.lengths.shape)))
+        return found
+
+    def _best(self, looks: _Looks, is_seen: NDArray[np.bool_]) -> Standpoint:
+        """Return the best of some places, from which points (p, k) are seen."""
+        is_outside = ~self._space.is_inside(looks.places)
+        is_free = self._space.is_free(looks.places)
+        away = np.linalg.norm(looks.places[:, None] - self._cameras[None], axis=2).min(axis=1) / self._usual
+        room = np.select([is_free, is_outside], [1.0, _OUTSIDE], _UNKNOWN)
+        score = (is_seen * looks.straight).mean(axis=1) * room
+        score /= (1 + _AWAY * away) * (1 + _DISTANCE * np.abs(np.log(looks.reaches / self._usual)))
+        best = int(score.argmax())
+        return Standpoint(
+            _numbers(looks.places[best] + self.origin),
+            _numbers((looks.middle - looks.places[best]) / looks.reaches[best]),
+            float(is_seen[best].mean()),
+            bool(is_free[best] | is_outside[best]),
+        )
+
+    def _looks(self, patch: Patch) -> _Looks:
+        """Return how places around a patch look at it."""
         normal, middle = patch.normal, patch.middle
         directions = all_around(_DIRECTIONS)
         if normal.any():
             directions = directions[directions @ normal > _LEAST_COSINE]
         reaches = np.repeat(np.array(_DISTANCES) * self._usual, len(directions))
-        tried = middle + reaches[:, None] * np.tile(directions, (len(_DISTANCES), 1))
-        sight, straight = self._looks(tried, patch.points, normal)
-        is_outside = ~self._space.is_inside(tried)
-        is_free = self._space.is_free(tried)
-        away = np.linalg.norm(tried[:, None] - self._cameras[None], axis=2).min(axis=1) / self._usual
-        room = np.select([is_free, is_outside], [1.0, _OUTSIDE], _UNKNOWN)
-        score = (sight * straight).mean(axis=1) * room
-        score /= (1 + _AWAY * away) * (1 + _DISTANCE * np.abs(np.log(reaches / self._usual)))
-        best = int(score.argmax())
-        return Standpoint(
-            _numbers(tried[best] + self.origin),
-            _numbers((middle - tried[best]) / reaches[best]),
-            float(sight[best].mean()),
-            bool(is_free[best] | is_outside[best]),
-        )
-
-    def _looks(self, places: Floats, points: Floats, normal: Floats) -> tuple[Floats, Floats]:
-        """Return which points are in sight of places (p, k), and the cosines of how these see them (p, k)."""
-        rows = np.linspace(0, len(points) - 1, min(_POINTS, len(points))).round().astype(int)
-        lines = points[rows][None] - places[:, None]
+        places = middle + reaches[:, None] * np.tile(directions, (len(_DISTANCES), 1))
+        rows = np.linspace(0, len(patch.points) - 1, min(_POINTS, len(patch.points))).round().astype(int)
+        lines = patch.points[rows][None] - places[:, None]
         lengths = np.linalg.norm(lines, axis=2)
-        unit = lines / np.maximum(lengths, np.finfo(np.float64).tiny)[..., None]
-        hits = self._surface.cast(np.repeat(places + self.origin, len(rows), axis=0), unit.reshape(-1, 3))
-        sight = np.ones(lengths.size)
-        sight[hits.rays] = hits.distances > _BEFORE * lengths.reshape(-1)[hits.rays]
-        straight = np.maximum(-(unit @ normal), 0.0) if normal.any() else np.ones_like(lengths)
-        return sight.reshape(lengths.shape), straight
+        rays = lines / np.maximum(lengths, np.finfo(np.float64).tiny)[..., None]
+        straight = np.maximum(-(rays @ normal), 0.0) if normal.any() else np.ones_like(lengths)
+        return _Looks(places, reaches, middle, rays, lengths, straight)
 
 
 def _numbers(point: Floats) -> tuple[float, float, float]:

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from stages.inspecting.coverage.evidence import Evidence
 from stages.inspecting.coverage.kinds import KINDS, THIN
 from stages.inspecting.coverage.patches import Patch, cut_up
-from stages.inspecting.coverage.views import Floats
+from stages.inspecting.coverage.probes import Laid, Probes
 from stages.surface.edges import components
-from stages.surface.mesh import Mesh
-from stages.surface.topology import areas
 
 _WEIGHTS = np.array([KINDS[kind].weight for kind in THIN])
 
@@ -38,45 +36,30 @@ def kinds_at(evidence: Evidence, limits: Limits) -> NDArray[np.int8]:
     return kinds
 
 
-def vertex_areas(mesh: Mesh) -> Floats:
-    """Return the area around each vertex (n,), m²: a third of its triangles'."""
-    thirds = np.repeat(areas(mesh.vertices, mesh.triangles) / 3, 3)
-    around = np.bincount(mesh.triangles.reshape(-1), thirds, minlength=len(mesh.vertices))
-    return np.asarray(around, np.float64)
-
-
 def patches_of_thin(
-    vertices: Floats,
-    normals: Floats,
-    triangles: NDArray[np.int32],
-    around: Floats,
-    kinds: NDArray[np.int8],
-    size: float,
-    least_area: float,
+    probes: Probes, laid: Laid, kinds: NDArray[np.int8], size: float, least_area: float
 ) -> list[Patch]:
     """Return what is thin and hangs together, cut up into patches of `size` metres at most.
 
     Parameters
     ----------
-    vertices, normals : (n, 3) from the origin on, metres.
-    around : (n,) the area around each vertex, m².
-    kinds : (n,) as `kinds_at` returns them.
+    kinds : (k,) as `kinds_at` returns them, of the probes.
     least_area : m²; what hangs together and is smaller is left out.
     """
     thin = kinds >= 0
-    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
-    ends = ends[thin[ends].all(axis=1)]
-    _, labels = components(len(vertices), ends[:, 0], ends[:, 1])
-    total = np.bincount(labels, np.where(thin, around, 0.0))
-    (members,) = np.nonzero(thin & (total[labels] >= least_area) & (around > 0))
+    ends = laid.links[thin[laid.links].all(axis=1)]
+    _, labels = components(len(kinds), ends[:, 0], ends[:, 1])
+    total = np.bincount(labels, np.where(thin, laid.areas, 0.0))
+    (members,) = np.nonzero(thin & (total[labels] >= least_area) & (laid.areas > 0))
     members = members[np.argsort(labels[members], kind="stable")]
     starts = np.flatnonzero(np.diff(labels[members], prepend=-1))
+    points, normals = probes.points.astype(np.float64), probes.normals.astype(np.float64)
     found = []
     for piece in np.split(members, starts[1:]) if len(members) else []:
-        for rows in cut_up(vertices[piece], normals[piece], around[piece], size):
+        for rows in cut_up(points[piece], normals[piece], laid.areas[piece], size):
             own = piece[rows]
-            counts = np.bincount(kinds[own], around[own], minlength=len(THIN)) * _WEIGHTS
-            area = float(around[own].sum())
+            counts = np.bincount(kinds[own], laid.areas[own], minlength=len(THIN)) * _WEIGHTS
+            area = float(laid.areas[own].sum())
             kind = THIN[int(counts.argmax())]
-            found.append(Patch(kind, vertices[own], normals[own], around[own], area, np.zeros((0, 3, 3))))
+            found.append(Patch(kind, points[own], normals[own], laid.areas[own], area, np.zeros((0, 3, 3))))
     return found

@@ -60,6 +60,14 @@ class View:
             rows = np.float32(self.camera.fy) * y / z + np.float32(self.camera.cy)
         return columns, rows, z
 
+    def point_at(self, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> Singles:
+        """Return where what pixels measured is, (3, k) along the axes of the camera, metres."""
+        camera = self.camera
+        z = self.depth[rows, columns]
+        across = (columns.astype(np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
+        down = (rows.astype(np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
+        return np.stack([across * z, down * z, z])
+
     def pixels(
         self, columns: Singles, rows: Singles, z: Singles, step: int = 1
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:

@@ -1,0 +1,55 @@
+"""The border of a surface: edges of one triangle, of whichever piece."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.inspecting.coverage.probes import Ids
+from stages.inspecting.coverage.views import Floats
+from stages.surface.edges import edges_of, next_corner
+from stages.surface.piecewise import OnePiece, Piecewise
+
+
+@dataclass(frozen=True, eq=False)
+class Border:
+    """Edges of one triangle each, in the order of their vertices.
+
+    Attributes
+    ----------
+    tails, heads : (k,) their vertices in all of the mesh, as the triangle runs along them.
+    starts, ends : (k, 3) float64 where these are, metres, in the axes of the mesh.
+    facing : (k, 3) sum of the normals of both.
+    beside : (k, 3) the normal of the triangle, as long as twice its area, m².
+    """
+
+    tails: Ids
+    heads: Ids
+    starts: Floats
+    ends: Floats
+    facing: Floats
+    beside: Floats
+
+
+def border_of(surface: Piecewise | OnePiece) -> Border:
+    """Return the border of an oriented manifold."""
+    found = []
+    for piece in surface.pieces(facing=True):
+        assert piece.normals is not None
+        mesh = piece.mesh
+        edges = edges_of(mesh.triangles, len(mesh.vertices))
+        border = edges.halfedges[edges.start[edges.count == 1]]
+        corners = mesh.triangles.reshape(-1)
+        tails, heads = corners[border], corners[next_corner(border)]
+        a, b, c = mesh.vertices[mesh.triangles[border // 3]].transpose(1, 0, 2)
+        facing = piece.normals[tails].astype(np.float64) + piece.normals[heads]
+        numbers = piece.numbers[tails], piece.numbers[heads]
+        found.append((*numbers, mesh.vertices[tails], mesh.vertices[heads], facing, np.cross(b - a, c - a)))
+    columns = [np.concatenate(column) for column in zip(*found, strict=True)]
+    low, high = np.minimum(*columns[:2]), np.maximum(*columns[:2])
+    order = np.lexsort((high, low))
+    # Where pieces meet, both have the edge for their border.
+    is_same = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
+    is_inner = np.concatenate([is_same, [False]]) | np.concatenate([[False], is_same])
+    return Border(*(column[order[~is_inner]] for column in columns))

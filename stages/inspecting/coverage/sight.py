@@ -1,0 +1,63 @@
+"""What a surface is in the way of."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.inspecting.coverage.views import Floats
+from stages.surface.piecewise import OnePiece, Piece, Piecewise
+from stages.surface.raycasting import Surface
+
+# Of the size of the mesh: so much farther a box counts as it reaches, for rounding.
+_SLACK = 1e-6
+
+
+class Sight:
+    """Rays that meet a surface, or not: each piece of it is asked for those that come through its box.
+
+    Parameters
+    ----------
+    surface : what may be in the way.
+    """
+
+    def __init__(self, surface: Piecewise | OnePiece) -> None:
+        self._surface = surface
+        self._slack = _SLACK * float(np.linalg.norm(surface.box[1] - surface.box[0]))
+        self._last: tuple[Piece, Surface] | None = None
+
+    def is_met(self, origins: Floats, directions: Floats, reaches: Floats) -> NDArray[np.bool_]:
+        """Return which rays (k,) meet the surface.
+
+        Parameters
+        ----------
+        origins, directions : (k, 3), metres in the axes of the surface, and unit.
+        reaches : (k,) metres, up to which it counts.
+        """
+        met = np.zeros(len(origins), bool)
+        for piece in self._surface.pieces():
+            rows = np.flatnonzero(~met & self._may_meet(origins, directions, reaches, piece.box))
+            if len(rows):
+                hits = self._searched(piece).cast(origins[rows], directions[rows])
+                met[rows[hits.rays]] = hits.distances <= reaches[rows[hits.rays]]
+        return met
+
+    def _may_meet(
+        self, origins: Floats, directions: Floats, reaches: Floats, box: Floats
+    ) -> NDArray[np.bool_]:
+        """Return which rays come through a box."""
+        near, far = np.zeros(len(origins)), reaches
+        low, high = box[0] - self._slack, box[1] + self._slack
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for axis, (start, way) in enumerate(zip(origins.T, directions.T, strict=True)):
+                first, second = (low[axis] - start) / way, (high[axis] - start) / way
+                # What runs along a face has no number there, and is let pass.
+                near = np.fmax(near, np.fmin(first, second))
+                far = np.fmin(far, np.fmax(first, second))
+        return np.asarray(near <= far)
+
+    def _searched(self, piece: Piece) -> Surface:
+        # A mesh of one piece is made ready once.
+        if self._last is None or self._last[0] is not piece:
+            self._last = piece, Surface(piece.mesh, self._surface.box)
+        return self._last[1]

@@ -1,0 +1,77 @@
+"""How much frames agree about where a surface is, on made planes of which it is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plates import frames_of, plate, together
+
+from stages import coverage
+from stages.scans.scan import Frame
+
+WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))
+STRAIGHT = [((x, -1.2, 0.6), (x, 0, 0.6)) for x in np.linspace(-0.3, 0.3, 6)]
+ASLANT = [((x, -0.7, 0.6), (0, 0, 0.6)) for x in (-1.0, 0.7, 1.0)]
+
+
+def moved(frame: Frame, by: np.ndarray | float) -> Frame:
+    """Return a frame whose depth is so much larger, metres."""
+    depth = frame.depth + np.asarray(by, np.float32)
+    return replace(frame, depth=np.where(frame.depth > 0, depth, np.float32(0)))
+
+
+def test_of_exact_depth_there_is_none_however_obliquely_it_is_seen() -> None:
+    found = coverage(WALL, frames_of(WALL, [*STRAIGHT, *ASLANT]))
+    evidence = found.evidence
+    assert evidence.frames.max() == 9
+    # In the middle of a pixel: 1 cm beside it, depth of a slope of 55° is 1.4 cm off.
+    assert evidence.spread.max() < 1e-5
+    assert found.spread_95 < 1e-5
+
+
+@pytest.mark.parametrize("sigma", [0.002, 0.008])
+def test_of_noise_it_is_that_of_the_noise(sigma: float) -> None:
+    rng = np.random.default_rng(5)
+    frames = [moved(one, rng.normal(0, sigma, one.depth.shape)) for one in frames_of(WALL, STRAIGHT * 4)]
+    found = coverage(WALL, frames)
+    often = found.evidence.frames >= 20
+    assert often.sum() > 1000
+    assert np.sqrt((found.evidence.spread[often] ** 2).mean()) == pytest.approx(sigma, rel=0.03)
+    assert found.spread_median == pytest.approx(sigma, rel=0.1)
+    assert found.spread_median < found.spread_95 < 2 * sigma
+    figures = found.figures()
+    assert (figures["spread_median_m"], figures["spread_95_m"]) == (found.spread_median, found.spread_95)
+
+
+def test_two_frames_that_disagree_are_each_half_of_that_off() -> None:
+    one = frames_of(WALL, [STRAIGHT[2]])[0]
+    found = coverage(WALL, [moved(one, 0.006), moved(one, -0.006)])
+    seen = found.evidence.frames == 2
+    assert seen.sum() > 1000
+    np.testing.assert_allclose(found.evidence.spread[seen], 0.006, atol=1e-6)
+    # What one of them alone has measured is as far off as that is, what none has is not.
+    alone = coverage(WALL, [moved(one, 0.006)])
+    np.testing.assert_allclose(alone.evidence.spread[alone.evidence.frames == 1], 0.006, atol=1e-6)
+    assert (alone.evidence.spread[alone.evidence.frames == 0] == 0).all()
+
+
+def test_aslant_it_is_along_the_normal_and_the_mean_angle_is_of_all_looks() -> None:
+    straight, aslant = frames_of(WALL, [((0, -1.2, 0.6), (0, 0, 0.6)), ((0.9, -0.9, 0.6), (0, 0, 0.6))])
+    middle = np.abs(WALL.vertices - (0, 0, 0.6)).max(axis=1) < 0.02
+    evidence = coverage(WALL, [straight, moved(aslant, 0.01)]).evidence
+    # Along the axis of the camera 1 cm, along the normal that times the cosine; of two frames one is right.
+    np.testing.assert_allclose(evidence.spread[middle], 0.01 * np.cos(np.pi / 4) / np.sqrt(2), rtol=0.05)
+    np.testing.assert_allclose(evidence.mean_cosine[middle], (1 + np.cos(np.pi / 4)) / 2, atol=0.02)
+    np.testing.assert_allclose(evidence.cosine[middle], 1, atol=0.01)
+
+
+def test_frames_before_which_something_stands_have_no_say() -> None:
+    board = plate((-0.2, -0.5, 0.4), (0.4, 0, 0), (0, 0, 0.4))
+    clear, hidden = frames_of(WALL, [STRAIGHT[2]])[0], frames_of(together([WALL, board]), [STRAIGHT[3]])[0]
+    alone, both = (coverage(WALL, frames).evidence for frames in ([clear], [clear, hidden]))
+    behind = np.abs(WALL.vertices - (0, 0, 0.6)).max(axis=1) < 0.15
+    assert (both.frames[behind] == 1).all()
+    np.testing.assert_array_equal(both.spread[behind], alone.spread[behind])
+    assert both.frames.max() == 2
