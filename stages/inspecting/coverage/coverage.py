@@ -1,9 +1,10 @@
 """What is missing in a scan: where to go again.
 
 Something is missing where the surface has a hole, where space that frames looked through ends at space that
-none did, and where the surface is there but was measured by few frames, only obliquely, or only from far.
-Places are told by how much they matter: their area, times how much their kind counts. For each it is told
-which frames came nearest to seeing it, what kept them from it, and from where one should look.
+none did, and where the surface is there but was measured by few frames, only obliquely, only from far, or by
+frames that disagree. Places are told by how much they matter: their area, times how much their kind counts.
+For each it is told which frames came nearest to seeing it, what kept them from it, and from where one should
+look.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ RESULT_VERSION = 2
 # Derived parameters; see CoverageParams.
 _FEW, _SHARE_OF_FRAMES = 3, 5
 _FAR = 2.5
+_APART, _LEAST_EDGES = 2.5, 0.5
 _LEAST_AREA = 1 / 2000
 _PLACE_SIZE = 0.75
 # Of the same distance: what is around a gap is as near.
@@ -114,7 +116,9 @@ def _covered(
     measured, around = seen.evidence.at(known), laid.areas[known]
     # From how far the median place was measured best.
     usual = _up_to(0.5, measured.distance, around)
-    limits = _limits(len(seen.frames), usual, params)
+    spread = _up_to(0.5, measured.spread, around)
+    apart = params.spread or max(_APART * spread, _LEAST_EDGES * ground.edge)
+    limits = _limits(len(seen.frames), usual, apart, params)
     kinds = kinds_at(seen.evidence, limits)
     least = _LEAST_AREA * surface.area if params.least_area is None else params.least_area
     size = params.place_size or _PLACE_SIZE * usual
@@ -142,7 +146,7 @@ def _covered(
         frames=len(seen.frames),
         skipped=tuple(seen.skipped),
         surface_area=surface.area,
-        spread_median=_up_to(0.5, measured.spread, around),
+        spread_median=spread,
         spread_95=_up_to(0.95, measured.spread, around),
         thin_areas={kind: float(laid.areas[kinds[:-1] == number].sum()) for number, kind in enumerate(THIN)},
         missing_areas={
@@ -152,9 +156,9 @@ def _covered(
     )
 
 
-def _limits(frames: int, usual: float, params: CoverageParams) -> Limits:
+def _limits(frames: int, usual: float, apart: float, params: CoverageParams) -> Limits:
     few = params.few_frames or min(_FEW, max(frames // _SHARE_OF_FRAMES, 1))
-    return Limits(few, float(np.cos(np.radians(params.oblique))), params.far or _FAR * usual)
+    return Limits(few, float(np.cos(np.radians(params.oblique))), params.far or _FAR * usual, apart)
 
 
 def _up_to(share: float, values: Singles, areas: Floats) -> float:

@@ -136,6 +136,7 @@ class Coverage:
             "few_frames": self.limits.frames,
             "oblique_deg": float(np.degrees(np.arccos(self.limits.cosine))),
             "far_m": self.limits.distance,
+            "spread_m": self.limits.spread,
             "least_area_m2": self.least_area,
             "place_size_m": self.place_size,
             "spacing_m": self.spacing,

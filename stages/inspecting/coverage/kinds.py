@@ -37,8 +37,9 @@ KINDS = {
     "few": Kind(0.4, "few frames measured it", (245, 205, 60), "yellow"),
     "oblique": Kind(0.3, "only seen obliquely", (86, 180, 233), "light blue"),
     "far": Kind(0.3, "only seen from far", (0, 90, 170), "dark blue"),
+    "apart": Kind(0.3, "frames disagree where it is", (0, 140, 125), "teal"),
 }
 MISSING = ("hole", "hidden", "gap", "blank", "unseen", "end")
-THIN = ("unmeasured", "few", "oblique", "far")
+THIN = ("unmeasured", "few", "oblique", "far", "apart")
 # Of what is well.
 WELL = (196, 200, 196)

@@ -33,6 +33,14 @@ class CoverageParams:
         low=0,
         low_open=True,
     )
+    spread: float | None = param(
+        None,
+        "Surface that frames have measured farther off it than this, RMS, is thin evidence: they disagree "
+        "where it is. Derived: 2.5 times that of the median place, but half an edge of the mesh at least.",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
     least_area: float | None = param(
         None,
         "Smaller places are not told. Derived: a two-thousandth of the surface.",
@@ -67,6 +75,7 @@ class CoverageKeywords(TypedDict, total=False):
     few_frames: int | None
     oblique: float
     far: float | None
+    spread: float | None
     least_area: float | None
     place_size: float | None
     spacing: float | None

@@ -1,4 +1,4 @@
-"""Surface that is there, but was hardly seen: by few frames, obliquely, or from far."""
+"""Surface that is there, but hardly seen: by few frames, obliquely, from far, or by frames that disagree."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ _WEIGHTS = np.array([KINDS[kind].weight for kind in THIN])
 
 @dataclass(frozen=True)
 class Limits:
-    """What counts as thin: fewer frames, a smaller cosine, or a larger distance (metres) than these."""
+    """What counts as thin: fewer frames, a smaller cosine, a larger distance or spread (metres)."""
 
     frames: int
     cosine: float
     distance: float
+    spread: float
 
 
 def kinds_at(evidence: Evidence, limits: Limits) -> NDArray[np.int8]:
@@ -31,6 +32,7 @@ def kinds_at(evidence: Evidence, limits: Limits) -> NDArray[np.int8]:
     # The last that holds counts most.
     kinds[evidence.distance > limits.distance] = THIN.index("far")
     kinds[evidence.cosine < limits.cosine] = THIN.index("oblique")
+    kinds[evidence.spread > limits.spread] = THIN.index("apart")
     kinds[evidence.frames < limits.frames] = THIN.index("few")
     kinds[evidence.frames == 0] = THIN.index("unmeasured")
     return kinds

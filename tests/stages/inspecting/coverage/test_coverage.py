@@ -368,7 +368,9 @@ def test_meshes_that_are_no_surface_are_refused() -> None:
         coverage(Mesh(WALL.vertices, fin.astype(np.int32)), frames)
 
 
-@pytest.mark.parametrize("wrong", [{"oblique": 91}, {"few_frames": 0}, {"far": 0.0}, {"places": 0}])
+@pytest.mark.parametrize(
+    "wrong", [{"oblique": 91}, {"few_frames": 0}, {"far": 0.0}, {"spread": 0.0}, {"places": 0}]
+)
 def test_parameters_out_of_range_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(UsageError, match=next(iter(wrong))):
         coverage(WALL, [], **wrong)

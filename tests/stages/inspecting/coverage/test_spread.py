@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plates import frames_of, plate, together
+from plates import CAMERA, frames_of, plate, together
 
 from stages import coverage
+from stages.inspecting.coverage.kinds import THIN
 from stages.scans.scan import Frame
 
 WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))
@@ -65,6 +66,26 @@ def test_aslant_it_is_along_the_normal_and_the_mean_angle_is_of_all_looks() -> N
     np.testing.assert_allclose(evidence.spread[middle], 0.01 * np.cos(np.pi / 4) / np.sqrt(2), rtol=0.05)
     np.testing.assert_allclose(evidence.mean_cosine[middle], (1 + np.cos(np.pi / 4)) / 2, atol=0.02)
     np.testing.assert_allclose(evidence.cosine[middle], 1, atol=0.01)
+
+
+def test_where_frames_disagree_evidence_is_thin_and_a_place_of_its_own() -> None:
+    frames = frames_of(WALL, [STRAIGHT[2]] * 6)
+    # On the left, every second frame has the wall 2 cm farther off.
+    left = np.arange(CAMERA.width) < 30
+    wrong = [moved(one, 0.02 * left * (number % 2)) for number, one in enumerate(frames)]
+    found = coverage(WALL, wrong, least_area=0.01)
+    apart = found.kinds == THIN.index("apart")
+    is_left = (found.evidence.frames == 6) & (WALL.vertices[:, 0] < -0.35)
+    assert is_left.sum() > 1000
+    assert apart[is_left].all()
+    np.testing.assert_allclose(found.evidence.spread[is_left], 0.02 / np.sqrt(2), rtol=1e-3)
+    assert not apart[WALL.vertices[:, 0] > -0.3].any()
+    assert 0.005 <= found.limits.spread < 0.01
+    assert {place.kind for place in found.places if place.point[0] < -0.35} >= {"apart"}
+    assert found.thin_areas["apart"] > 0.05
+    assert not (coverage(WALL, wrong, spread=0.03).kinds == THIN.index("apart")).any()
+    # Less than half an edge of the mesh is nothing that it could show.
+    assert not (coverage(WALL, frames).kinds == THIN.index("apart")).any()
 
 
 def test_frames_before_which_something_stands_have_no_say() -> None:

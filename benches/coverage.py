@@ -1,0 +1,179 @@
+"""What it takes to tell what is missing in a scan, and what is left of it once one looked where it says.
+
+    python benches/coverage.py SCAN [--voxel-size 0.003]
+    python benches/coverage.py SCAN --held-out
+    python benches/coverage.py --again
+
+The first fuses and cleans the scan into a file, and prints of its coverage CPU seconds: before the second
+frame, of a frame, and after the last; most memory; and how much frames agree about vertices ("spread": that
+of half of what was measured, and of 95 %). A mesh of more than 5 million triangles is read at once and in
+pieces, each in a process of its own; "apart" is the largest difference of a figure, as a share of it.
+
+The second fuses every second frame, and asks of each kind of thin evidence how far the others find the
+surface to be off, along its normal, in the mean of at least three of them: what is thin should be farther.
+
+The third takes the first eight frames of the sample, all from one side, and three times over looks from
+where the first three places say, with the sensor that the sample was made with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markdown_tables import print_head, print_row
+
+from stages.cleaning.clean import CleanParams, clean
+from stages.cleaning.clean_in_pieces import clean_in_pieces
+from stages.fusion.fuse import fuse, fuse_to_file
+from stages.fusion.params import FuseParams
+from stages.inspecting.coverage.coverage import coverage
+from stages.inspecting.coverage.evidence import measured_by
+from stages.inspecting.coverage.kinds import THIN
+from stages.inspecting.coverage.views import read_view
+from stages.scans.images import read_depth
+from stages.scans.read import read_scan
+from stages.scans.scan import Frame, Scan
+from stages.surface.formats.ply import read_ply, write_ply
+from stages.surface.pieces import table_of
+from stages.surface.piecewise import Piecewise
+
+SAMPLES = Path(__file__).resolve().parents[1] / "samples"
+FIRST, PLACES, TIMES = 8, 3, 3
+LEAST = 3
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scan", type=Path, nargs="?")
+    parser.add_argument("--voxel-size", type=float)
+    parser.add_argument("--held-out", action="store_true")
+    parser.add_argument("--again", action="store_true")
+    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
+    words = parser.parse_args()
+    if words.one:
+        print(json.dumps(taken(words.scan, Path(words.one[0]), in_pieces=words.one[1] == "pieces")))
+    elif words.held_out:
+        by_others(words.scan)
+    elif words.again:
+        look_again()
+    else:
+        print_taken(words.scan, words.voxel_size)
+
+
+def print_taken(scan: Path, voxel_size: float | None) -> None:
+    """Print what it takes, and whether pieces tell the same."""
+    ways = "triangles", "frames", "before, s", "a frame, ms", "after, s", "memory, MB"
+    print_head(["mesh", *ways, "spread, mm", "95 %, mm", "apart"])
+    with tempfile.TemporaryDirectory() as folder:
+        path = made(scan, Path(folder), voxel_size)
+        found = []
+        for way in ("whole", "pieces") if table_of(path).exists() else ("whole",):
+            words = [sys.executable, __file__, str(scan), "--one", str(path), way]
+            told = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
+            found.append(numbers_of(told["figures"]))
+            apart = max(abs(a - b) / max(abs(b), 1e-12) for a, b in zip(found[-1], found[0], strict=True))
+            spread = (f"{1000 * told['figures'][name]:.1f}" for name in ("spread_median_m", "spread_95_m"))
+            print_row([way, *told["row"], *spread, f"{apart:.0e}"])
+
+
+def made(scan: Path, folder: Path, voxel_size: float | None) -> Path:
+    """Fuse and clean a scan into a file, in pieces if it is large."""
+    fused, result = folder / "fused.ply", folder / "clean.ply"
+    fuse_to_file(read_scan(scan), FuseParams(voxel_size=voxel_size), fused)
+    if table_of(fused).exists():
+        clean_in_pieces(fused, result, CleanParams())
+    else:
+        write_ply(result, clean(read_ply(fused)).mesh)
+    return result
+
+
+def taken(folder: Path, path: Path, *, in_pieces: bool) -> dict[str, Any]:
+    """Return what coverage of one mesh tells and takes."""
+    scan, at = read_scan(folder), [time.process_time()]
+
+    def told(done: int, of: int) -> None:
+        if done in (1, of):
+            at.append(time.process_time())
+
+    mesh = Piecewise(path) if in_pieces else read_ply(path)
+    found = coverage(mesh, scan, progress=told)
+    at.append(time.process_time())
+    frame = (at[2] - at[1]) / (len(scan.frames) - 1)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
+    row = [f"{found.covered.surface.triangle_count:,}", f"{found.frames}", f"{at[1] - at[0]:.1f}"]
+    row += [f"{1000 * frame:.0f}", f"{at[3] - at[2]:.1f}", f"{most:.0f}"]
+    return {"row": row, "figures": found.figures()}
+
+
+def numbers_of(figures: Any) -> list[float]:
+    """Return all numbers among figures."""
+    if isinstance(figures, dict):
+        return [number for value in figures.values() for number in numbers_of(value)]
+    if isinstance(figures, list):
+        return [number for value in figures for number in numbers_of(value)]
+    return [float(figures)] if isinstance(figures, (int, float)) else []
+
+
+def by_others(folder: Path) -> None:
+    """Print how far off other frames find what is thin."""
+    frames = read_scan(folder).frames
+    mesh = clean(fuse(frames[::2]).mesh).mesh
+    found = coverage(mesh, frames[::2])
+    known = found.covered
+    probes, origin = known.probes, known.surface.box.mean(axis=0)
+    count, height = np.zeros(len(probes.keys)), np.zeros(len(probes.keys))
+    for frame in frames[1::2]:
+        measured = measured_by(read_view(frame, origin), probes, origin, probes.cubes.size)
+        count[measured.rows] += 1
+        height[measured.rows] += measured.heights
+    (asked,) = np.nonzero((count >= LEAST) & (known.evidence.frames[:-1] > 0))
+    off, kinds = 1000 * np.abs(height[asked] / count[asked]), known.kinds[asked]
+    print_head(["evidence", "share of places", "off, median, mm", "off, 95 %, mm"])
+    for number, name in enumerate(("well seen", *THIN), -1):
+        if (kinds == number).any():
+            some = off[kinds == number]
+            median, most = np.percentile(some, (50, 95))
+            print_row([name, f"{len(some) / len(off):.1%}", f"{median:.1f}", f"{most:.1f}"])
+
+
+def look_again() -> None:
+    """Print what is missing before one looks again, and after."""
+    sys.path.insert(0, str(SAMPLES))
+    from scene import Scene
+    from sensors import measure_depth
+
+    scan, scene, rng = read_scan(SAMPLES / "rgbd"), Scene(), np.random.default_rng(1)
+    frames = [replace(one, color=None, depth=read_depth(one)) for one in scan.frames[:FIRST]]
+    print_head(["frames", "hole, m²", "hidden, m²", "both, m²"], words=0)
+    for time_ in range(TIMES + 1):
+        found = coverage(clean(fuse(frames).mesh).mesh, Scan("again", tuple(frames)))
+        hole, hidden = (found.missing_areas[kind] for kind in ("hole", "hidden"))
+        print_row([f"{len(frames)}", f"{hole:.3f}", f"{hidden:.3f}", f"{hole + hidden:.3f}"])
+        for number, place in enumerate(found.places[:PLACES]):
+            pose = looking(np.array(place.stand.position), np.array(place.stand.direction))
+            depth = measure_depth(scene, frames[0].camera, pose, rng).astype(np.float32) / 1000
+            frames.append(Frame(f"{time_}-{number}", frames[0].camera, depth=depth, world_from_camera=pose))
+
+
+def looking(eye: np.ndarray, forward: np.ndarray) -> np.ndarray:
+    """Return the pose of a camera that is held level, z up."""
+    right = np.cross(forward, (0, 0, 1) if abs(forward[2]) < 0.99 else (0, 1, 0))
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3] = np.stack([right, np.cross(forward, right), forward, eye], axis=1)
+    return pose
+
+
+if __name__ == "__main__":
+    main()
