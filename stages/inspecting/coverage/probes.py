@@ -18,10 +18,10 @@ from stages.surface.topology import areas
 
 Ids = NDArray[np.int64]
 
-# How many there are, about.
+# How many there are, about, and edges of the mesh that a cube is wide, at least and at most: a building has
+# more of them than a room.
 _POINTS = 80_000
-# Edges of the mesh that a cube is wide, at least.
-_EDGES = 1.5
+_EDGES = 1.5, 6.0
 # Triangles from what was measured that are as well seen.
 _RIM = 2
 
@@ -109,7 +109,7 @@ def probes_of(surface: Piecewise | OnePiece, origin: Floats, edge: float) -> Pro
     edge : metres, the median of the mesh.
     """
     low, high = surface.box
-    size = max(_EDGES * edge, (surface.area / _POINTS) ** 0.5)
+    size = float(np.clip((surface.area / _POINTS) ** 0.5, _EDGES[0] * edge, _EDGES[1] * edge))
     cubes = Cubes(low, size, np.floor((high - low) / size).astype(np.int64) + 1)
     keys, middles = _middles(surface, cubes, origin)
     count = len(keys)

@@ -11,6 +11,7 @@ from plates import frames_of, plate, without
 from sample_in_pieces import sample_in_pieces
 
 from stages import coverage, read_scan
+from stages.inspecting.coverage import probes
 from stages.inspecting.coverage.borders import border_of
 from stages.inspecting.coverage.covered import Coverage
 from stages.inspecting.coverage.sight import Sight
@@ -105,6 +106,20 @@ def test_a_hole_whose_rim_runs_through_four_pieces_is_told_as_of_the_whole(tmp_p
     assert hole.area == pytest.approx(expected.area, rel=1e-9)
     assert hole.area == pytest.approx(0.3 * 0.2, rel=0.15)
     np.testing.assert_allclose(hole.point, (0.1, 0, 0.5), atol=0.06)
+
+
+def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is(
+    path: Path, frames: list[Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probes, "_POINTS", 10)
+    for mesh in (read_ply(path), Piecewise(path)):
+        found = coverage(mesh, frames).covered
+        vertices = read_ply(path).vertices - found.surface.box.mean(axis=0)
+        stands = np.concatenate([part.probes for part in found.painted()])[: len(vertices)]
+        away = np.linalg.norm(found.probes.points[stands] - vertices, axis=1)
+        # Marching cubes of 15 mm: their edges are shorter. Beside rims another cube's stands for a vertex.
+        assert np.quantile(away, 0.95) < 6 * 0.015
+        assert 200 < len(found.probes.points) < len(vertices) / 4
 
 
 def test_rays_meet_pieces_as_they_meet_the_whole(path: Path) -> None:
