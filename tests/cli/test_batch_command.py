@@ -206,6 +206,8 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
             2,
             "a limit of nothing (--memory 0) lets no scan through",
         ),
+        (("batch", "scans", "-o", "out", "--timeout", "inf"), 2, "less than or equal to 1000000000"),
+        (("batch", "scans", "-o", "out", "--take-over-after", "inf"), 2, "less than or equal to"),
         (("batch", "scans", "-o", "out", "--until", "cleen"), 2, "did you mean clean?"),
         (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only works on nothing"),
         (("batch", "scans", "-o", "out", "--executor", "ray"), 2, "--executor is 'ray'"),
