@@ -53,6 +53,10 @@ class Records:
         text = json.dumps(asdict(record), ensure_ascii=False, allow_nan=False)
         write_whole(self._path(Claim(record.number, record.attempt)), text.encode())
 
+    def withdraw(self, claim: Claim) -> None:
+        """Forget what became of a job by a try."""
+        self._path(claim).unlink(missing_ok=True)
+
     def ended(self) -> dict[int, Claim]:
         """Return the last try that came to an end, of each job that has any; the folder is listed once.
 
