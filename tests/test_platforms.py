@@ -69,7 +69,8 @@ def test_every_module_is_imported_without_what_windows_lacks() -> None:
 def test_locks_and_the_cache_do_on_windows_what_they_do_here() -> None:
     told = as_windows(
         *("-m", "pytest", "-p", "pretend_windows", "-q", "tests/pipeline/test_locks.py"),
-        *("tests/pipeline/test_cache.py", "tests/stages/files/test_replacing_folder.py"),
+        *(f"tests/pipeline/test_{name}.py" for name in ("cache", "cache_shared", "cache_places")),
+        "tests/stages/files/test_replacing_folder.py",
     )
     passed = re.search(r"(\d+) passed", told)
     assert passed is not None

@@ -39,7 +39,7 @@ from stages.fusion.crop import cut
 from stages.fusion.facts import Facts, MeshFigures
 from stages.fusion.joining import Joined, Piece, reading, write_piece
 from stages.fusion.voxels import Box, Keys, Volume, block_bytes, median_of
-from stages.fusion.writing import PIECE_SIZE, write_fused, write_joined
+from stages.fusion.writing import piece_level, write_fused, write_joined
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.scan import SkippedFrame
@@ -100,7 +100,8 @@ def fuse_in_bricks(
     InputError, StageError
         As `fuse`; a single brick may outgrow the memory, too.
     """
-    level = level_of(work.params.brick_size or PIECE_SIZE, work.plan.voxel_size)
+    size, voxel_size = work.params.brick_size, work.plan.voxel_size
+    level = level_of(size, voxel_size) if size else piece_level(voxel_size)
     index = _index(work, level, progress)
     with _somewhere(kept, result.parent) as kept:
         # A frame that touches a block measured some of its voxels: about half.

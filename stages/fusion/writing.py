@@ -25,12 +25,17 @@ PIECE_SIZE = 4.0
 _NEAR = 1e-4
 
 
+def piece_level(voxel_size: float) -> int:
+    """Return the level of the cubes that pieces are."""
+    return level_of(PIECE_SIZE, voxel_size)
+
+
 def write_fused(path: Path, mesh: Mesh, plan: Plan) -> None:
     """Write a mesh of our own voxels, whose blocks come in Z-order, or a part of one."""
     if not is_many(len(mesh.triangles)):
         write_ply(path, mesh)
         return
-    level = level_of(PIECE_SIZE, plan.voxel_size)
+    level = piece_level(plan.voxel_size)
     voxels = np.floor((mesh.vertices - plan.origin) / plan.voxel_size + _NEAR).astype(np.int64)
     # A vertex is of the voxel below it, a triangle of its cube's lowest: it lies in no face of the cube.
     of_vertex = _pieces_of(voxels, level)
@@ -78,7 +83,7 @@ def write_joined(path: Path, joined: Joined, plan: Plan, *, has_colors: bool) ->
 
 def _sizes(joined: Joined, plan: Plan) -> Iterator[Extent]:
     """Yield the pieces that bricks make up, without those that have nothing."""
-    level = level_of(PIECE_SIZE, plan.voxel_size)
+    level = piece_level(plan.voxel_size)
     numbers = np.array([brick.number >> 3 * (level - brick.level) for brick in joined.cubes])
     for number in np.unique(numbers):
         first, end = np.searchsorted(numbers, [number, number + 1])
