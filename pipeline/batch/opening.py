@@ -12,6 +12,7 @@ from pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue,
 from pipeline.batch.records import FAILED, Records
 from pipeline.failures import explained
 from stages.errors import InputError
+from stages.printing import counted
 
 # Seconds that the workers of another batch are watched for, and between two looks; four of their beats.
 _WATCHED, _PAUSE = 9.0, 0.1
@@ -46,7 +47,7 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callabl
                 note("a batch of the same scans was begun here; this goes on with it")
                 again = _give_back_failed(standing)
                 if again:
-                    note(f"{again} scans that failed are tried again")
+                    note(f"{counted(again, 'scan')} that failed: tried again")
                 return standing
             _require_quiet(standing, note)
         queue = new_queue(out, seen + 1, settings, jobs)

@@ -101,7 +101,9 @@ def fuse_in_bricks(
         As `fuse`; a single brick may outgrow the memory, too.
     """
     size, voxel_size = work.params.brick_size, work.plan.voxel_size
-    level = level_of(size, voxel_size) if size else piece_level(voxel_size)
+    # The pieces of the result are made of whole bricks.
+    most = piece_level(voxel_size)
+    level = min(level_of(size, voxel_size), most) if size else most
     index = _index(work, level, progress)
     with _somewhere(kept, result.parent) as kept:
         # A frame that touches a block measured some of its voxels: about half.

@@ -19,7 +19,9 @@ import pytest
 from small_scans import write_small_scan, write_small_scans
 
 from pipeline.batch import opening
+from pipeline.batch.claims import RELEASED, Claim, Claims
 from pipeline.batch.queue import standing_queue
+from pipeline.batch.records import FAILED, UNUSABLE, Record, Records
 
 Run = Callable[..., Any]
 SCANLOOM = [sys.executable, "-m", "cli.app"]
@@ -129,6 +131,22 @@ def test_an_unfinished_batch_goes_on_where_it_was(scanloom: Run, scans: Path, tm
     # Nobody is at it, and other words are another batch.
     assert scanloom(*words[:-1], "fuse").exit_code == 0
     assert standing_queue(tmp_path / "out") != first
+
+
+def test_an_unfinished_batch_tries_again_what_failed(scanloom: Run, scans: Path, tmp_path: Path):
+    words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until", "adjust")
+    assert scanloom(*words).exit_code == 0
+    queue = standing_queue(tmp_path / "out")
+    assert queue is not None
+    claims, records = Claims(queue.folder / "claims", "gone"), Records(queue.folder / "done")
+    for number, state in ((0, UNUSABLE), (1, FAILED)):
+        assert claims.take(Claim(number, 0))
+        records.write(Record(number, "x", state, "the disk was full"))
+    assert "1 scan that failed: tried again" in scanloom(*words).stderr
+    assert standing_queue(tmp_path / "out") == queue
+    # Whoever comes takes it, though nobody knows what became of the worker.
+    assert list(records.ended()) == [0]
+    assert claims.said(Claim(1, 0)).end == RELEASED
 
 
 def test_two_batches_in_one_folder_do_not_meet(

@@ -173,7 +173,12 @@ def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> Non
     ratio = "simplify.ratio=0.2"
     at_once = figures(scan, tmp_path / "at-once", ratio, until="simplify")
     whole = "fuse.brick_size=none"
-    ways = {"bricks": ("fuse.brick_size=0.16",), "one": (whole,), "tight": (whole, "fuse.memory=1")}
+    ways = {
+        "bricks": ("fuse.brick_size=0.16",),
+        "large": ("fuse.brick_size=1",),
+        "one": (whole,),
+        "tight": (whole, "fuse.memory=1"),
+    }
     with small_pieces():
         for way, settings in ways.items():
             in_pieces = figures(scan, tmp_path / way, ratio, *settings, until="simplify")
