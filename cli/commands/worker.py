@@ -58,7 +58,8 @@ def worker(
 
     jobs_wanted(jobs)
     sizes = bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk")
-    queue = standing_queue(target) if target.is_dir() else None
+    # Jobs run in processes that are elsewhere.
+    queue = standing_queue(target.resolve()) if target.is_dir() else None
     if queue is None:
         raise InputError("no batch was begun here; begin one with scanloom batch SCANS -o OUT.", target)
     require_writable(queue.folder)

@@ -100,7 +100,9 @@ def test_a_dry_run_foresees_each_scan_and_writes_nothing(scanloom: Run, scans: P
 
 
 @pytest.mark.slow
-def test_a_queue_is_worked_on_by_whoever_comes(scanloom: Run, scans: Path, tmp_path: Path):
+def test_a_queue_is_worked_on_by_whoever_comes(
+    scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     out = tmp_path / "out"
     queued = scanloom("batch", scans, "-o", out, "--queue-only", "--until", "adjust", "--take-over-after", 7)
     assert queued.exit_code == 0
@@ -113,7 +115,8 @@ def test_a_queue_is_worked_on_by_whoever_comes(scanloom: Run, scans: Path, tmp_p
     shutil.move(scans, tmp_path / "elsewhere" / "scans")
     shutil.move(out, tmp_path / "elsewhere" / "out")
     # As many at a time as are expected to fit, of which none says more than all that there is.
-    worked = scanloom("worker", tmp_path / "elsewhere" / "out", "--memory", "1 GB", "--take-over-after", 30)
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    worked = scanloom("worker", "out", "--memory", "1 GB", "--take-over-after", 30)
     assert worked.exit_code == 1
     assert re.search(r"^1 at a time, in 1\.0 GB of memory$", worked.stderr, re.MULTILINE)
     assert re.search(r"^worker \S+, 3 scans$", worked.stderr, re.MULTILINE)
