@@ -34,7 +34,7 @@ def counts(ended: subprocess.CompletedProcess[str], kind: str) -> list[int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "cases"), [("readers", 400), ("runs", 3), ("kernels", 24)])
+@pytest.mark.parametrize(("kind", "cases"), [("readers", 400), ("runs", 3), ("kernels", 24), ("fusion", 24)])
 def test_some_cases_of_each_kind_end_well(tmp_path: Path, kind: str, cases: int) -> None:
     ended = campaign(tmp_path, "--only", kind, "--cases", cases, "--seed", 2)
     assert ended.returncode == 0, ended.stdout + ended.stderr
