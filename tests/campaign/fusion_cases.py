@@ -36,8 +36,8 @@ def fusion_case(seed: int) -> str:
     draw = random.Random(seed)
     size = draw.choice((1.0, 1.0, 1.0, 2.0**-10, 2.0**10))
     shots = random_shots(draw, size)
-    voxel_size = size * draw.choice((0.01, 0.03, 0.1, 0.5))
-    truncation = voxel_size * draw.choice((0.5, 1.0, 3.0, 3.0, 8.0))
+    voxel_size = size * draw.choice((0.01, 0.03, 0.05, 0.08, 0.5))
+    truncation = voxel_size * draw.choice((0.5, 1.0, 3.0, 3.0, 3.0, 8.0))
     field = _Field(shots, voxel_size, truncation, draw)
     if not 0 < field.count <= _MOST_BLOCKS:
         return f"{field.count} blocks"

@@ -206,7 +206,7 @@ MUTANTS: dict[str, Mutant] = {
         "kernels/src/fusion/blocks.rs",
         "if wanted > self.most {",
         "if wanted > self.most + 1 {",
-        "a_volume_that_may_not_grow_says_so_and_stays_as_it_is",
+        "what_does_not_fit_is_not_begun",
     ),
     "faces": Mutant(
         "all six faces of a cube are cut",
