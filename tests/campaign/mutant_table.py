@@ -220,7 +220,7 @@ MUTANTS: dict[str, Mutant] = {
         _CUBES,
         "b - a < 2 || !is_in_a_face(around[a], around[b]);",
         "b - a < 99 || !is_in_a_face(around[a], around[b]);",
-        "any_signs_with_any_gaps_give_a_manifold",
+        "every_cube_is_filled_with_its_loops_as_the_only_border",
     ),
     "two-fans": Mutant(
         "two cubes that touch in an edge alone have a vertex each",

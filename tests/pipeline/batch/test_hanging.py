@@ -13,11 +13,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 from hanging import hang, hanging_environment
 
 from pipeline.batch.claims import Claim, Claims
+from pipeline.batch.process import Process
 from pipeline.batch.queue import Job, Queue, new_queue
 from pipeline.batch.records import DONE, FAILED, UNUSABLE, Records
 from pipeline.batch.slot import Work
@@ -83,6 +85,19 @@ def results(out: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(out.glob("*.ply"))}
 
 
+@pytest.mark.slow
+def test_a_process_that_the_system_cannot_end_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    process = Process(SimpleQueue(), 1, tmp_path / "log")
+    os.kill(process._process.pid, signal.SIGSTOP)
+    with monkeypatch.context() as patched:
+        # As where it waits for a drive: the signal is taken note of, and nothing follows.
+        patched.setattr("pipeline.batch.process._PATIENCE", 0.05)
+        patched.setattr("os.killpg", lambda *_: None)
+        assert not process.kill()
+        process.end()
+    assert process.kill()
+
+
 @pytest.fixture
 def _long_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pipeline.batch.worker._LONGEST_TURN", math.inf)
@@ -146,12 +161,13 @@ def test_a_job_that_is_stopped_is_ended(small_scans: Path, queue_of: Begin):
 def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
     small_scans: Path, queue_of: Begin, tmp_path: Path
 ):
-    queue = queue_of(small_scans, until="clean", take_over_after=1.0)
+    queue = queue_of(small_scans, until="clean", take_over_after=2.0)
     words = [sys.executable, "-m", "cli.app", "worker", str(queue.out), "--jobs", "1", "--threads", "1"]
     claims = Claims(queue.folder / "claims", "")
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as first:
         # In the middle of a job, with all that the job has locked.
         while not claims.said(Claim(1, 0)).stage:
+            assert first.poll() is None
             time.sleep(0.01)
         jobs = Path(f"/proc/{first.pid}/task/{first.pid}/children").read_text().split()
         for number in (first.pid, *map(int, jobs)):
