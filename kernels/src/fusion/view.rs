@@ -142,7 +142,8 @@ fn prepare(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Me
         let flat = row.flatness[x / CELL];
         let worth = flat + (1.0 - flat) / (oblique * oblique);
         // 1 for what is not a number: a measurement of no weight would have no colour either.
-        looks[x] = ((UNIT * (share * share) * worth + 0.5).max(1.0).min(HEAVIEST) as u32) << 24;
+        let weight = (UNIT * (share * share) * worth + 0.5).clamp(1.0, HEAVIEST) as u32;
+        looks[x] = weight.max(1) << 24;
     }
     if let Some(color) = row.color {
         for (look, color) in looks.iter_mut().zip(color.chunks_exact(3)) {
