@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.cache import Cache
 from pipeline.config import Config
 from pipeline.digest import digest
-from pipeline.engine import Source, recipe_of
+from pipeline.engine import Source, read_by, recipe_of
 from pipeline.entry import DamagedError, Recipe, verified
 from pipeline.expectation import Expectation, expected, megapixels
 from pipeline.reasons import reason
@@ -138,13 +138,14 @@ def _foreseen(wanted: Wanted, cache: Cache, results: Results) -> tuple[Foreseen,
     found = []
     for stage in wanted.plan[: len(wanted.planned)]:
         recipe = recipe_of(stage, wanted.config, sources)
-        open_inputs = [name for name in stage.reads if name not in sources]
+        read = read_by(stage, sources)
+        open_inputs = [name for name in read if name not in sources]
         last = results.decided(stage.name)
         manifest, why = None, ""
         if open_inputs:
             why = _awaiting([writers[name] for name in open_inputs], recipe, last)
         else:
-            parts = {name: dict(sources[name].parts) for name in stage.reads}
+            parts = {name: dict(sources[name].parts) for name in read}
             manifest, why = _looked_up(cache, recipe, {"recipe": recipe.as_json(), "parts": parts}, last)
         if stage.name in wanted.force:
             manifest, why = None, "forced"

@@ -59,6 +59,7 @@ class Stage:
     versions : from what it reads and the configuration to the RESULT_VERSION of everything that `make` then
         runs, by name; asked whenever a key is made.
     results : which of its files stand in the output folder too; a name that ends in / is a folder of them.
+    when : of what it reads, what it reads only where this says so of the rest.
     unmet : from the configuration and its figures to sentences on what was asked for and is not reached.
     cost : what it may take where none of its results is known.
     """
@@ -71,6 +72,7 @@ class Stage:
     versions: Callable[[Mapping[str, Any], Any], Mapping[str, int]]
     libraries: Mapping[str, str] = field(default_factory=dict)
     results: tuple[str, ...] = ()
+    when: Mapping[str, Callable[[Mapping[str, Any]], bool]] = field(default_factory=dict)
     unmet: Callable[[Any, Mapping[str, Any]], Sequence[str]] = lambda config, figures: ()  # noqa: ARG005
     cost: Cost = field(default_factory=Cost)
 
@@ -199,7 +201,7 @@ class Engine:
         entry = None if forced else self._cache.get(recipe)
         cached = entry is not None
         why = ""
-        parts = {name: dict(self._sources[name].parts) for name in stage.reads}
+        parts = {name: dict(self._sources[name].parts) for name in read_by(stage, self._sources)}
         decided = {"recipe": recipe.as_json(), "parts": parts}
         if entry is None:
             why = "forced" if forced else reason(decided, self.results.decided(stage.name))
@@ -261,7 +263,7 @@ class Engine:
             # It decides nothing; a later run on another scan takes as much longer as that is larger.
             "megapixels": self._megapixels,
         }
-        for name in stage.reads:
+        for name in inputs:
             self._sources[name].require_unchanged()
         return {"figures": as_json(figures), "made": made}
 
@@ -287,18 +289,24 @@ class Engine:
 
 def recipe_of(stage: Stage, config: Sections, sources: Mapping[str, Source]) -> Recipe:
     """Return all that decides a stage's result; sources that are not known are left out of it."""
-    known = [name for name in stage.reads if name in sources]
+    values = _values(stage, sources)
     return Recipe(
         stage.name,
-        dict(stage.versions(_values(stage, sources), config)),
+        dict(stage.versions(values, config)),
         params={section: config.canonical(section) for section in stage.sections},
-        inputs={name: sources[name].digest for name in known},
+        inputs={name: sources[name].digest for name in values},
         libraries=dict(stage.libraries),
     )
 
 
+def read_by(stage: Stage, sources: Mapping[str, Source]) -> list[str]:
+    """Return the names of what a stage reads of these sources, whether they are known already or not."""
+    known = {name: sources[name].value for name in stage.reads if name in sources}
+    return [name for name in stage.reads if name not in stage.when or stage.when[name](known)]
+
+
 def _values(stage: Stage, sources: Mapping[str, Source]) -> dict[str, Any]:
-    return {name: sources[name].value for name in stage.reads if name in sources}
+    return {name: sources[name].value for name in read_by(stage, sources) if name in sources}
 
 
 def as_json(value: Any) -> Any:

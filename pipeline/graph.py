@@ -12,8 +12,9 @@ open)
 single views with poses go the way of pairs; depth reads the `network` of `depth.model`, if it is set;
 coverage reads clean and what fuse reads, if it is enabled; register is there where poses are missing; adjust
 where frames have colour and measured depth, from what register found; texture where frames have colour; bake,
-remesh and lod if they are enabled; bake reads clean, too, tiles clean and textured; texture, lod, tiles and
-report what fuse reads, and report frames that were `held_out`)
+remesh and lod if they are enabled; lod reads simplified, too, where clean is large; bake reads clean, too,
+tiles clean and textured; texture, lod, tiles and report what fuse reads, and report frames that were
+`held_out`)
 
 Stages that read the scan itself also read its `names` and `times`, if their results tell of them, and what is
 known of its `world`: upright makes use of it, and depth hands it on.
@@ -46,7 +47,7 @@ from pipeline.bricks import KeptBricks
 from pipeline.depth_maps import measure_of, write_depth_maps
 from pipeline.engine import Job, Stage
 from pipeline.expectation import Cost
-from pipeline.large import is_large, some_of, whole
+from pipeline.large import is_large, read_proof, some_of, surface_of, whole, write_proof
 from pipeline.own_paths import from_folder
 from pipeline.skipped import said_of_skipped
 from pipeline.standing import Up, read_up
@@ -71,6 +72,7 @@ from stages.simplification.simplify_in_pieces import InPieces, simplify_in_piece
 from stages.simplification.unmet import unmet as not_simplified
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh_files import read_mesh
+from stages.surface.pieces import Pieces
 from stages.texturing.bake import bake
 from stages.texturing.texture import texture
 
@@ -153,6 +155,7 @@ def _simplify(job: Job) -> Mapping[str, Any]:
     simplified: Simplified[Any] | InPieces
     if is_large(path):
         simplified = simplify_in_pieces(path, job.config.simplify, progress=job.progress)
+        write_proof(job.folder, simplified.figures())
     else:
         simplified = simplify(read_ply(path), job.config.simplify, progress=job.progress)
     write_ply(job.folder / "simplified.ply", simplified.mesh)
@@ -178,8 +181,18 @@ def _remesh(job: Job) -> Mapping[str, Any]:
 
 
 def _lod(job: Job) -> Mapping[str, Any]:
-    mesh = whole(job.inputs["clean"] / "clean.ply", "lod").with_(up=_up(job))
-    return levels.make(job.folder, mesh, _frames(job).frames, job.config.lod, job.progress)
+    clean, params = job.inputs["clean"] / "clean.ply", job.config.lod
+    if not is_large(clean):
+        mesh = read_ply(clean).with_(up=_up(job))
+        return levels.make(job.folder, mesh, _frames(job).frames, params, job.progress)
+    folder = job.inputs["simplified"]
+    mesh = read_ply(folder / "simplified.ply").with_(up=_up(job))
+    count = Pieces(clean).triangle_count
+    return levels.make_of_simplified(job.folder, mesh, read_proof(folder), count, params, job.progress)
+
+
+def _is_clean_large(read: Mapping[str, Any]) -> bool:
+    return "clean" in read and is_large(read["clean"] / "clean.ply")
 
 
 def _tiles(job: Job) -> Mapping[str, Any]:
@@ -204,8 +217,9 @@ def _coverage(job: Job) -> Mapping[str, Any]:
 
 
 def _report(job: Job) -> Mapping[str, Any]:
-    names = ("fused", "clean", "simplified")
-    meshes = {name: whole(job.inputs[name] / f"{name}.ply", "report") for name in names}
+    # Neither of these has to have room in memory.
+    origins = {name: surface_of(job.inputs[name] / f"{name}.ply") for name in ("fused", "clean")}
+    meshes = {"simplified": read_ply(job.inputs["simplified"] / "simplified.ply")}
     by_photo = None
     if "textured" in job.inputs:
         meshes["textured"] = read_mesh(job.inputs["textured"] / texturing.FILE)
@@ -214,18 +228,19 @@ def _report(job: Job) -> Mapping[str, Any]:
     pictures.mkdir()
     frames, params = _frames(job).frames, job.config.report
     held_out = _held_out(job) if HELD_OUT in job.inputs else []
-    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress, by_photo, held_out)
+    shown = {**origins, **meshes}
+    made = report.make(pictures, shown, frames, job.config.compare, params, job.progress, by_photo, held_out)
     drawn_in = pictures if params.pictures else None
     if "remeshed" in job.inputs:
         levels = remeshing.read_levels(job.inputs["remeshed"])
-        viewpoint = report.viewpoints_of(meshes["fused"], frames, params)[-1]
+        viewpoint = report.viewpoints_of(origins["fused"], frames, params)[-1]
         made["normal_mesh"], drawn = remeshing.report(
             drawn_in, meshes["simplified"], levels, viewpoint, job.config.compare
         )
         made["pictures"] += drawn
     if HELD_OUT in job.inputs:
-        shown = meshes.get("textured", meshes["simplified"])
-        made["held_out"], drawn = holding_out.judge(drawn_in, shown, held_out, job.progress)
+        result = meshes.get("textured", meshes["simplified"])
+        made["held_out"], drawn = holding_out.judge(drawn_in, result, held_out, job.progress)
         made["pictures"] += drawn
     return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}
 
@@ -379,10 +394,11 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="lod",
-        reads=("frames", "posed", "adjusted", "clean", "standing"),
+        reads=("frames", "posed", "adjusted", "clean", "simplified", "standing"),
         writes="levels",
         sections=("lod",),
         make=_lod,
+        when={"simplified": _is_clean_large},
         versions=versions.of_lod,
         libraries=installed("scanloom", "opencv", "scipy"),
         results=(levels.FILE,),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,9 @@ from stages import Mesh
 from stages.errors import InputError
 from stages.files.documents import read_json
 from stages.picturing.page.packing import Paint, Shown, Warn, packed_page, turn_of_page
+from stages.surface.formats.ply_format import promised
 from stages.surface.mesh_files import standing
+from stages.surface.pieces import is_many
 
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
 # How far from a place the camera flies to, as a share of the model's size.
@@ -54,10 +57,19 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     report, told = _reported(folder / REPORT)
     paints: dict[str, Paint] = {}
     models = {}
+    kept = None
     if (folder / "clean.ply").is_file():
-        clean = _read(folder / "clean.ply", warn).with_(up=result.up)
-        models["clean mesh"] = Shown(clean, "before simplification")
+        count = promised(folder / "clean.ply", "face")
+        if is_many(count):
+            clean = None
+            said = f"its {count:,} triangles are too many for the page, which shows the result without it."
+            warn(f"{folder / 'clean.ply'}: {said}")
+            told["warnings"] = [*told.get("warnings", ()), f"clean.ply: {said}"]
+        else:
+            clean = _read(folder / "clean.ply", warn).with_(up=result.up)
+            models["clean mesh"] = Shown(clean, "before simplification")
         kept = _deviations(folder / PICTURES, clean, result)
+    if kept is not None:
         bound, proven = _bounds(folder / REPORT, report)
         away = _NEAR * _size(result)
         is_metric = at(report, "scan", "metric", otherwise=True)
@@ -85,13 +97,25 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     return packed_page(folder.resolve().name, models, most_bytes, warn, told, cameras)
 
 
-def _deviations(pictures: Path, clean: Mesh, result: Mesh) -> Kept:
+def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None:
     """Return how far the result is from the clean mesh, as the report has it if it is of this result."""
     with as_runs_write(pictures):
         kept = read_deviations(pictures)
     if kept is not None and _is_same(kept.vertices, result):
         return kept
-    return kept_of(stages.deviations(clean, result, signed_samples=SIGNED_SAMPLES))
+    if clean is not None:
+        return kept_of(stages.deviations(clean, result, signed_samples=SIGNED_SAMPLES))
+    return None if kept is None else _of_other_file(kept, result)
+
+
+def _of_other_file(kept: Kept, result: Mesh) -> Kept | None:
+    """Return deviations of the same mesh in another file, whose vertices may come in another order."""
+    from scipy.spatial import cKDTree
+
+    away, rows = cKDTree(kept.vertices).query(result.vertices, workers=-1)
+    if len(away) == 0 or away.max() > _SAME * _size(result):
+        return None
+    return replace(kept, vertices=result.vertices, at_vertices=kept.at_vertices[rows])
 
 
 def _bounds(path: Path, report: Mapping[str, Any]) -> tuple[float | None, float | None]:

@@ -23,15 +23,19 @@ from pipeline.photos import write_photos
 from pipeline.schema import SCHEMA
 from stages import __version__
 from stages.comparing.compare import CompareParams, compare_searched, compare_surfaces
-from stages.comparing.deviations import DeviationParams, deviations_from
+from stages.comparing.deviations import DeviationParams, Deviations, deviations_from
+from stages.comparing.in_pieces import compare_in_pieces
 from stages.comparing.needles import WithNeedles
 from stages.inspecting.libraries import installed
 from stages.params import check, param, with_former_names
+from stages.picturing.in_pieces import draw_in_pieces
 from stages.picturing.render import Model, Viewpoint, viewpoints, write_png
+from stages.picturing.viewpoints import ENOUGH, viewpoints_around
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Scan
 from stages.surface.mesh import Mesh
+from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
@@ -84,7 +88,7 @@ class ReportParams:
 
 def make(
     folder: Path,
-    meshes: Mapping[str, Mesh],
+    meshes: Mapping[str, Mesh | Piecewise],
     frames: Sequence[Frame],
     compared: CompareParams,
     params: ReportParams,
@@ -96,7 +100,7 @@ def make(
 
     Parameters
     ----------
-    meshes : "fused", "clean" and "simplified", and "textured", if it was.
+    meshes : "fused", "clean" and "simplified", and "textured", if it was; the first two may be in pieces.
     frames : of the scan, whose poses say where to look from.
     by_photo : the textured mesh in colours of the photos that count most, which is drawn, too.
     held_out : frames that no stage saw, placed like their neighbours.
@@ -106,23 +110,31 @@ def make(
     MeshError
         If a mesh has no surface to measure and draw.
     """
-    for name, mesh in meshes.items():
+    large = {name: mesh for name, mesh in meshes.items() if isinstance(mesh, Piecewise)}
+    small = {name: mesh for name, mesh in meshes.items() if isinstance(mesh, Mesh)}
+    for name, mesh in small.items():
         require_area(mesh, f"{name}.ply")
     # Distances and pictures ask the same surfaces: to make one takes longer than to draw it.
-    box = bounding_box(*meshes.values())
-    made = _side_by_side([partial(_model, mesh, box) for mesh in meshes.values()])
-    models = dict(zip(meshes, made, strict=True))
-    surfaces = {name: model.surface for name, model in models.items()}
+    box = _around(bounding_box(*small.values()), *(one.box for one in large.values()))
+    made = _side_by_side([partial(_model, mesh, box) for mesh in small.values()])
+    models = dict(zip(small, made, strict=True))
+    of = _Measured({name: model.surface for name, model in models.items()}, large, box)
     work: list[Callable[[], Any]] = [
         # The longest first.
-        partial(_off_fused, surfaces, compared),
-        partial(_off_clean, folder, surfaces, compared),
-        partial(measure, surfaces["simplified"].mesh),
+        partial(_off_fused, of, compared),
+        partial(_off_clean, folder, of, compared),
+        partial(measure, small["simplified"]),
         partial(write_photos, folder, frames, params.photos, held_out),
     ]
-    drawings = _drawings(models, frames, params, by_photo) if params.pictures else []
-    work += [partial(_drawn, folder, one) for one in drawings]
-    to_fused, (to_clean, deviation), measured, photos, *_ = _side_by_side(work, progress)
+    drawings: list[_Drawing | _InPieces] = []
+    if params.pictures:
+        chosen = viewpoints_of(meshes["fused"], frames, params)
+        drawings += (_InPieces(name, one, chosen, box) for name, one in large.items())
+        drawings += _drawings(models, chosen, by_photo)
+    work += [partial(one.draw, folder) for one in drawings]
+    # Of pieces, there is room for one.
+    threads = 1 if large else workers()
+    to_fused, (to_clean, deviation), measured, photos, *_ = _side_by_side(work, progress, threads)
     return {
         "mesh": measured | {"to_fused": to_fused, "to_clean": to_clean},
         "deviation": deviation,
@@ -131,42 +143,71 @@ def make(
     }
 
 
+class _Measured(NamedTuple):
+    """What is measured: surfaces, meshes in pieces, and the box (2, 3) around all."""
+
+    surfaces: Mapping[str, Surface]
+    large: Mapping[str, Piecewise]
+    box: Floats
+
+
+def _around(*boxes: Floats) -> Floats:
+    lows, highs = np.array(boxes).swapaxes(0, 1)
+    return np.array([lows.min(axis=0), highs.max(axis=0)])
+
+
 def _model(mesh: Mesh, box: Floats) -> Model:
     return Model(Surface(mesh, box))
 
 
-def _side_by_side(work: Sequence[Callable[[], Any]], progress: Progress = silent) -> list[Any]:
-    """Return what pieces of work return, done on all cores in their order."""
+def _side_by_side(
+    work: Sequence[Callable[[], Any]], progress: Progress = silent, threads: int | None = None
+) -> list[Any]:
+    """Return what pieces of work return, done in their order, on all cores if not told otherwise."""
     results = []
-    for result in read_ahead(lambda one: one(), work, threads=workers(), ahead=len(work)):
+    for result in read_ahead(lambda one: one(), work, threads=threads or workers(), ahead=len(work)):
         results.append(result)
         progress(len(results), len(work))
     return results
 
 
-def _off_fused(surfaces: Mapping[str, Surface], params: CompareParams) -> dict[str, Any]:
+def _off_fused(of: _Measured, params: CompareParams) -> dict[str, Any]:
     """Measure how far the simplified mesh and the fused one are apart.
 
     From the simplified mesh to the fused one (`b_to_a`) is the error of what is there. The other way is
     mostly how far off the islands were that cleaning removed.
     """
-    return compare_surfaces(surfaces["fused"], surfaces["simplified"], params).figures()
+    final = of.surfaces["simplified"]
+    if "fused" in of.large:
+        found, _ = compare_in_pieces(of.large["fused"], WithNeedles(final, of.box), params, box=of.box)
+        return found.figures()
+    return compare_surfaces(of.surfaces["fused"], final, params).figures()
 
 
-def _off_clean(
-    folder: Path, surfaces: Mapping[str, Surface], params: CompareParams
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def _off_clean(folder: Path, of: _Measured, params: CompareParams) -> tuple[dict[str, Any], dict[str, Any]]:
     """Measure how far simplification has moved the clean mesh, both ways, and the result from it, with signs.
 
     The clean mesh has no islands that were removed: the error is of simplification alone.
     """
-    final = surfaces["simplified"].mesh
-    result = surfaces["textured"].mesh if "textured" in surfaces else final
-    box = bounding_box(surfaces["clean"].mesh, final, result)
-    clean = WithNeedles(surfaces["clean"], box)
+    final = of.surfaces["simplified"].mesh
+    result = of.surfaces["textured"].mesh if "textured" in of.surfaces else final
     fewer = replace(params, samples=math.ceil(params.samples / 4))
-    compared = compare_searched(clean, WithNeedles(surfaces["simplified"], box), fewer)
-    found = deviations_from(clean, result, DeviationParams(signed_samples=SIGNED_SAMPLES))
+    signed = DeviationParams(signed_samples=SIGNED_SAMPLES)
+    found: Deviations | None
+    if "clean" in of.large:
+        compared, found = compare_in_pieces(
+            of.large["clean"],
+            WithNeedles(of.surfaces["simplified"], of.box),
+            fewer,
+            box=of.box,
+            signed=(result, signed),
+        )
+        assert found is not None, "it was asked for"
+    else:
+        box = bounding_box(of.surfaces["clean"].mesh, final, result)
+        clean = WithNeedles(of.surfaces["clean"], box)
+        compared = compare_searched(clean, WithNeedles(of.surfaces["simplified"], box), fewer)
+        found = deviations_from(clean, result, signed)
     return compared.figures(), write_deviations(folder, found)
 
 
@@ -214,19 +255,46 @@ class _Drawing(NamedTuple):
     def files(self) -> list[str]:
         return [self.file] if self.with_triangles is None else [self.file, self.with_triangles]
 
+    def draw(self, folder: Path) -> None:
+        image = self.model.draw(self.viewpoint)
+        write_png(folder / self.file, image)
+        if self.with_triangles is not None:
+            both = np.hstack([image, self.model.draw(self.viewpoint, "edges")])
+            write_png(folder / self.with_triangles, both)
+
+
+class _InPieces(NamedTuple):
+    """All pictures of a mesh in pieces."""
+
+    name: str
+    mesh: Piecewise
+    viewpoints: Sequence[Viewpoint]
+    box: Floats
+
+    @property
+    def files(self) -> list[str]:
+        return [_file(self.name, one) for one in self.viewpoints]
+
+    def draw(self, folder: Path) -> None:
+        for file, image in zip(self.files, draw_in_pieces(self.mesh, self.viewpoints, self.box), strict=True):
+            write_png(folder / file, image)
+
+
+def _file(name: str, viewpoint: Viewpoint) -> str:
+    return f"{name}-{viewpoint.name}.png"
+
 
 def _drawings(
-    models: Mapping[str, Model], frames: Sequence[Frame], params: ReportParams, by_photo: Mesh | None
+    models: Mapping[str, Model], chosen: Sequence[Viewpoint], by_photo: Mesh | None
 ) -> list[_Drawing]:
     """Return what is drawn: each mesh from each viewpoint, the simplified one with its triangles beside it.
 
     The files are `<mesh>-<viewpoint>.png`, `simplified-triangles.png`, and `textured-photos.png`, with the
     photo that counts most where.
     """
-    chosen = viewpoints_of(models["fused"].surface.mesh, frames, params)
     drawings: list[_Drawing] = []
     for name, model in models.items():
-        drawings += (_Drawing(f"{name}-{one.name}.png", model, one) for one in chosen)
+        drawings += (_Drawing(_file(name, one), model, one) for one in chosen)
         if name == "simplified":
             drawings[-1] = drawings[-1]._replace(with_triangles="simplified-triangles.png")
         if name == "textured" and by_photo is not None:
@@ -234,18 +302,15 @@ def _drawings(
     return drawings
 
 
-def _drawn(folder: Path, one: _Drawing) -> None:
-    image = one.model.draw(one.viewpoint)
-    write_png(folder / one.file, image)
-    if one.with_triangles is not None:
-        both = np.hstack([image, one.model.draw(one.viewpoint, "edges")])
-        write_png(folder / one.with_triangles, both)
-
-
-def viewpoints_of(mesh: Mesh, frames: Sequence[Frame], params: ReportParams) -> tuple[Viewpoint, ...]:
+def viewpoints_of(
+    mesh: Mesh | Piecewise, frames: Sequence[Frame], params: ReportParams
+) -> tuple[Viewpoint, ...]:
     """Return where the meshes of a run are drawn from; `mesh` is the fused one."""
     # A viewpoint is named after its frame; numbers, because the names of files decide nothing here.
     numbered = [replace(frame, name=f"{i:06d}") for i, frame in enumerate(frames)]
+    if isinstance(mesh, Piecewise):
+        points = mesh.some_vertices(ENOUGH)
+        return viewpoints_around(points, params.viewpoints, frames=numbered, width=params.width)
     return viewpoints(mesh, params.viewpoints, frames=numbered, width=params.width)
 
 

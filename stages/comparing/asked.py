@@ -53,7 +53,24 @@ class Nearest:
     colors: Levels | None
 
 
-class Asked(Protocol):
+class Spread(Protocol):
+    """What points can be had of."""
+
+    @property
+    def has_color(self) -> bool:
+        """Whether it has colours."""
+
+    def samples(self, wanted: int) -> int:
+        """Return how many points `spread` has, if so many are wanted."""
+
+    def spread(self, rows: slice, count: int, rng: np.random.Generator, *, colored: bool) -> Points:
+        """Return rows of `count` points that stand for all of it."""
+
+    def corners(self, *, colored: bool) -> Iterator[Points]:
+        """Yield further points, which count for what is farthest off alone."""
+
+
+class Asked(Spread, Protocol):
     """What can be asked of both."""
 
     mesh: Mesh
@@ -65,15 +82,6 @@ class Asked(Protocol):
     @property
     def spacing(self) -> float | None:
         """Metres from points of a cloud to their nearest neighbours, the median; None of a surface."""
-
-    def samples(self, wanted: int) -> int:
-        """Return how many points `spread` has, if so many are wanted."""
-
-    def spread(self, rows: slice, count: int, rng: np.random.Generator, *, colored: bool) -> Points:
-        """Return rows of `count` points that stand for all of it."""
-
-    def corners(self, *, colored: bool) -> Iterator[Points]:
-        """Yield further points, which count for what is farthest off alone."""
 
     def nearest(self, points: Floats, *, colored: bool = False, signed: bool = False) -> Nearest:
         """Return what is nearest to points (k, 3)."""
@@ -111,6 +119,10 @@ class _Surface:
         return np.cumsum(areas(self.mesh.vertices, self.mesh.triangles))
 
     @property
+    def has_color(self) -> bool:
+        return has_color(self.mesh)
+
+    @property
     def is_oriented(self) -> bool:
         return self._sides is not None
 
@@ -127,13 +139,7 @@ class _Surface:
         return Points(interpolated(self.mesh.vertices, self.mesh, at), colors)
 
     def corners(self, *, colored: bool) -> Iterator[Points]:
-        # A corner of each vertex in use: along a seam of a texture it has several colours; one is looked at.
-        used, corners = np.unique(self.mesh.triangles, return_index=True)
-        for rows in chunks(len(used)):
-            colors = None
-            if colored:
-                colors = color_at(self.mesh, corners[rows] // 3, np.eye(3)[corners[rows] % 3])
-            yield Points(self.mesh.vertices[used[rows]], colors)
+        return corners_of(self.mesh, colored=colored)
 
     def nearest(self, points: Floats, *, colored: bool = False, signed: bool = False) -> Nearest:
         found = self._searched.closest(points)
@@ -141,6 +147,17 @@ class _Surface:
         if signed and self._sides is not None:
             return Nearest(found.distances * self._sides.signs(points, found), colors)
         return Nearest(found.distances, colors)
+
+
+def corners_of(mesh: Mesh, *, colored: bool) -> Iterator[Points]:
+    """Yield the vertices of a mesh that a triangle uses."""
+    # A corner of each: along a seam of a texture it has several colours; one is looked at.
+    used, corners = np.unique(mesh.triangles, return_index=True)
+    for rows in chunks(len(used)):
+        colors = None
+        if colored:
+            colors = color_at(mesh, corners[rows] // 3, np.eye(3)[corners[rows] % 3])
+        yield Points(mesh.vertices[used[rows]], colors)
 
 
 class _Cloud:
@@ -152,6 +169,10 @@ class _Cloud:
         self.mesh = mesh
         # Scanners spread points evenly enough for halves of space, which are found sooner than medians.
         self._tree = cKDTree(mesh.vertices, balanced_tree=False)
+
+    @property
+    def has_color(self) -> bool:
+        return has_color(self.mesh)
 
     @cached_property
     def is_oriented(self) -> bool:
@@ -188,8 +209,3 @@ class _Cloud:
             is_behind = np.einsum("kx,kx->k", away, self.mesh.normals[rows]) < 0
             distances = np.where(is_behind, -distances, distances)
         return Nearest(distances, colors)
-
-
-def is_colored(*compared: Asked) -> bool:
-    """Return whether all of them have colours."""
-    return all(has_color(one.mesh) for one in compared)

@@ -10,18 +10,19 @@ is a sample, and distances to it are to its nearest point.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
-from stages.comparing.asked import Asked, Points, asked, is_colored
+from stages.comparing.asked import Asked, Levels, Nearest, Points, Spread, asked
 from stages.comparing.measurable import box_of, comparable
 from stages.comparing.needles import WithNeedles
 from stages.params import check, param, resolve
 from stages.printing import by_figures, counted, facts, line, table
 from stages.surface.convert import MeshLike
-from stages.surface.raycasting import Surface, bounding_box, chunks
+from stages.surface.raycasting import Floats, Surface, bounding_box, chunks
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -225,10 +226,22 @@ def compare_searched(a: WithNeedles, b: WithNeedles, params: CompareParams) -> C
 
 
 def _compared(a: Asked, b: Asked, params: CompareParams) -> Comparison:
-    forward = _one_way(a, b, params.samples, (params.seed, 0))
-    backward = _one_way(b, a, params.samples, (params.seed, 1))
+    forward = one_way(a, b, params.samples, (params.seed, 0))
+    backward = one_way(b, a, params.samples, (params.seed, 1))
+    clouds = _facts_of(a), _facts_of(b)
+    return comparison_of(forward, backward, box_of(a.mesh), params.samples, clouds)
+
+
+def comparison_of(
+    forward: Sums,
+    backward: Sums,
+    box: Floats,
+    samples: int,
+    clouds: tuple[CloudFacts | None, CloudFacts | None] = (None, None),
+) -> Comparison:
+    """Return what both directions come to; `box` (2, 3) is that of A."""
     both = forward.merged(backward.counted_as(forward.count))
-    low, high = box_of(a.mesh)
+    low, high = box
     return Comparison(
         a_to_b=forward.deviation(),
         b_to_a=backward.deviation(),
@@ -237,8 +250,8 @@ def _compared(a: Asked, b: Asked, params: CompareParams) -> Comparison:
         color_b_to_a=backward.color(),
         color=both.color(),
         diagonal=float(np.linalg.norm(high - low)),
-        samples=params.samples,
-        clouds=(_facts_of(a), _facts_of(b)),
+        samples=samples,
+        clouds=clouds,
     )
 
 
@@ -247,7 +260,7 @@ def _facts_of(one: Asked) -> CloudFacts | None:
 
 
 @dataclass(frozen=True)
-class _Sums:
+class Sums:
     """What one direction adds up to; colour fields stay None without colours."""
 
     count: int
@@ -257,7 +270,7 @@ class _Sums:
     color_squared: float | None
     color_maximum: float
 
-    def counted_as(self, count: int) -> _Sums:
+    def counted_as(self, count: int) -> Sums:
         """Return the sums as of so many points, so that a cloud of many weighs no more than a surface."""
         factor = count / self.count
         color = None if self.color_squared is None else factor * self.color_squared
@@ -265,9 +278,10 @@ class _Sums:
             self, count=count, total=factor * self.total, squared=factor * self.squared, color_squared=color
         )
 
-    def merged(self, other: _Sums) -> _Sums:
+    def merged(self, other: Sums) -> Sums:
+        """Return the sums over both."""
         colored = self.color_squared is not None and other.color_squared is not None
-        return _Sums(
+        return Sums(
             self.count + other.count,
             self.total + other.total,
             self.squared + other.squared,
@@ -277,22 +291,34 @@ class _Sums:
         )
 
     def deviation(self) -> Deviation:
+        """Return the distances they tell."""
         return Deviation(self.maximum, self.total / self.count, math.sqrt(self.squared / self.count))
 
     def color(self) -> ColorError | None:
+        """Return the differences of colour they tell."""
         if self.color_squared is None:
             return None
         return ColorError(math.sqrt(self.color_squared / (3 * self.count)), self.color_maximum)
 
 
-def _one_way(source: Asked, target: Asked, wanted: int, seed: tuple[int, int]) -> _Sums:
+def one_way(source: Spread, target: Asked, wanted: int, seed: tuple[int, int]) -> Sums:
+    """Measure from points of one to the other."""
     rng = np.random.default_rng(seed)
-    colored = is_colored(source, target)
+    colored = source.has_color and target.has_color
     count = source.samples(wanted)
-    sums = _Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)
-    for rows in chunks(count):
-        sums = sums.merged(_measured(source.spread(rows, count, rng, colored=colored), target))
-    at_corners = [_measured(points, target) for points in source.corners(colored=colored)]
+    return all_sums(
+        colored,
+        (_measured(source.spread(rows, count, rng, colored=colored), target) for rows in chunks(count)),
+        (_measured(points, target) for points in source.corners(colored=colored)),
+    )
+
+
+def all_sums(colored: bool, of_samples: Iterable[Sums], of_corners: Iterable[Sums]) -> Sums:
+    """Return the sums over samples; corners count for the maximum alone."""
+    sums = Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)
+    for one in of_samples:
+        sums = sums.merged(one)
+    at_corners = list(of_corners)
     return replace(
         sums,
         maximum=max([sums.maximum, *(one.maximum for one in at_corners)]),
@@ -300,11 +326,15 @@ def _one_way(source: Asked, target: Asked, wanted: int, seed: tuple[int, int]) -
     )
 
 
-def _measured(points: Points, target: Asked) -> _Sums:
-    nearest = target.nearest(points.places, colored=points.colors is not None)
+def _measured(points: Points, target: Asked) -> Sums:
+    return sums_of(points.colors, target.nearest(points.places, colored=points.colors is not None))
+
+
+def sums_of(colors: Levels | None, nearest: Nearest) -> Sums:
+    """Return what points of these colours (k, 3) add up to."""
     d = nearest.distances
     color_squared, color_maximum = None, 0.0
-    if points.colors is not None and nearest.colors is not None:
-        difference = np.abs(points.colors - nearest.colors)
+    if colors is not None and nearest.colors is not None:
+        difference = np.abs(colors - nearest.colors)
         color_squared, color_maximum = float(np.sum(difference**2)), float(difference.max())
-    return _Sums(len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum)
+    return Sums(len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum)

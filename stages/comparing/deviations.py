@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.asked import Asked, asked, is_colored
+from stages.comparing.asked import Asked, Levels, Points, Spread, asked
 from stages.comparing.measurable import box_of, comparable
 from stages.comparing.needles import WithNeedles
 from stages.comparing.palette import PALETTES, colors_of
@@ -207,28 +207,50 @@ def deviations_from(surface: WithNeedles, measured: Mesh, params: DeviationParam
 
 def _measured(target: Asked, source: Asked, params: DeviationParams) -> Deviations:
     measured = source.mesh
-    count = source.samples(params.signed_samples)
-    rng, colored = np.random.default_rng(0), is_colored(target, source)
-    points = source.spread(slice(0, count), count, rng, colored=colored)
+    points = points_of(source, params, colored=target.has_color and source.has_color)
     samples, seen = _distances(points.places, target, colored=points.colors is not None)
-    delta_e = None
-    if points.colors is not None and seen is not None:
-        delta_e = np.concatenate([_delta_e(points.colors[rows], seen[rows]) for rows in chunks(count)])
     if is_cloud(measured):
         at_vertices = samples
     else:
         at_vertices = np.zeros(len(measured.vertices))
         used = np.unique(measured.triangles)
         at_vertices[used], _ = _distances(measured.vertices[used], target, colored=False)
-    most = params.color_range or _range_of(samples, params.tolerance)
+    found = Found(target.is_oriented, target.spacing, samples, seen, at_vertices)
+    return deviations_of(measured, points, found, params)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was found where a mesh was measured: see Deviations; `seen` are the reference's colours (k, 3)."""
+
+    is_signed: bool
+    spacing: float | None
+    samples: Floats
+    seen: Levels | None
+    at_vertices: Floats
+
+
+def points_of(source: Spread, params: DeviationParams, *, colored: bool) -> Points:
+    """Return the points that a mesh or cloud is measured at."""
+    count = source.samples(params.signed_samples)
+    return source.spread(slice(0, count), count, np.random.default_rng(0), colored=colored)
+
+
+def deviations_of(measured: Mesh, points: Points, found: Found, params: DeviationParams) -> Deviations:
+    """Return what there is to say of a mesh or cloud that was measured at these points."""
+    delta_e = None
+    if points.colors is not None and found.seen is not None:
+        parts = [_delta_e(points.colors[rows], found.seen[rows]) for rows in chunks(len(found.samples))]
+        delta_e = np.concatenate(parts)
+    most = params.color_range or _range_of(found.samples, params.tolerance)
     within = params.tolerance if params.tolerance is not None else _WELL * most
-    painted = measured.with_(colors=colors_of(at_vertices, within, most, params.palette), texture=None)
+    painted = measured.with_(colors=colors_of(found.at_vertices, within, most, params.palette), texture=None)
     return Deviations(
-        is_signed=target.is_oriented,
-        spacing=target.spacing,
-        samples=samples,
+        is_signed=found.is_signed,
+        spacing=found.spacing,
+        samples=found.samples,
         points=points.places,
-        at_vertices=at_vertices,
+        at_vertices=found.at_vertices,
         delta_e=delta_e,
         tolerance=params.tolerance,
         within=within,

@@ -47,6 +47,13 @@ class Sides:
 
     def signs(self, points: Floats, nearest: Located) -> Floats:
         """Return 1 where points (k, 3) are on the side that the surface looks to, -1 on the other."""
+        return np.where(self.heights(points, nearest) < 0, -1.0, 1.0)
+
+    def heights(self, points: Floats, nearest: Located) -> Floats:
+        """Return how high points (k, 3) are along the normal where they are nearest, times its length.
+
+        Of parts of a surface that meet there, the sum is that of the whole.
+        """
         outside = nearest.weights < _ON_SIDE
         normals = self._of_triangles[nearest.triangles].copy()
         one, two = outside.sum(axis=1) == 1, outside.sum(axis=1) >= 2
@@ -57,7 +64,7 @@ class Sides:
         corner = np.argmax(nearest.weights[two], axis=1)
         normals[two] = self._of_vertices[self._mesh.triangles[nearest.triangles[two], corner]]
         away = points - interpolated(self._mesh.vertices, self._mesh, nearest)
-        return np.where(np.einsum("kx,kx->k", away, normals) < 0, -1.0, 1.0)
+        return np.asarray(np.einsum("kx,kx->k", away, normals))
 
 
 def sides_of(mesh: Mesh) -> Sides | None:

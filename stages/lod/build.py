@@ -144,19 +144,29 @@ def build(
     base, shape, color, progress = _base(kept, params, progress)
     hierarchy = _of_any(base, params, shape, progress)
     if shape:
-        hierarchy = replace(
-            hierarchy,
-            shape_bound=hierarchy.shape_bound + shape,
-            color_bound=np.minimum(hierarchy.color_bound + color, _FARTHEST_COLOR),
-            base_shape_bound=shape,
-            base_color_bound=color,
-        )
+        hierarchy = further_off(hierarchy, shape, color)
     return replace(
         hierarchy,
         input_triangles=len(given.triangles),
         dropped_islands=islands,
         dropped_triangles=len(given.triangles) - len(kept.triangles),
         up=given.up,
+    )
+
+
+def further_off(hierarchy: Hierarchy, shape: float, color: float) -> Hierarchy:
+    """Return levels as those of a mesh that the one they were built of is proven to be near, both ways.
+
+    Parameters
+    ----------
+    shape, color : metres, and levels of colour; they count in all bounds, by the triangle inequality.
+    """
+    return replace(
+        hierarchy,
+        shape_bound=hierarchy.shape_bound + shape,
+        color_bound=np.minimum(hierarchy.color_bound + color, _FARTHEST_COLOR),
+        base_shape_bound=hierarchy.base_shape_bound + shape,
+        base_color_bound=hierarchy.base_color_bound + color,
     )
 
 

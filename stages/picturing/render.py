@@ -20,7 +20,7 @@ from stages.scans.scan import ColorImage
 from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Hits, Surface, chunks
+from stages.surface.raycasting import Floats, Hits, Surface, chunks
 from stages.surface.topology import require_measurable
 from stages.surface.vertex_normals import vertex_normals
 
@@ -44,6 +44,8 @@ _LIGHT = np.array((-0.35, -0.55, -0.75)) / np.linalg.norm((-0.35, -0.55, -0.75))
 # A ray that goes on behind a culled surface starts this share of its length later.
 _STEP = 1e-5
 _MAX_CULLED = 16
+# A box that begins nearer than this share of where it ends is taken to be all around.
+_AHEAD = 1e-3
 _TINY = np.finfo(np.float32).tiny
 
 
@@ -98,11 +100,12 @@ class Model:
     Parameters
     ----------
     surface : of a mesh with at least one triangle.
+    normals : (n, 3) float32 of its vertices, where it is a piece of another surface; else they are its own.
     """
 
-    def __init__(self, surface: Surface) -> None:
+    def __init__(self, surface: Surface, normals: _Floats | None = None) -> None:
         self.surface = surface
-        self._normals = vertex_normals(surface.mesh).astype(np.float32)
+        self._normals = vertex_normals(surface.mesh).astype(np.float32) if normals is None else normals
         self._is_colored = has_color(surface.mesh)
 
     def showing(self, mesh: Mesh) -> Model:
@@ -114,20 +117,11 @@ class Model:
 
     def draw(self, viewpoint: Viewpoint, shading: Shading = "color") -> ColorImage:
         """Cast one ray a pixel, and more where the picture is not smooth; see `render`."""
-        import cv2
-
-        height, width = viewpoint.camera.height, viewpoint.camera.width
-        v, u = np.indices((height, width), np.float32).reshape(2, -1)
-        levels = self._levels(viewpoint, shading, u, v)
-        image = levels.reshape(height, width, 3)
-        contrast = cv2.morphologyEx(image, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-        is_rough = np.logical_or.reduce([channel > _CONTRAST for channel in cv2.split(contrast)])
-        rough = np.flatnonzero(is_rough)  # outlines and fine patterns
-        finer = levels[rough]
-        for du, dv in _OFFSETS:
-            finer += self._levels(viewpoint, shading, u[rough] + du, v[rough] + dv)
-        levels[rough] = finer / (1 + len(_OFFSETS))
-        return np.asarray(np.rint(image).clip(0, 255), np.uint8)
+        picture = Picture(viewpoint, shading)
+        picture.add(self)
+        picture.refine()
+        picture.add(self)
+        return picture.image()
 
     def depths(self, viewpoint: Viewpoint, places: NDArray[np.floating]) -> _Floats:
         """Return how far ahead the surface is, metres, of places (k, 2) in a picture that show it (j,)."""
@@ -135,15 +129,19 @@ class Model:
         seen = [hits.distances for hits in self._seen(viewpoint, _directions(viewpoint, u, v))]
         return np.concatenate(seen)
 
-    def _levels(self, viewpoint: Viewpoint, shading: Shading, u: _Floats, v: _Floats) -> _Floats:
-        """Return what is seen at image positions, (k, 3) levels of 0 to 255."""
-        down = ((v + np.float32(0.5)) / np.float32(viewpoint.camera.height))[:, None]
-        levels: _Floats = _BACKGROUND_TOP + (_BACKGROUND_BOTTOM - _BACKGROUND_TOP) * down
+    def draw_on(self, canvas: Canvas, places: NDArray[np.intp] | slice = slice(None)) -> None:
+        """Draw what is nearer than what a canvas has, at some of its places."""
+        u, v = canvas.u[places], canvas.v[places]
+        numbers = np.arange(len(canvas.u))[places]
         for rows in chunks(len(u)):
-            directions = _directions(viewpoint, u[rows], v[rows])
-            for hits in self._seen(viewpoint, directions):
-                levels[rows.start + hits.rays] = self._shaded(hits, directions, viewpoint, shading)
-        return levels
+            directions = _directions(canvas.viewpoint, u[rows], v[rows])
+            for hits in self._seen(canvas.viewpoint, directions):
+                at = numbers[rows][hits.rays]
+                is_nearer = hits.distances < canvas.depths[at]
+                if not is_nearer.all():
+                    hits, at = hits[is_nearer], at[is_nearer]
+                canvas.levels[at] = self._shaded(hits, directions, canvas.viewpoint, canvas.shading)
+                canvas.depths[at] = hits.distances
 
     def _seen(self, viewpoint: Viewpoint, directions: _Floats) -> Iterator[Hits]:
         """Yield first hits; with culling, those on triangles that face the camera, as into a doll's house."""
@@ -189,6 +187,94 @@ class Model:
             line = _line(around, hits, viewpoint)[:, None]
             clay += line * (_EDGE - clay)
         return clay
+
+
+class Canvas:
+    """What is seen at places of a picture; of all that is drawn on it, the nearest stays.
+
+    Attributes
+    ----------
+    u, v : (k,) float32, pixels.
+    levels : (k, 3) float32, 0 to 255.
+    depths : (k,) float32, metres ahead; infinite where there is the background.
+    """
+
+    def __init__(self, viewpoint: Viewpoint, shading: Shading, u: _Floats, v: _Floats) -> None:
+        self.viewpoint, self.shading, self.u, self.v = viewpoint, shading, u, v
+        down = ((v + np.float32(0.5)) / np.float32(viewpoint.camera.height))[:, None]
+        self.levels: _Floats = _BACKGROUND_TOP + (_BACKGROUND_BOTTOM - _BACKGROUND_TOP) * down
+        self.depths = np.full(len(u), np.inf, np.float32)
+
+
+class Picture:
+    """A picture of one model, or of several together: all are added, and once more after `refine`."""
+
+    def __init__(self, viewpoint: Viewpoint, shading: Shading = "color") -> None:
+        self.viewpoint = viewpoint
+        v, u = np.indices((viewpoint.camera.height, viewpoint.camera.width), np.float32).reshape(2, -1)
+        self._pixels = Canvas(viewpoint, shading, u, v)
+        self._rough = np.zeros(0, np.intp)
+        self._finer: list[Canvas] = []
+
+    def add(self, model: Model, box: Floats | None = None) -> None:
+        """Draw a model that is within a box (2, 3), metres, if that is known."""
+        for canvas in self._finer or [self._pixels]:
+            if box is None:
+                model.draw_on(canvas)
+            else:
+                model.draw_on(canvas, _within(canvas, box))
+
+    def refine(self) -> None:
+        """Go on to more rays where the picture is not smooth."""
+        import cv2
+
+        contrast = cv2.morphologyEx(self._image(), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+        is_rough = np.logical_or.reduce([channel > _CONTRAST for channel in cv2.split(contrast)])
+        self._rough = np.flatnonzero(is_rough)  # outlines and fine patterns
+        of = self._pixels
+        u, v = of.u[self._rough], of.v[self._rough]
+        self._finer = [Canvas(of.viewpoint, of.shading, u + du, v + dv) for du, dv in _OFFSETS]
+
+    def image(self) -> ColorImage:
+        """Return the picture (h, w, 3)."""
+        levels = self._pixels.levels
+        finer = levels[self._rough]
+        for canvas in self._finer:
+            finer += canvas.levels
+        levels[self._rough] = finer / (1 + len(self._finer))
+        return np.asarray(np.rint(self._image()).clip(0, 255), np.uint8)
+
+    def _image(self) -> _Floats:
+        return self._pixels.levels.reshape(self.viewpoint.camera.height, self.viewpoint.camera.width, 3)
+
+
+def sees(viewpoint: Viewpoint, box: Floats) -> bool:
+    """Return whether any of a box (2, 3) may be in a picture."""
+    u, v = _rectangle(viewpoint, box)
+    camera = viewpoint.camera
+    return u[0] <= camera.width and u[1] >= -1 and v[0] <= camera.height and v[1] >= -1
+
+
+def _within(canvas: Canvas, box: Floats) -> NDArray[np.intp]:
+    """Return the places of a canvas (j,) that may show something of a box (2, 3)."""
+    u, v = _rectangle(canvas.viewpoint, box)
+    inside = (canvas.u >= u[0]) & (canvas.u <= u[1]) & (canvas.v >= v[0]) & (canvas.v <= v[1])
+    return np.flatnonzero(inside)
+
+
+def _rectangle(viewpoint: Viewpoint, box: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return where in a picture a box (2, 3) is, from and to along u and v."""
+    corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
+    pose, camera = viewpoint.world_from_camera, viewpoint.camera
+    x, y, z = ((corners - pose[:3, 3]) @ pose[:3, :3]).T
+    everywhere = (-np.inf, np.inf)
+    if z.max() <= 0:
+        return (np.inf, -np.inf), everywhere
+    if z.min() <= _AHEAD * z.max():
+        return everywhere, everywhere
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    # For rounding.
+    return (float(u.min()) - 1, float(u.max()) + 1), (float(v.min()) - 1, float(v.max()) + 1)
 
 
 def _directions(viewpoint: Viewpoint, u: _Floats, v: _Floats) -> _Floats:

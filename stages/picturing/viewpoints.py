@@ -19,14 +19,16 @@ from stages.surface.upright import turn_along_y, up_of_cameras
 
 # Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
 _STRAY = 0.001
-# Framing thins more vertices than this out.
-_ENOUGH = 100_000
+# Framing thins out more vertices than this.
+ENOUGH = 100_000
 _ELEVATION = math.radians(30)
 _FIRST_AZIMUTH = math.radians(-35)
 # Of the picture's width, if it is 4:3 or wider.
 _FIELD_OF_VIEW = math.radians(40)
 # Of the picture, what is framed fills this share.
 FILLED = 0.92
+# Up in glTF.
+_Y = np.array((0.0, 1.0, 0.0))
 # The sine of an angle below which two directions are one.
 _PARALLEL = 1e-9
 
@@ -88,10 +90,23 @@ def viewpoints(
     if len(mesh.triangles) == 0:
         raise InputError("the mesh has no triangles; there is nothing to look at.")
     points = mesh.vertices[is_used(mesh)]
-    points = points[:: 1 + len(points) // _ENOUGH]
+    points = points[:: 1 + len(points) // ENOUGH]
+    upward = up_or_own(mesh, up)
+    return viewpoints_around(points, count, frames=frames, width=width, height=height, upward=upward)
+
+
+def viewpoints_around(
+    points: Floats,
+    count: int,
+    *,
+    frames: Sequence[Frame] = (),
+    width: int = 800,
+    height: int | None = None,
+    upward: Floats = _Y,
+) -> tuple[Viewpoint, ...]:
+    """Choose viewpoints that show some points (k, 3), metres, as `viewpoints` does."""
     posed = [frame for frame in frames if frame.world_from_camera is not None]
     if not posed:
-        upward = up_or_own(mesh, up)
         headings = [
             around(upward, _FIRST_AZIMUTH + 2 * math.pi * i / count, _ELEVATION) for i in range(count)
         ]
@@ -134,7 +149,7 @@ def _downward(poses: Floats, up: Floats) -> Floats:
 
 def up_or_own(mesh: Mesh, up: Sequence[float] | None) -> Floats:
     """Return a direction (3,) of length 1: what is up by a person's word, by the mesh's, else y."""
-    known = up if up is not None else mesh.up if mesh.up is not None else (0.0, 1.0, 0.0)
+    known = up if up is not None else mesh.up if mesh.up is not None else _Y
     direction = np.asarray(known, np.float64)
     return np.asarray(direction / np.linalg.norm(direction))
 

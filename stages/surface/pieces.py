@@ -113,9 +113,15 @@ class Pieces:
             is_it = file.read(len(header)) == header
         if not is_it or path.stat().st_size != size or not self._follow_each_other():
             raise InputError("the file is damaged, or not the one its table of pieces tells of.", path)
-        self._vertices = _mapped(path, row, starts[0], self.vertex_count)
-        self._faces = _mapped(path, _FACE, starts[1], self.triangle_count)
+        self._row, self._starts = row, starts
         self.has_colors = has_colors
+
+    def _rows(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return vertices and faces, mapped anew each time: what was read of a map counts as memory."""
+        return (
+            _mapped(self.path, self._row, self._starts[0], self.vertex_count),
+            _mapped(self.path, _FACE, self._starts[1], self.triangle_count),
+        )
 
     def _follow_each_other(self) -> bool:
         at = (0, 0)
@@ -140,7 +146,8 @@ class Pieces:
             If a triangle names a vertex that is not there.
         """
         extent = self.extents[number]
-        triangles = np.array(self._faces[slice(*extent.triangles)]["corners"], np.int64)
+        vertices, faces = self._rows()
+        triangles = np.array(faces[slice(*extent.triangles)]["corners"], np.int64)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= self.vertex_count):
             raise InputError("the file is damaged: a triangle names a vertex that is not there.", self.path)
         first, end = extent.vertices
@@ -149,10 +156,15 @@ class Pieces:
         numbers = np.concatenate([np.arange(first, end), foreign])
         local = triangles - first
         local[is_foreign] = end - first + np.searchsorted(foreign, triangles[is_foreign])
-        rows = np.concatenate([self._vertices[first:end], self._vertices[foreign]])
+        rows = np.concatenate([vertices[first:end], vertices[foreign]])
         places = np.stack([rows[axis] for axis in "xyz"], axis=1)
         colors = np.stack([rows[c] for c in _COLORS], axis=1) if self.has_colors else None
         return Part(Mesh(places, local.astype(np.int32), colors), numbers, end - first)
+
+    def places(self, step: int) -> NDArray[np.float64]:
+        """Read every `step`-th vertex (k, 3), metres."""
+        rows = self._rows()[0][::step]
+        return np.stack([rows[axis] for axis in "xyz"], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

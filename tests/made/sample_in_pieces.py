@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,6 +13,7 @@ import pytest
 from stages.fusion import writing
 from stages.fusion.fuse import fuse_to_file
 from stages.fusion.params import FuseParams
+from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.read import read_scan
 from stages.surface import pieces
 
@@ -33,3 +35,13 @@ def sample_in_pieces(path: Path) -> Path:
     with small_pieces():
         fuse_to_file(replace(scan, frames=scan.frames[::4]), FuseParams(voxel_size=0.015), path)
     return path
+
+
+def part_of_sample(folder: Path, numbers: list[int]) -> Path:
+    """Write some frames of the sample as a scan of their own."""
+    scan = read_scan(_SAMPLE)
+    shutil.copytree(_SAMPLE, folder)
+    frames = read_scan(folder).frames
+    write_scan_json(folder, [frames[number] for number in numbers])
+    assert len(read_scan(folder).frames) == len(numbers) < len(scan.frames)
+    return folder

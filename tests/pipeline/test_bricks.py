@@ -10,7 +10,7 @@ from typing import Any
 
 import cv2
 import pytest
-from sample_in_pieces import small_pieces
+from sample_in_pieces import part_of_sample, small_pieces
 
 from pipeline.config import Config
 from pipeline.run import run
@@ -30,16 +30,6 @@ QUICK = (
     "fuse.brick_size=0.3",
     "fuse.min_weight=1",
 )
-
-
-def part_of_sample(folder: Path, numbers: list[int]) -> Path:
-    """Write some frames of the sample as a scan of their own."""
-    scan = read_scan(SAMPLE)
-    shutil.copytree(SAMPLE, folder)
-    frames = read_scan(folder).frames
-    write_scan_json(folder, [frames[number] for number in numbers])
-    assert len(read_scan(folder).frames) == len(numbers) < len(scan.frames)
-    return folder
 
 
 def figures(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str, Any]:
@@ -184,8 +174,8 @@ def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> Non
             in_pieces = figures(scan, tmp_path / way, ratio, *settings, until="simplify")
             assert ("bricks" in in_pieces["fuse"]) == (way != "one")
             assert in_pieces["simplify"]["parts"] > 5
-        with pytest.raises(StageError, match=r"lod reads all of clean\.ply at once"):
-            figures(scan, tmp_path / "one", ratio, "lod.enabled=true", until="lod")
+        with pytest.raises(StageError, match=r"bake reads all of clean\.ply at once"):
+            figures(scan, tmp_path / "one", ratio, "bake.enabled=true", until="bake")
     assert in_pieces["simplify"]["triangles"] == pytest.approx(at_once["simplify"]["triangles"], abs=2)
     for name in ("fused.ply", "clean.ply", "simplified.ply"):
         assert len({(tmp_path / way / name).read_bytes() for way in ways}) == 1

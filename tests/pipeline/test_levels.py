@@ -105,7 +105,7 @@ def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
     assert "lod.enabled=true" in left_out(plain, Config())["tiles"]
     assert not {"lod", "tiles"} & {stage.name for stage in plan_for(plain, Config())}
     stages = {stage.name: stage for stage in plan_for(plain, Config().set(["lod.enabled=true"]))}
-    assert stages["lod"].reads == ("frames", "posed", "clean", "standing")
+    assert stages["lod"].reads == ("frames", "posed", "clean", "simplified", "standing")
     assert stages["tiles"].reads == ("standing", "levels")
     assert [stage.name for stage in STAGES][-4:] == ["tiles", "export", "coverage", "report"]
     without = Config().set(["lod.enabled=true", "tiles.enabled=false"])

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.files.opening import content_of
+from stages.files.opening import content_of, opened
 from stages.files.text_numbers import parse_numbers
 
 # Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
@@ -90,6 +90,24 @@ def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
         return header, _read_body(header, data)
     except _MalformedError as error:
         raise InputError(str(error), path) from None
+
+
+def promised(path: Path, element: str) -> int:
+    """Return how many rows of an element the header of a PLY file promises; 0 if it tells of none.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened, or is no PLY file.
+    """
+    try:
+        with opened(path) as file:
+            header = parse_header(file.read(_LONGEST_HEADER))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+    except _MalformedError as error:
+        raise InputError(str(error), path) from None
+    return sum(one.count for one in header.elements if one.name == element)
 
 
 class _MalformedError(Exception):

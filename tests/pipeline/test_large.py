@@ -1,0 +1,116 @@
+"""A run whose meshes are too large to be read at once: to its report, its page and its levels of detail."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from page_content import shown
+from sample_in_pieces import part_of_sample, small_pieces
+
+from pipeline.config import Config
+from pipeline.dry_run import foresee
+from pipeline.events import Warned
+from pipeline.report import SIGNED_SAMPLES
+from pipeline.run import RunResult, run
+from stages import lod
+from stages.comparing.certify import certify
+from stages.comparing.compare import compare
+from stages.comparing.deviations import deviations
+from stages.surface.formats.ply import read_ply
+
+QUICK = (
+    *("adjust.enabled=false", "texture.enabled=false", "export.web=false", "fuse.voxel_size=0.015"),
+    *("report.viewpoints=2", "report.width=128", "report.photos=0", "compare.samples=2000"),
+    *("lod.cell_triangles=500", "lod.root_triangles=100"),
+)
+BOUND = "simplify.max_shape=0.009"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, RunResult, list[str]]:
+    """A few frames of the sample, and what a run left of them."""
+    folder = tmp_path_factory.mktemp("large")
+    scan, out = part_of_sample(folder / "scan", list(range(0, 24, 6))), folder / "out"
+    with small_pieces():
+        return (scan, out, *ran(scan, out, BOUND, "lod.enabled=true"))
+
+
+def ran(scan: Path, out: Path, *more: str, until: str | None = None) -> tuple[RunResult, list[str]]:
+    said: list[str] = []
+
+    def listen(event: object) -> None:
+        if isinstance(event, Warned):
+            said.append(event.text)
+
+    config = Config().set([*QUICK, *more])
+    return run(scan, out, config, until=until, cache_dir=f"{out}-cache", events=listen), said
+
+
+def figures_of(result: RunResult, stage: str) -> dict[str, Any]:
+    figures: dict[str, Any] = result.report["stages"][stage]["figures"]
+    return figures
+
+
+def test_the_report_tells_what_it_would_of_meshes_that_are_read_at_once(made: Any) -> None:
+    _, out, result, _ = made
+    light = read_ply(out / "simplified.ply")
+    assert figures_of(result, "simplify")["parts"] > 5
+    told = result.report["mesh"]
+    for name, samples in (("fused", 2000), ("clean", 500)):
+        expected = compare(read_ply(out / f"{name}.ply"), light, samples=samples).figures()
+        for kind in ("distance", "color"):
+            for way, values in expected[kind].items():
+                assert told[f"to_{name}"][kind][way] == pytest.approx(values, rel=1e-5, abs=1e-9)
+    expected = deviations(read_ply(out / "clean.ply"), light, signed_samples=SIGNED_SAMPLES).figures()
+    for name in ("rms_m", "mean_m", "lowest_m", "highest_m", "absolute_percentiles_m"):
+        assert result.report["deviation"][name] == pytest.approx(expected[name], rel=1e-5, abs=1e-9)
+    drawn = [name for name in result.report["pictures"] if "triangles" not in name]
+    assert len(drawn) == 6
+    assert all((out / name).is_file() for name in result.report["pictures"])
+
+
+def test_the_page_shows_the_result_without_the_clean_mesh_and_says_so(made: Any) -> None:
+    _, out, _, said = made
+    page = shown((out / "report.html").read_bytes())
+    assert [one["name"] for one in page["models"]] == ["result", "deviation"]
+    warning = "are too many for the page, which shows the result without it."
+    assert any(warning in text for text in page["warnings"])
+    assert sum(warning in text for text in said) == 1
+
+
+def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one(made: Any) -> None:
+    scan, out, result, said = made
+    told, proven = figures_of(result, "lod"), figures_of(result, "simplify")["details"]
+    clean, hierarchy = read_ply(out / "clean.ply"), lod.read_slod(out / "lod.slod")
+    assert told["base_shape_bound_m"] == proven["shape_bound_m"] <= 0.009
+    assert hierarchy.base_color_bound == proven["color_bound_levels"]
+    assert told["base_triangles"] == figures_of(result, "simplify")["triangles"]
+    assert told["input_triangles"] == len(clean.triangles)
+    assert sum("they begin with the simplified mesh, proven to be within" in text for text in said) == 1
+    # By a proof of its own: what the coarsest level promises is true of the mesh it has never seen.
+    cut = hierarchy.cut(triangles=1)
+    assert certify(cut.mesh, clean, max_shape=cut.shape_bound_m).within_limits
+    # A lighter finest level adds its own.
+    with small_pieces():
+        lighter, _ = ran(scan, out, BOUND, "lod.enabled=true", "lod.base_error=0.015", until="lod")
+        assert [one.stage for one in lighter.stages if not one.cached] == ["lod"]
+        told = figures_of(lighter, "lod")
+        assert told["base_triangles"] < figures_of(result, "lod")["base_triangles"]
+        assert proven["shape_bound_m"] < told["base_shape_bound_m"] <= 0.015
+
+
+def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any, tmp_path: Path) -> None:
+    scan, _, _, _ = made
+    out = tmp_path / "out"
+    with small_pieces():
+        result, said = ran(scan, out, "simplify.ratio=0.2", "lod.enabled=true", until="lod")
+        told = figures_of(result, "lod")
+        assert told["base_shape_bound_m"] == 0
+        assert told["input_triangles"] == figures_of(result, "simplify")["triangles"]
+        assert sum("how far that is from the clean one is not proven" in text for text in said) == 1
+        assert "is not proven" in lod.read_slod(out / "lod.slod").notes[-1]
+        other = Config().set([*QUICK, "simplify.ratio=0.1", "lod.enabled=true"])
+        foreseen = foresee(scan, out, other, until="lod", cache_dir=f"{out}-cache").stages
+        assert [one.stage for one in foreseen if not one.cached] == ["simplify", "lod"]

@@ -1,0 +1,118 @@
+"""Distances from and to a mesh in pieces are those of the whole, at the faces where pieces meet, too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sample_in_pieces import sample_in_pieces
+
+from stages.comparing import in_pieces
+from stages.comparing.compare import CompareParams, compare
+from stages.comparing.deviations import DeviationParams, deviations
+from stages.comparing.in_pieces import compare_in_pieces
+from stages.comparing.measurable import box_of
+from stages.comparing.needles import WithNeedles
+from stages.simplification.simplify import simplify
+from stages.surface import pieces, piecewise
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Mesh
+from stages.surface.pieces import Extent, Written
+from stages.surface.piecewise import Piecewise
+from stages.surface.raycasting import Floats, Surface
+
+PARAMS = CompareParams(samples=20_000)
+SIGNED = DeviationParams(signed_samples=5_000)
+
+
+@pytest.fixture(autouse=True)
+def _few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let some pieces be worked on in several steps."""
+    monkeypatch.setattr(piecewise, "AT_ONCE", 800)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return sample_in_pieces(tmp_path_factory.mktemp("fused") / "fused.ply")
+
+
+@pytest.fixture(scope="module")
+def whole(path: Path) -> Mesh:
+    return read_ply(path)
+
+
+def measured(path: Path, whole: Mesh, mesh: Mesh) -> tuple[Any, Any]:
+    box: Floats = box_of(whole, mesh)
+    light = WithNeedles(Surface(mesh, box), box)
+    return compare_in_pieces(Piecewise(path), light, PARAMS, box=box, signed=(mesh, SIGNED))
+
+
+def is_near(found: Any, expected: Any) -> None:
+    """Let equal samples have equal distances, to rounding."""
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        for name, value in expected.items():
+            is_near(found[name], value)
+    elif isinstance(expected, list):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            is_near(one, other)
+    else:
+        assert found == (pytest.approx(expected, rel=1e-6, abs=1e-9) if expected else expected)
+
+
+def test_figures_are_those_of_the_whole(path: Path, whole: Mesh) -> None:
+    light = simplify(whole, ratio=0.1).mesh
+    found, signed = measured(path, whole, light)
+    is_near(found.figures(), compare(whole, light, PARAMS).figures())
+    expected = deviations(whole, light, SIGNED)
+    is_near(signed.figures(), expected.figures())
+    np.testing.assert_allclose(signed.at_vertices, expected.at_vertices, atol=1e-7)
+    assert found.figures()["color"] is not None
+    assert signed.is_signed
+
+
+def test_over_a_ridge_where_pieces_meet_is_outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A steep roof, each side a piece: alone, one side takes what is over the other for its inside.
+    feet = [[x, y, -1] for x in (-0.27, 0.27) for y in (0, 1)]
+    vertices = np.array([[0, 0, 0], [0, 1, 0], *feet], np.float64)
+    triangles = np.array([[0, 1, 3], [0, 3, 2], [1, 0, 4], [1, 4, 5]], np.int32)
+    monkeypatch.setattr(pieces, "MOST_AT_ONCE", 1)
+    sizes = [Extent((0, 4), (0, 2), (-1, 0, -1), (0, 1, 0)), Extent((4, 6), (2, 4), (0, 0, -1), (1, 1, 0))]
+    parts = [Written(vertices[:4], None, triangles[:2]), Written(vertices[4:], None, triangles[2:])]
+    path = tmp_path / "roof.ply"
+    pieces.write_pieces(path, sizes, parts, has_colors=False, spacing=1.0)
+    above = Mesh(
+        np.array([[-0.05, 0.2, 0.1], [0.05, 0.2, 0.1], [0.05, 0.8, 0.1]]), np.array([[0, 1, 2]], np.int32)
+    )
+    found, signed = measured(path, Mesh(vertices, triangles), above)
+    assert signed.is_signed
+    np.testing.assert_allclose(signed.at_vertices, np.hypot(0.05, 0.1))
+    assert signed.samples.min() > 0
+    assert found.figures()["color"] is None
+
+
+def test_what_is_far_off_is_found_as_well(path: Path, whole: Mesh) -> None:
+    away = np.array([[0, 0, 9.0], [1, 0, 9], [0, 1, 9]])
+    triangle = Mesh(np.vstack([away, whole.vertices[:3]]), np.array([[0, 1, 2], [3, 4, 5]], np.int32))
+    found, _ = measured(path, whole, triangle)
+    is_near(found.figures(), compare(whole, triangle, PARAMS).figures())
+
+
+def test_few_points_ask_a_piece_they_are_not_near(
+    path: Path, whole: Mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    class Counting(WithNeedles):
+        def closest(self, points: Floats) -> Any:
+            asked.append(len(points))
+            return super().closest(points)
+
+    monkeypatch.setattr(in_pieces, "WithNeedles", Counting)
+    light = simplify(whole, ratio=0.1).mesh
+    measured(path, whole, light)
+    points = PARAMS.samples + SIGNED.signed_samples + 2 * len(light.vertices)
+    assert points <= sum(asked) < 2 * points
