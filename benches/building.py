@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -97,7 +98,7 @@ def _seen(rooms: int, pose: Pose, draw: np.random.Generator) -> tuple[NDArray[np
     x = (np.arange(width) - CAMERA.cx) / CAMERA.fx
     y = (np.arange(height) - CAMERA.cy) / CAMERA.fy
     rays = np.stack([*np.meshgrid(x, y), np.ones((height, width))], axis=-1).reshape(-1, 3) @ pose[:3, :3].T
-    scene, colors = _scene(rooms)
+    scene, colors = _painted(rooms)
     given = np.concatenate([np.broadcast_to(pose[:3, 3], rays.shape), rays], axis=1).astype(np.float32)
     hits = scene.cast_rays(open3d().core.Tensor(given))
     z = hits["t_hit"].numpy().astype(np.float64)
@@ -128,8 +129,13 @@ def _pattern(points: Floats, part: NDArray[np.int64]) -> Floats:
     return np.asarray(0.8 + 0.2 * np.tanh(6 * checks) * (0.5 + 0.5 * np.cos(31 * points.sum(axis=1))))
 
 
+def scene_of(rooms: int) -> Any:
+    """Return Open3D's raycasting scene of a building of so many rooms: the truth."""
+    return _painted(rooms)[0]
+
+
 @lru_cache(maxsize=1)
-def _scene(rooms: int) -> tuple[object, Floats]:
+def _painted(rooms: int) -> tuple[Any, Floats]:
     """Return what rays are cast into, and a colour (n, 3) for each of its boxes."""
     boxes = np.array(_boxes(rooms))
     corner = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)])

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from pipeline.batch.worker import Worker
 
 AUTO = "auto"
+# Seconds; an option that should be for ever says so in another way.
+_LONGEST = 1e9
 
 JobsOption = Annotated[
     str,
@@ -45,8 +47,22 @@ TakeOverOption = Annotated[
     typer.Option(
         metavar="SECONDS",
         min=0.5,
+        max=_LONGEST,
         help="A worker that gives no sign of life for so long is taken for dead, and its scans are taken "
         "over. Default: 60, or what the batch was begun with.",
+        show_default=False,
+    ),
+]
+TimeoutOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        min=0.0,
+        max=_LONGEST,
+        help="A scan that gets no further for so long is ended, with all processes of it, and has failed; "
+        "the others go on. What counts is a new stage, or another share of it done, so that a large scan "
+        "may take as long as it needs. 0: wait for ever. Default: 3600, or what the batch was begun with.",
+        rich_help_panel=LIMITS_PANEL,
         show_default=False,
     ),
 ]
@@ -59,6 +75,7 @@ def worker_of(
     memory: int | None,
     disk: int | None,
     take_over_after: float | None,
+    timeout: float | None,
     tell: Tell,
     out: Output,
     *,
@@ -85,6 +102,7 @@ def worker_of(
         is_limit=memory is not None,
         disk=disk,
         take_over_after=take_over_after,
+        timeout=timeout,
         stay=stay,
         tell=tell,
     )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.digest import digest, scan_digest
+from pipeline.digest import ScanDigest, digest, scan_digest
 from pipeline.engine import Job
 from pipeline.entry import Recipe
 from stages.fusion.bricks import Cube
@@ -30,6 +30,7 @@ class KeptBricks:
         self._scan = scan
         self._versions = dict(versions)
         self._libraries = dict(libraries)
+        self._known: ScanDigest | None = None
         self._frames: list[str] = []
 
     def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
@@ -40,10 +41,17 @@ class KeptBricks:
     def store(
         self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
     ) -> Path:
-        """Have a brick's files written into a new entry."""
+        """Have a brick's files written into a new entry.
+
+        Raises
+        ------
+        StageError
+            If a file of its frames is not any more what the name of the entry says.
+        """
 
         def made(folder: Path) -> Mapping[str, Any]:
             make(folder)
+            self._digest().require_unchanged(self._scan.frames[number] for number in frames)
             return {"figures": {}, "made": {}}
 
         return self._job.store(self._recipe(brick, frames, decided), made).folder
@@ -57,10 +65,16 @@ class KeptBricks:
             libraries=self._libraries,
         )
 
+    def _digest(self) -> ScanDigest:
+        """Return what the scan holds; made when first asked for."""
+        if self._known is None:
+            self._known = scan_digest(self._scan)
+        return self._known
+
     def _digests(self) -> list[str]:
-        """Return a digest of each frame's content; made when first asked for."""
+        """Return a digest of each frame's content."""
         if not self._frames:
-            parts = scan_digest(self._scan).parts
+            parts = self._digest().parts
             self._frames = [
                 parts[f"frame {number} ({frame.name})"] for number, frame in enumerate(self._scan.frames)
             ]

@@ -98,12 +98,18 @@ class ScanDigest:
     parts: Mapping[str, str]
     _files: Mapping[Path, tuple[str, _Signature]]
 
-    def require_unchanged(self) -> None:
+    def require_unchanged(self, frames: Iterable[Frame] | None = None) -> None:
         """Raise StageError if the content of a file of the scan changed since its digest was taken.
 
         A result made from such a file must not be stored: its key would promise another content.
+
+        Parameters
+        ----------
+        frames : of the scan, whose files are looked at; None for all.
         """
-        for path, (before, signature) in self._files.items():
+        paths = self._files if frames is None else _files_of(frames)
+        for path in paths:
+            before, signature = self._files[path]
             # The time stamp only saves reading all files again; a touched file is read, and is no change.
             if _signature(path) != signature and content(path) != before:
                 raise StageError(f"{path} changed while it was being read; run again when it is complete.")
@@ -114,8 +120,7 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
 
     A file that cannot be read counts as "unreadable"; the stage that needs it decides what to do about it.
     """
-    held = [v.file if isinstance(v, Packed) else v for frame in scan.frames for v in vars(frame).values()]
-    paths = sorted({value for value in held if isinstance(value, Path)})
+    paths = sorted(_files_of(scan.frames))
     signatures = [_signature(path) for path in paths]
     contents: dict[Path, str] = {}
     with ThreadPoolExecutor(threads_to_use()) as threads:
@@ -129,6 +134,11 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
         parts[f"frame {number} ({frame.name})"] = digest(_frame(frame, contents))
     files = {path: (contents[path], signature) for path, signature in zip(paths, signatures, strict=True)}
     return ScanDigest(digest(list(parts.values())), parts, files)
+
+
+def _files_of(frames: Iterable[Frame]) -> set[Path]:
+    held = [v.file if isinstance(v, Packed) else v for frame in frames for v in vars(frame).values()]
+    return {value for value in held if isinstance(value, Path)}
 
 
 def label_digests(scan: Scan) -> dict[str, str]:

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -209,7 +210,9 @@ class Engine:
             self._events(StageStarted(stage.name, why))
             # Files of this stage and the later ones belong to another run from here on.
             self.results.withdraw(stage.name for stage in following)
-            entry = self._cache.store(recipe, lambda folder: self._make(stage, folder), replace=forced)
+            entry = self._cache.store(
+                recipe, lambda folder: self._make(stage, folder, forced), replace=forced
+            )
             if self._guard is not None:
                 self._guard.kept(stage.name, entry)
         self._add(stage, entry)
@@ -234,7 +237,7 @@ class Engine:
     def _recipe(self, stage: Stage) -> Recipe:
         return recipe_of(stage, self._config, self._sources)
 
-    def _make(self, stage: Stage, folder: Path) -> dict[str, Any]:
+    def _make(self, stage: Stage, folder: Path, forced: bool) -> dict[str, Any]:
         def progress(done: int, total: int) -> None:
             if self._guard is not None:
                 self._guard.during(stage.name, folder, done / max(total, 1))
@@ -245,7 +248,14 @@ class Engine:
         started = time.perf_counter()
         with explained(f"{stage.name} failed"):
             figures = stage.make(
-                Job(inputs, self._config, folder, progress, get=self._get_part, store=self._store_part)
+                Job(
+                    inputs,
+                    self._config,
+                    folder,
+                    progress,
+                    get=partial(self._get_part, forced),
+                    store=partial(self._store_part, forced),
+                )
             )
         made = {
             "seconds": round(time.perf_counter() - started, 3),
@@ -257,14 +267,14 @@ class Engine:
             self._sources[name].require_unchanged()
         return {"figures": as_json(figures), "made": made}
 
-    def _get_part(self, recipe: Recipe) -> Entry | None:
-        entry = self._cache.get(recipe)
+    def _get_part(self, forced: bool, recipe: Recipe) -> Entry | None:
+        entry = None if forced else self._cache.get(recipe)
         if entry is not None:
             self._hold(entry)
         return entry
 
-    def _store_part(self, recipe: Recipe, make: Callable[[Path], Mapping[str, Any]]) -> Entry:
-        entry = self._cache.store(recipe, make)
+    def _store_part(self, forced: bool, recipe: Recipe, make: Callable[[Path], Mapping[str, Any]]) -> Entry:
+        entry = self._cache.store(recipe, make, replace=forced)
         self._hold(entry)
         return entry
 

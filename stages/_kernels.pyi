@@ -392,7 +392,18 @@ def zbuffer(
 class Volume:
     """A field of signed distances in blocks of 8³ voxels; lengths in metres."""
 
-    def __new__(cls, voxel_size: float, truncation: float, *, color: bool, most_blocks: int) -> Volume: ...
+    def __new__(
+        cls,
+        voxel_size: float,
+        truncation: float,
+        *,
+        color: bool,
+        most_blocks: int,
+        instructions: str | None = None,
+    ) -> Volume: ...
+    @staticmethod
+    def instructions() -> list[str]:
+        """List the sets of instructions that a field may use, the widest first; all give the same bits."""
     @property
     def blocks(self) -> int:
         """Blocks in use."""

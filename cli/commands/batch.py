@@ -14,6 +14,7 @@ from cli.batch_options import (
     JobsOption,
     TakeOverOption,
     ThreadsOption,
+    TimeoutOption,
     ending_as_interrupted,
     jobs_wanted,
     worker_of,
@@ -94,6 +95,7 @@ def batch(
     threads: ThreadsOption = None,
     memory: MemoryOption = None,
     disk: DiskOption = None,
+    timeout: TimeoutOption = None,
     queue_only: Annotated[
         bool,
         typer.Option("--queue-only", help="Only write the queue into OUT, for scanloom worker OUT, and end."),
@@ -121,9 +123,9 @@ def batch(
     """Make a mesh from every scan in a folder, each in OUT/<scan> under the names that run uses.
 
     Scans are found by what the readers recognise, in folders within folders too, and what is no scan is
-    named. A scan that fails ends none of the others: the table says why, and the exit code is 1. index.html
-    lists all results with pictures, figures and warnings; batch.csv has the same for programs. A second batch
-    does only what has changed since; one that was broken off goes on where it was.
+    named. A scan that fails or hangs ends none of the others: the table says why, and the exit code is 1.
+    index.html lists all results with pictures, figures and warnings; batch.csv has the same for programs. A
+    second batch does only what has changed since; one that was broken off goes on where it was.
 
     With --queue-only any number of machines share the work: scanloom worker OUT on each.
 
@@ -160,7 +162,8 @@ def batch(
         force=tuple(force or ()),
         overwrite=overwrite,
         cache=from_there(where, target),
-        take_over_after=take_over_after or 60.0,
+        **({} if take_over_after is None else {"take_over_after": take_over_after}),
+        **({} if timeout is None else {"timeout": timeout}),
     )
     more = {"no_scans": [{"folder": str(one.place), "reason": one.reason} for one in others]}
     if dry_run:
@@ -188,7 +191,7 @@ def batch(
                 tell=tell,
             )
         else:
-            worker_of(queue, jobs, threads, *sizes, take_over_after, tell, out).work()
+            worker_of(queue, jobs, threads, *sizes, take_over_after, timeout, tell, out).work()
     tell_batch(queue, out, more)
 
 

@@ -12,6 +12,7 @@ from cli.batch_options import (
     JobsOption,
     TakeOverOption,
     ThreadsOption,
+    TimeoutOption,
     ending_as_interrupted,
     jobs_wanted,
     worker_of,
@@ -34,6 +35,7 @@ def worker(
     threads: ThreadsOption = None,
     memory: MemoryOption = None,
     disk: DiskOption = None,
+    timeout: TimeoutOption = None,
     take_over_after: TakeOverOption = None,
     wait: Annotated[
         bool,
@@ -56,13 +58,14 @@ def worker(
 
     jobs_wanted(jobs)
     sizes = bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk")
-    queue = standing_queue(target) if target.is_dir() else None
+    # Jobs run in processes that are elsewhere.
+    queue = standing_queue(target.resolve()) if target.is_dir() else None
     if queue is None:
         raise InputError("no batch was begun here; begin one with scanloom batch SCANS -o OUT.", target)
     require_writable(queue.folder)
     tell_version(queue.version, out)
     with ending_as_interrupted(), watching_batch(out) as tell:
-        working = worker_of(queue, jobs, threads, *sizes, take_over_after, tell, out, stay=wait)
+        working = worker_of(queue, jobs, threads, *sizes, take_over_after, timeout, tell, out, stay=wait)
         out.remark(f"worker {working.name}, {len(queue.numbers):,} scans")
         working.work()
     tell_batch(queue, out, {})

@@ -91,6 +91,10 @@ class Claims:
             os.close(descriptor)
         return True
 
+    def is_lost(self, claim: Claim) -> bool:
+        """Return whether another worker has taken over what is ours by this claim."""
+        return os.path.lexists(self._path(claim.next))
+
     def at(self, claim: Claim, stage: str) -> None:
         """Note in a claim of ours which stage is begun."""
         self._append(claim, f"{_AT}{stage}")

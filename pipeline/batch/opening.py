@@ -6,10 +6,13 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from pipeline.batch.claims import RELEASED, Claim, Claims
 from pipeline.batch.heartbeat import Watch
 from pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue, standing_queue
-from pipeline.batch.records import Records
+from pipeline.batch.records import FAILED, Records
+from pipeline.failures import explained
 from stages.errors import InputError
+from stages.printing import counted
 
 # Seconds that the workers of another batch are watched for, and between two looks; four of their beats.
 _WATCHED, _PAUSE = 9.0, 0.1
@@ -17,6 +20,8 @@ _WATCHED, _PAUSE = 9.0, 0.1
 
 def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callable[[str], None]) -> Queue:
     """Return the queue of a batch: one that is not finished is gone on with if it is of the same jobs.
+
+    What failed in it is then tried again: the disk may have been full.
 
     Parameters
     ----------
@@ -40,6 +45,9 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callabl
         if standing is not None and not _is_finished(standing):
             if standing.is_of(settings, jobs):
                 note("a batch of the same scans was begun here; this goes on with it")
+                again = _give_back_failed(standing)
+                if again:
+                    note(f"{counted(again, 'scan')} that failed: tried again")
                 return standing
             _require_quiet(standing, note)
         queue = new_queue(out, seen + 1, settings, jobs)
@@ -50,6 +58,18 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callabl
 def _is_finished(queue: Queue) -> bool:
     ended = Records(queue.folder / "done").ended()
     return all(number in ended for number in queue.numbers)
+
+
+def _give_back_failed(queue: Queue) -> int:
+    """Have jobs that failed taken again by whoever asks, and return how many they are."""
+    with explained(f"the queue {queue.folder} cannot be worked on"):
+        records, claims = Records(queue.folder / "done"), Claims(queue.folder / "claims", "")
+        failed = [one for one in records.read(records.ended().values()) if one.state == FAILED]
+        for record in failed:
+            claim = Claim(record.number, record.attempt)
+            claims.end(claim, RELEASED)
+            records.withdraw(claim)
+    return len(failed)
 
 
 def _require_quiet(queue: Queue, note: Callable[[str], None]) -> None:

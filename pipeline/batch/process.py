@@ -19,7 +19,7 @@ from stages.scans.threads import environment_of
 # Where the packages lie that are imported, installed or not: what is there goes before all else.
 _ROOT = Path(__file__).parents[2]
 _CODE = "from pipeline.batch.child import main; main()"
-# Seconds that an interrupted job gets to put its drafts away.
+# Seconds that an interrupted job gets to put its drafts away, and the system to end a process.
 _PATIENCE = 10.0
 
 Message = Mapping[str, Any]
@@ -76,15 +76,37 @@ class Process:
             # Where its stdin ends, it puts nothing away.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_PATIENCE)
+        self._close()
+        try:
+            self._process.wait(_PATIENCE)
+            self._listener.join(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.kill()
+
+    def kill(self) -> bool:
+        """End it and its children, whatever they are at; return whether that could be done.
+
+        Where a drive does not answer, the system ends who waits for it only when it does.
+        """
         with suppress(OSError):
-            if self._process.stdin is not None:
-                self._process.stdin.close()
+            if sys.platform == "win32":
+                words = ["taskkill", "/F", "/T", "/PID", str(self._process.pid)]
+                subprocess.run(words, capture_output=True, check=False)
+            else:
+                # It began a session, and with it a group of its own.
+                os.killpg(self._process.pid, signal.SIGKILL)
+        self._close()
         try:
             self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._listener.join()
+            return False
+        self._listener.join(_PATIENCE)
+        return True
+
+    def _close(self) -> None:
+        with suppress(OSError):
+            if self._process.stdin is not None:
+                self._process.stdin.close()
 
     def _listen(self) -> None:
         stdout = self._process.stdout

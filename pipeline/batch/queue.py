@@ -65,6 +65,7 @@ class Settings:
     config : as TOML.
     cache : folder of the shared cache, as written from OUT on.
     take_over_after : seconds without a sign of life after which a worker is taken for dead.
+    timeout : seconds after which a job that gets no further is ended; 0 for never.
     """
 
     config: str
@@ -73,6 +74,7 @@ class Settings:
     overwrite: bool = False
     cache: str = "cache"
     take_over_after: float = 60.0
+    timeout: float = 3600.0
 
 
 @dataclass(frozen=True)

@@ -53,11 +53,18 @@ class Records:
         text = json.dumps(asdict(record), ensure_ascii=False, allow_nan=False)
         write_whole(self._path(Claim(record.number, record.attempt)), text.encode())
 
+    def withdraw(self, claim: Claim) -> None:
+        """Forget what became of a job by a try."""
+        self._path(claim).unlink(missing_ok=True)
+
     def ended(self) -> dict[int, Claim]:
-        """Return the first try that came to an end, of each job that has any; the folder is listed once."""
+        """Return the last try that came to an end, of each job that has any; the folder is listed once.
+
+        Where there are several, the last has taken over from the others.
+        """
         found: dict[int, Claim] = {}
         for claim in self.all():
-            if claim.attempt <= found.get(claim.number, claim).attempt:
+            if claim.attempt >= found.get(claim.number, claim).attempt:
                 found[claim.number] = claim
         return found
 

@@ -74,6 +74,10 @@ class Supply:
         self._mine.pop(claim.number, None)
         self._again.append(claim)
 
+    def lost(self, number: int) -> None:
+        """Take note that another has taken over a job of ours."""
+        self._mine.pop(number, None)
+
     def ended(self, number: int) -> None:
         """Take note that a job of ours came to an end."""
         self._mine.pop(number, None)

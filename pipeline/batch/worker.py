@@ -7,44 +7,34 @@ that no job can keep it from beating, or take it along.
 from __future__ import annotations
 
 import queue as queues
+import time
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.batch.admission import Admission, Needs
 from pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
 from pipeline.batch.heartbeat import Heartbeat, Watch, name_of_worker
 from pipeline.batch.process import Message, Process
-from pipeline.batch.queue import Job, Queue
+from pipeline.batch.queue import Queue
 from pipeline.batch.records import FAILED, UNUSABLE, Record, Records
+from pipeline.batch.slot import Slot, Work
 from pipeline.batch.supply import Supply
 from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, untold
+from pipeline.cache import Cache
 from pipeline.failures import explained
+from stages.errors import StageError
 
 # A process is replaced after so many jobs: what libraries leave behind in memory does not pile up.
 _JOBS_A_PROCESS = 64
 # Seconds that nothing is heard for, at most, until it is looked for work again.
 _PAUSE = 0.5
+# Seconds that one turn counts for at most: what a machine sleeps, or a worker is stopped for, is no fault of
+# a job.
+_LONGEST_TURN = 10.0
 # Of what systems send to end a process, SIGKILL and SIGTERM; what others end by is their own fault.
 _KILLING = (-9, -15)
-
-
-@dataclass
-class _Slot:
-    """Place for one job.
-
-    Attributes
-    ----------
-    job : that runs in it, with its claim; None where it is free.
-    stage : that the job is at.
-    ran : how many jobs the process has run.
-    """
-
-    process: Process | None = None
-    job: Job | None = None
-    claim: Claim | None = None
-    stage: str = ""
-    ran: int = 0
 
 
 class Worker:
@@ -61,6 +51,9 @@ class Worker:
     stay : wait for the jobs of others, to take over those of who dies.
     disk : bytes that all jobs may write; None for no limit.
     take_over_after : seconds; None for what the queue says.
+    timeout : seconds after which a job that gets no further is ended, 0 for never; None for what the queue
+        says.
+    clock : seconds that only go forward, by which `timeout` is counted.
     """
 
     def __init__(
@@ -73,9 +66,11 @@ class Worker:
         is_limit: bool = False,
         disk: int | None = None,
         take_over_after: float | None = None,
+        timeout: float | None = None,
         only: frozenset[int] | None = None,
         stay: bool = True,
         tell: Tell = untold,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = name_of_worker()
         self._queue = queue
@@ -83,13 +78,16 @@ class Worker:
         self._stay = stay
         self._tell = tell
         self._patience = take_over_after or queue.settings.take_over_after
+        self._timeout = queue.settings.timeout if timeout is None else timeout
+        self._clock = clock
+        self._turned = clock()
         self._claims = Claims(queue.folder / "claims", self.name)
         self._records = Records(queue.folder / "done")
         watch = Watch(queue.folder / "workers")
         self._supply = Supply(queue, self._claims, self._records, watch, self._patience, only)
-        self._admission: Admission[_Slot] = Admission(memory, disk, is_limit=is_limit)
+        self._admission: Admission[Slot] = Admission(memory, disk, is_limit=is_limit)
         self._inbox: queues.SimpleQueue[tuple[Process, Message]] = queues.SimpleQueue()
-        self._slots = [_Slot() for _ in range(slots)]
+        self._slots = [Slot() for _ in range(slots)]
         self._jobs = {job.number: job for job in queue.jobs}
 
     def work(self) -> None:
@@ -111,26 +109,36 @@ class Worker:
 
     def _work(self) -> None:
         while True:
+            self._require_standing()
             for slot in self._slots:
-                while slot.job is None and (claim := self._supply.next()) is not None:
+                while slot.work is None and (claim := self._supply.next()) is not None:
                     self._begin(slot, claim)
             for record in self._supply.given_up():
                 self._end(record)
             self._tell(Counted(*self._supply.counted()))
-            if all(slot.job is None for slot in self._slots) and (
+            if all(slot.work is None for slot in self._slots) and (
                 self._supply.is_finished() or not (self._stay or self._supply.has_more())
             ):
                 return
             self._hear()
+            self._look_after()
 
-    def _begin(self, slot: _Slot, claim: Claim) -> None:
+    def _require_standing(self) -> None:
+        """Raise StageError where a later batch has removed this one, as it may when no worker gave a sign."""
+        if not self._queue.folder.is_dir():
+            raise StageError(
+                f"another batch was begun in {self._queue.out} while this worker gave no sign of life; what "
+                "it had finished is in the cache."
+            )
+
+    def _begin(self, slot: Slot, claim: Claim) -> None:
         job = self._jobs.get(claim.number)
         if job is None:
             where = self._queue.folder / "jobs.jsonl"
             why = f"{where}: the line of this job is damaged; run the batch again, which writes it anew."
             self._end(Record(claim.number, "", FAILED, why, worker=self.name, attempt=claim.attempt))
             return
-        slot.job, slot.claim, slot.stage = job, claim, ""
+        slot.work = Work(job, claim)
         if slot.process is None:
             slot.process, slot.ran = Process(self._inbox, self._threads, self._log), 0
         settings = self._queue.settings
@@ -164,39 +172,46 @@ class Worker:
             if slot is not None:
                 self._take(slot, message)
             for granted, leave in self._admission.admitted():
-                if granted.process is not None:
+                if granted.process is not None and granted.work is not None:
+                    granted.work.is_queueing = False
                     granted.process.say(leave)
             pause = 0.0
 
-    def _take(self, slot: _Slot, message: Message) -> None:
-        job, claim = slot.job, slot.claim
+    def _take(self, slot: Slot, message: Message) -> None:
+        work = slot.work
         if "gone" in message:
             if slot.process is not None:
                 slot.process.end()
             slot.process = None
-            if job is not None and claim is not None:
-                self._gone(slot, job, claim, message["gone"])
-        elif job is None or claim is None:
+            if work is not None:
+                self._gone(slot, work, message["gone"])
+        elif work is None:
             return
         elif "needs" in message:
             needs = message["needs"]
+            work.is_queueing = True
             self._admission.ask(slot, Needs(needs["memory"], needs["disk"]))
         elif "at" in message:
-            if message["at"] != slot.stage:
-                slot.stage = message["at"]
-                self._claims.at(claim, slot.stage)
-            self._tell(JobAt(job.name, slot.stage, message["share"]))
+            if message["at"] != work.stage:
+                self._claims.at(work.claim, message["at"])
+            work.at(message["at"], message["share"])
+            self._tell(JobAt(work.job.name, work.stage, work.share))
         elif "waiting" in message:
-            self._tell(Noted(f"{job.name}: {message['waiting']}"))
+            work.is_waiting = True
+            self._tell(Noted(f"{work.job.name}: {message['waiting']}"))
         elif "ended" in message:
-            self._ended(slot, job, claim, message["ended"])
+            self._ended(slot, work, message["ended"])
 
-    def _ended(self, slot: _Slot, job: Job, claim: Claim, said: Message) -> None:
-        self._free(slot, said["written"])
+    def _ended(self, slot: Slot, work: Work, said: Message) -> None:
+        job = work.job
         slot.ran += 1
         if slot.ran >= _JOBS_A_PROCESS and slot.process is not None:
             slot.process.end()
             slot.process = None
+        if self._claims.is_lost(work.claim):
+            self._lost(slot, work)
+            return
+        self._free(slot, said["written"])
         state, why = said["state"], said["reason"]
         if state == UNUSABLE and not self._queue.scan_of(job).exists():
             why = f"{self._queue.scan_of(job)}: the scan is not there any more."
@@ -207,24 +222,71 @@ class Worker:
             why,
             said["seconds"],
             self.name,
-            claim.attempt,
+            work.claim.attempt,
             tuple(said["warnings"]),
             said["figures"],
         )
         self._end(record)
 
-    def _gone(self, slot: _Slot, job: Job, claim: Claim, code: int) -> None:
+    def _gone(self, slot: Slot, work: Work, code: int) -> None:
         """Begin a job again whose process ended by itself; what it had finished is in the cache."""
         self._free(slot, 0)
-        self._claims.end(claim, KILLED if code in _KILLING else CRASHED)
-        self._supply.again(claim)
-        self._tell(
-            Noted(f"{job.name}: the process that ran it ended by itself ({_how(code)}) in {slot.stage}")
+        self._claims.end(work.claim, KILLED if code in _KILLING else CRASHED)
+        self._supply.again(work.claim)
+        how = f"the process that ran it ended by itself ({_how(code)}) in {work.stage}"
+        self._tell(Noted(f"{work.job.name}: {how}"))
+
+    def _look_after(self) -> None:
+        """End jobs that others have taken over, and those that get no further."""
+        now = self._clock()
+        passed, self._turned = min(now - self._turned, _LONGEST_TURN), now
+        for slot in self._slots:
+            work = slot.work
+            if work is None:
+                continue
+            work.passed(passed)
+            if self._claims.is_lost(work.claim):
+                self._kill(slot, work)
+                self._lost(slot, work)
+            elif self._timeout and work.silent > self._timeout:
+                self._kill(slot, work)
+                self._free(slot, 0)
+                why = self._why_ended(work)
+                job, attempt = work.job, work.claim.attempt
+                self._end(Record(job.number, job.name, FAILED, why, work.seconds, self.name, attempt))
+
+    def _lost(self, slot: Slot, work: Work) -> None:
+        """Leave a job to who has taken it over: what becomes of it is theirs to say."""
+        self._free(slot, 0)
+        self._supply.lost(work.claim.number)
+        why = "another worker has taken it over while this one gave no sign of life"
+        self._tell(Noted(f"{work.job.name}: {why}"))
+
+    def _kill(self, slot: Slot, work: Work) -> None:
+        process, slot.process = slot.process, None
+        if process is not None and not process.kill():
+            why = "the system cannot end its process, which waits for a drive"
+            self._tell(Noted(f"{work.job.name}: {why}"))
+        # If it cannot be, the next run does it.
+        with suppress(StageError):
+            Cache(self._queue.cache).remove_abandoned()
+
+    def _why_ended(self, work: Work) -> str:
+        if work.is_waiting:
+            return (
+                f"it waited {self._timeout:g} s for another run that is working into "
+                f"{self._queue.results_of(work.job)}, and was ended; end that one, and run the batch again."
+            )
+        where = f"in {work.stage}" if work.stage else "while its files were read"
+        return (
+            f"it got no further {where} for {self._timeout:g} s and was ended; see whether the drive of its "
+            "files answers, or give a longer --timeout, and run the batch again: it goes on from what is in "
+            "the cache."
         )
 
-    def _free(self, slot: _Slot, written: int) -> None:
+    def _free(self, slot: Slot, written: int) -> None:
         self._admission.leave(slot, written)
-        slot.job = slot.claim = None
+        slot.work = None
 
     def _end(self, record: Record) -> None:
         named = record if record.name else replace(record, name=self._name(record.number))
@@ -239,15 +301,15 @@ class Worker:
     def _stop(self) -> None:
         """Have jobs that still run put away what they were writing, and leave them to others."""
         for slot in self._slots:
-            if slot.process is not None and slot.job is not None:
+            if slot.process is not None and slot.work is not None:
                 slot.process.interrupt()
         for slot in self._slots:
             if slot.process is not None:
                 slot.process.end()
-            if slot.claim is not None:
+            if slot.work is not None:
                 # If it cannot be written, others see that this worker has ended.
                 with suppress(OSError):
-                    self._claims.end(slot.claim, RELEASED)
+                    self._claims.end(slot.work.claim, RELEASED)
 
 
 def _how(code: int) -> str:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.files.documents import read_document
 from stages.fusion.adding import (
@@ -36,7 +37,7 @@ from stages.fusion.adding import (
 from stages.fusion.bricks import Cube, Seen, bricks_of, level_of, passes, touched_bricks
 from stages.fusion.crop import cut
 from stages.fusion.facts import Facts, MeshFigures
-from stages.fusion.joining import Joined, Piece, write_piece
+from stages.fusion.joining import Joined, Piece, reading, write_piece
 from stages.fusion.voxels import Box, Keys, Volume, block_bytes, median_of
 from stages.fusion.writing import piece_level, write_fused, write_joined
 from stages.printing import by_figures, table
@@ -100,13 +101,15 @@ def fuse_in_bricks(
         As `fuse`; a single brick may outgrow the memory, too.
     """
     size, voxel_size = work.params.brick_size, work.plan.voxel_size
-    level = level_of(size, voxel_size) if size else piece_level(voxel_size)
+    # The pieces of the result are made of whole bricks.
+    most = piece_level(voxel_size)
+    level = min(level_of(size, voxel_size), most) if size else most
     index = _index(work, level, progress)
     with _somewhere(kept, result.parent) as kept:
         # A frame that touches a block measured some of its voxels: about half.
         min_weight = work.params.min_weight or least_weight(index.typical / 2, work.frames)
         made = _make(work, index, level, kept, min_weight, progress)
-        counts = sum((np.load(folder / _COUNTS) for folder in made.folders), np.zeros(256, np.int64))
+        counts = sum(map(_read_counts, made.folders), np.zeros(256, np.int64))
         known = work.params.min_weight or least_weight(median_of(counts), work.frames)
         if known != min_weight:
             min_weight = known
@@ -234,12 +237,19 @@ def _write_brick(
     (folder / _SKIPPED).write_text(json.dumps(skipped) + "\n", encoding="utf-8", newline="\n")
 
 
+def _read_counts(folder: Path) -> NDArray[np.int64]:
+    with reading(folder):
+        return np.asarray(np.load(folder / _COUNTS), np.int64).reshape(256)
+
+
 def _outcomes(work: Work, index: _Index, made: _Made) -> list[Outcome]:
     """Return what became of all frames, also of those whose colours were no good where they were used."""
     outcomes = list(index.outcomes)
     for brick, folder in zip(made.bricks, made.folders, strict=True):
-        for at, reason in read_document(folder / _SKIPPED).items():
-            number = index.frames[brick.number][int(at)]
+        with reading(folder):
+            skipped = {int(at): str(reason) for at, reason in read_document(folder / _SKIPPED).items()}
+        for at, reason in skipped.items():
+            number = index.frames[brick.number][at]
             outcomes[number] = SkippedFrame(work.frames[number].name, reason)
     require_share(work, outcomes)
     return outcomes

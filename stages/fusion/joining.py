@@ -8,14 +8,16 @@ more than one has to be in memory.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import StageError
+from stages.errors import InputError, StageError
 from stages.fusion.bricks import Cube
 from stages.fusion.voxels import Keys
 from stages.surface.mesh import Mesh
@@ -67,13 +69,28 @@ def write_piece(folder: Path, piece: Piece, joints: Sequence[Keys]) -> None:
     np.savez(folder / _JOINT, size, *joints)
 
 
+@contextmanager
+def reading(folder: Path) -> Iterator[None]:
+    """Tell in one sentence that the files of a piece are not as they were written.
+
+    They were when they were found; what is kept of them is looked through and made anew by the next run.
+    """
+    try:
+        yield
+    except (OSError, EOFError, ValueError, LookupError, BadZipFile, InputError) as error:
+        raise StageError(
+            f"{folder}: this brick of the fused surface was damaged while it was used; run again, which "
+            "makes it anew."
+        ) from error
+
+
 def _read_piece(folder: Path) -> Piece:
-    with np.load(folder / _SURFACE) as kept:
+    with reading(folder), np.load(folder / _SURFACE) as kept:
         return Piece(kept["vertices"], kept["triangles"], kept.get("colors"))
 
 
 def _read_joint(folder: Path) -> Joint:
-    with np.load(folder / _JOINT) as kept:
+    with reading(folder), np.load(folder / _JOINT) as kept:
         size, *joints = (kept[f"arr_{i}"] for i in range(6))
     return Joint((joints[0], joints[1]), (joints[2], joints[3], joints[4]), (int(size[0]), int(size[1])))
 

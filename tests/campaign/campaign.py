@@ -19,9 +19,9 @@ from tests.campaign.run_cases import Bench, bench, run_case
 from tests.campaign.specimens import write_all
 from tests.campaign.verdict import FAILED, Verdict
 
-KINDS = ("readers", "runs", "kernels")
+KINDS = ("readers", "runs", "kernels", "fusion")
 # So that no kind takes the time of the others: cases in a row before the next kind's turn.
-_TURN = {"readers": 100, "runs": 1, "kernels": 10}
+_TURN = {"readers": 100, "runs": 1, "kernels": 10, "fusion": 10}
 
 Counts = dict[str, Counter[str]]
 

@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from tests.campaign.fusion_cases import fusion_case
 from tests.campaign.kernel_cases import kernel_case
 from tests.campaign.reading import READERS
 from tests.campaign.verdict import Verdict, judged
@@ -22,10 +23,11 @@ _MEMORY = 3 << 30
 
 
 def verdict_of(case: dict[str, Any]) -> Verdict:
-    """Run a case: of a reader and the file it reads, or of a kernel by its seed."""
+    """Run a case: of a reader and the file it reads, or of kernels by its seed."""
     if case["kind"] == "readers":
         return judged(lambda: READERS[case["reader"]](Path(case["file"])))
-    return judged(lambda: kernel_case(case["seed"]))
+    run = {"kernels": kernel_case, "fusion": fusion_case}[case["kind"]]
+    return judged(lambda: run(case["seed"]))
 
 
 def _limit_memory() -> None:

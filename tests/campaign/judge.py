@@ -14,7 +14,7 @@ from typing import IO, Any
 from tests.campaign.verdict import FAILED, Verdict
 
 # Processor time of a case by kind, seconds.
-SECONDS = {"readers": 10.0, "kernels": 120.0}
+SECONDS = {"readers": 10.0, "kernels": 120.0, "fusion": 120.0}
 # A machine with much to do takes longer by the clock; only what waits for ever passes this.
 _PATIENCE = 12
 

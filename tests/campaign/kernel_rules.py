@@ -29,6 +29,40 @@ def border_edges(mesh: Mesh) -> int:
     return int((counts % 2).sum())
 
 
+def assert_manifold(triangles: NDArray[np.int32], count: int) -> None:
+    """Every edge has one triangle, or two that look to one side, and every vertex one fan; none is unused.
+
+    Parameters
+    ----------
+    triangles : (m, 3), of vertices that are apart by their numbers.
+    count : of vertices.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if len(triangles) == 0:
+        assert count == 0, "vertices without a triangle"
+        return
+    assert 0 <= triangles.min() <= triangles.max() < count, "an index is out of range"
+    starts, ends = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
+    assert (starts != ends).all(), "a triangle has a vertex twice"
+    ways = starts.astype(np.int64) * count + ends
+    assert len(np.unique(ways)) == len(ways), "an edge has two triangles that look to different sides"
+    # Corners at both ends of an edge belong together with those of its other triangle.
+    back = ends.astype(np.int64) * count + starts
+    order = np.argsort(ways)
+    place = np.minimum(np.searchsorted(ways, back, sorter=order), len(ways) - 1)
+    other = order[place]
+    one = np.nonzero(ways[other] == back)[0]
+    other = other[one]
+    following = np.arange(len(ways)).reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)
+    links = np.concatenate([one, following[one]]), np.concatenate([following[other], other])
+    corners = coo_array((np.ones(len(links[0]), bool), links), shape=(len(ways), len(ways)))
+    fans = connected_components(corners, directed=False)[0]
+    assert len(np.unique(starts)) == count, "vertices without a triangle"
+    assert fans == count, "a vertex joins two fans of triangles"
+
+
 def assert_same_bytes(one: Mesh, other: Mesh) -> None:
     """A result is the same on any number of threads."""
     for name in ("vertices", "triangles", "colors", "normals", "corner_normals", "part_ids"):

@@ -35,6 +35,9 @@ _COVER = "kernels/src/certify/cover.rs"
 _ENGINE = "kernels/src/collapse/engine.rs"
 _PLACEMENT = "kernels/src/quadrics/placement.rs"
 _QEM = "kernels/src/quadric/qem.rs"
+_INTEGRATE = "kernels/src/fusion/integrate.rs"
+_CUBES = "kernels/src/fusion/cubes.rs"
+_SURFACE = "kernels/src/fusion/surface.rs"
 
 MUTANTS: dict[str, Mutant] = {
     "bridge": Mutant(
@@ -169,5 +172,68 @@ MUTANTS: dict[str, Mutant] = {
         "const SHORTER_FIRST: f64 = 1e-10;",
         "const SHORTER_FIRST: f64 = -1e-10;",
         "of_edges_that_cost_nothing_the_shorter_goes_first",
+    ),
+    "sign": Mutant(
+        "what lies before the surface has a distance above 0",
+        _INTEGRATE,
+        "distance[i] = if is_inside & is_known { found } else { f32::NEG_INFINITY };",
+        "distance[i] = if is_inside & is_known { -found } else { f32::NEG_INFINITY };",
+        "voxels_hold_what_double_precision_and_no_tricks_say",
+    ),
+    "behind": Mutant(
+        "farther than a truncation behind the surface nothing is known",
+        _INTEGRATE,
+        "let is_seen = d > -1.0;",
+        "let is_seen = d > -2.0;",
+        "voxels_hold_what_double_precision_and_no_tricks_say",
+    ),
+    "full-weight": Mutant(
+        "sums are halved with their weights before these overflow",
+        _INTEGRATE,
+        "let sum = if is_full { sums[i] * 0.5 } else { sums[i] };",
+        "let sum = sums[i];",
+        "thousands_of_frames_leave_no_bias",
+    ),
+    "downwards": Mutant(
+        "a place below 0 is in the block below",
+        "kernels/src/fusion/touch.rs",
+        "*place = cut - i32::from(at < cut as f32);",
+        "*place = cut;",
+        "places_are_cut_off_downwards_and_wide_instructions_do_the_same",
+    ),
+    "most-blocks": Mutant(
+        "a field takes no more blocks than it may",
+        "kernels/src/fusion/blocks.rs",
+        "if wanted > self.most {",
+        "if wanted > self.most + 1 {",
+        "what_does_not_fit_is_not_begun",
+    ),
+    "faces": Mutant(
+        "all six faces of a cube are cut",
+        _CUBES,
+        "for number in 0..6 {",
+        "for number in 0..5 {",
+        "every_cube_is_filled_with_its_loops_as_the_only_border",
+    ),
+    "diagonals": Mutant(
+        "no diagonal of a cube lies in a face of it",
+        _CUBES,
+        "b - a < 2 || !is_in_a_face(around[a], around[b]);",
+        "b - a < 99 || !is_in_a_face(around[a], around[b]);",
+        "every_cube_is_filled_with_its_loops_as_the_only_border",
+    ),
+    "two-fans": Mutant(
+        "two cubes that touch in an edge alone have a vertex each",
+        _SURFACE,
+        "if cubes == 0b0101 || cubes == 0b1010 {",
+        "if cubes == 0b0101 {",
+        "any_signs_with_any_gaps_give_a_manifold",
+    ),
+    "halo": Mutant(
+        "the surface of a piece follows from a rim of blocks on all its sides",
+        _SURFACE,
+        "high: own.high.map(|c| c + 1) });",
+        "high: own.high });",
+        "pieces_with_a_rim_give_the_whole_to_the_bit",
     ),
 }

@@ -33,6 +33,8 @@ _SMALL = (
     "fuse.voxel_size=0.02",
     "simplify.ratio=0.3",
 )
+# Space in bricks, which are kept one by one; what comes out is the same to the byte.
+_IN_BRICKS = ("--set", "fuse.brick_size=0.3")
 # No run of so small a scan takes so long, however busy the machine is.
 _PATIENCE = 300
 
@@ -73,13 +75,15 @@ def run_case(seed: int, ready: Bench, folder: Path) -> Verdict:
 
 
 def _killed(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
+    words = draw.choice(((), _IN_BRICKS))
+
     def case() -> str:
         for _ in range(draw.choice((1, 1, 2, 3))):
-            with _start(ready.scan, folder / "out") as process:
+            with _start(ready.scan, folder / "out", words=words) as process:
                 time.sleep(ready.seconds * draw.uniform(0.2, 1.0))
                 process.kill()
         _assert_no_half(ready, folder / "out")
-        return _assert_recovers(ready, folder / "out")
+        return _assert_recovers(ready, folder / "out", words)
 
     return judged(case)
 
@@ -87,15 +91,16 @@ def _killed(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
 def _short_of_disk(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
     """No file can grow beyond a size: writes end half-way, as on a full disk."""
     most = draw.choice((0, 100, 3000, 10_000, 30_000, 100_000))
+    words = draw.choice(((), _IN_BRICKS))
 
     def case() -> str:
-        code, said = _finished(_start(ready.scan, folder / "out", lambda: _limit_files(most)))
+        code, said = _finished(_start(ready.scan, folder / "out", lambda: _limit_files(most), words))
         assert code in (0, 1, 3), f"exit code {code}: {said}"
         assert "Traceback" not in said, said
         assert "bug in scanloom" not in said, said
         assert code == 0 or said.strip(), "it failed without a word"
         _assert_no_half(ready, folder / "out")
-        return f"{most} bytes, exit code {code}, {_assert_recovers(ready, folder / 'out')}"
+        return f"{most} bytes, exit code {code}, {_assert_recovers(ready, folder / 'out', words)}"
 
     return judged(case)
 
@@ -247,9 +252,9 @@ def _assert_no_half(ready: Bench, out: Path) -> None:
     assert not wrong, f"a half-written result: {wrong}"
 
 
-def _assert_recovers(ready: Bench, out: Path) -> str:
+def _assert_recovers(ready: Bench, out: Path, words: tuple[str, ...] = ()) -> str:
     """Run once more, undisturbed, and compare."""
-    code, said = _finished(_start(ready.scan, out))
+    code, said = _finished(_start(ready.scan, out, words=words))
     assert code == 0, f"the next run ended with {code}: {said}"
     found = _results(out)
     assert found.keys() == ready.expected.keys(), f"other files: {found.keys() ^ ready.expected.keys()}"

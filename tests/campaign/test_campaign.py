@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,7 +35,7 @@ def counts(ended: subprocess.CompletedProcess[str], kind: str) -> list[int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "cases"), [("readers", 400), ("runs", 3), ("kernels", 24)])
+@pytest.mark.parametrize(("kind", "cases"), [("readers", 400), ("runs", 3), ("kernels", 24), ("fusion", 24)])
 def test_some_cases_of_each_kind_end_well(tmp_path: Path, kind: str, cases: int) -> None:
     ended = campaign(tmp_path, "--only", kind, "--cases", cases, "--seed", 2)
     assert ended.returncode == 0, ended.stdout + ended.stderr
@@ -75,6 +76,33 @@ def test_a_failure_of_any_kind_is_told_kept_and_repeated(tmp_path: Path, wrong: 
     again = subprocess.run([*words, "--again", str(kept[0])], **run)
     assert again.returncode == 1, again.stderr
     assert said in again.stdout
+
+
+@pytest.mark.parametrize(
+    ("triangles", "count", "said"),
+    [
+        ([[0, 1, 2], [0, 2, 1]], 3, None),
+        ([[0, 1, 2], [2, 1, 3]], 4, None),
+        ([[0, 1, 2], [1, 2, 3]], 4, "look to different sides"),
+        ([[0, 1, 2], [0, 3, 4]], 5, "joins two fans"),
+        ([[0, 1, 2], [1, 0, 3], [0, 1, 4]], 5, "look to different sides"),
+        ([[0, 1, 2]], 4, "without a triangle"),
+        ([[0, 1, 1]], 2, "a vertex twice"),
+        ([[0, 1, 3]], 3, "out of range"),
+    ],
+)
+def test_what_is_no_manifold_is_noticed(
+    monkeypatch: pytest.MonkeyPatch, triangles: list[list[int]], count: int, said: str | None
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    from tests.campaign.kernel_rules import assert_manifold
+
+    table = np.array(triangles, np.int32)
+    if said is None:
+        assert_manifold(table, count)
+        return
+    with pytest.raises(AssertionError, match=said):
+        assert_manifold(table, count)
 
 
 def test_the_same_seed_gives_the_same_damage(monkeypatch: pytest.MonkeyPatch) -> None:

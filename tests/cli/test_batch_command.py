@@ -19,7 +19,9 @@ import pytest
 from small_scans import write_small_scan, write_small_scans
 
 from pipeline.batch import opening
+from pipeline.batch.claims import RELEASED, Claim, Claims
 from pipeline.batch.queue import standing_queue
+from pipeline.batch.records import FAILED, UNUSABLE, Record, Records
 
 Run = Callable[..., Any]
 SCANLOOM = [sys.executable, "-m", "cli.app"]
@@ -98,7 +100,9 @@ def test_a_dry_run_foresees_each_scan_and_writes_nothing(scanloom: Run, scans: P
 
 
 @pytest.mark.slow
-def test_a_queue_is_worked_on_by_whoever_comes(scanloom: Run, scans: Path, tmp_path: Path):
+def test_a_queue_is_worked_on_by_whoever_comes(
+    scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     out = tmp_path / "out"
     queued = scanloom("batch", scans, "-o", out, "--queue-only", "--until", "adjust", "--take-over-after", 7)
     assert queued.exit_code == 0
@@ -111,7 +115,8 @@ def test_a_queue_is_worked_on_by_whoever_comes(scanloom: Run, scans: Path, tmp_p
     shutil.move(scans, tmp_path / "elsewhere" / "scans")
     shutil.move(out, tmp_path / "elsewhere" / "out")
     # As many at a time as are expected to fit, of which none says more than all that there is.
-    worked = scanloom("worker", tmp_path / "elsewhere" / "out", "--memory", "1 GB", "--take-over-after", 30)
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    worked = scanloom("worker", "out", "--memory", "1 GB", "--take-over-after", 30)
     assert worked.exit_code == 1
     assert re.search(r"^1 at a time, in 1\.0 GB of memory$", worked.stderr, re.MULTILINE)
     assert re.search(r"^worker \S+, 3 scans$", worked.stderr, re.MULTILINE)
@@ -129,6 +134,22 @@ def test_an_unfinished_batch_goes_on_where_it_was(scanloom: Run, scans: Path, tm
     # Nobody is at it, and other words are another batch.
     assert scanloom(*words[:-1], "fuse").exit_code == 0
     assert standing_queue(tmp_path / "out") != first
+
+
+def test_an_unfinished_batch_tries_again_what_failed(scanloom: Run, scans: Path, tmp_path: Path):
+    words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until", "adjust")
+    assert scanloom(*words).exit_code == 0
+    queue = standing_queue(tmp_path / "out")
+    assert queue is not None
+    claims, records = Claims(queue.folder / "claims", "gone"), Records(queue.folder / "done")
+    for number, state in ((0, UNUSABLE), (1, FAILED)):
+        assert claims.take(Claim(number, 0))
+        records.write(Record(number, "x", state, "the disk was full"))
+    assert "1 scan that failed: tried again" in scanloom(*words).stderr
+    assert standing_queue(tmp_path / "out") == queue
+    # Whoever comes takes it, though nobody knows what became of the worker.
+    assert list(records.ended()) == [0]
+    assert claims.said(Claim(1, 0)).end == RELEASED
 
 
 def test_two_batches_in_one_folder_do_not_meet(
@@ -206,6 +227,8 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
             2,
             "a limit of nothing (--memory 0) lets no scan through",
         ),
+        (("batch", "scans", "-o", "out", "--timeout", "inf"), 2, "less than or equal to 1000000000"),
+        (("batch", "scans", "-o", "out", "--take-over-after", "inf"), 2, "less than or equal to"),
         (("batch", "scans", "-o", "out", "--until", "cleen"), 2, "did you mean clean?"),
         (("batch", "scans", "-o", "out", "--queue-only", "--jobs", "2"), 2, "--queue-only works on nothing"),
         (("batch", "scans", "-o", "out", "--executor", "ray"), 2, "--executor is 'ray'"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -60,6 +62,78 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.M
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
 
 
+@pytest.mark.parametrize("how", ["gone", "another"])
+def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    # In several passes, so that frames are read after bricks were kept.
+    tight = ("fuse.memory=1", "fuse.voxel_size=0.01", "fuse.max_bad_share=0.9")
+    scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
+    quiet = figures(scan, tmp_path / "quiet", *tight)["fuse"]
+    first, _, third, _ = (Path(str(frame.depth)) for frame in read_scan(scan).frames)
+
+    from pipeline import bricks
+
+    whole, store, left = third.read_bytes(), bricks.KeptBricks.store, [7]
+
+    def until_it_changes(self: Any, *words: Any) -> Path:
+        left[0] -= 1
+        if left[0] == 0:
+            third.unlink()
+            if how == "another":
+                shutil.copy(first, third)
+        return store(self, *words)
+
+    monkeypatch.setattr(bricks.KeptBricks, "store", until_it_changes)
+    with pytest.raises(StageError, match=r"0012\.png changed while it was being read; run again"):
+        figures(scan, tmp_path / "out", *tight)
+    monkeypatch.setattr(bricks.KeptBricks, "store", store)
+    third.write_bytes(whole)
+    again = figures(scan, tmp_path / "out", *tight)["fuse"]
+    assert 0 < again["bricks_fused"] < again["bricks"] == quiet["bricks"]
+    assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
+
+
+def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scan, out = part_of_sample(tmp_path / "scan", list(range(0, 24, 6))), tmp_path / "out"
+    quiet = figures(scan, out)["fuse"]
+    before = (out / "fused.ply").read_bytes()
+    kept = tmp_path / "out-cache"
+
+    def again(*, force: Sequence[str] = ()) -> int:
+        fused = run(scan, out, Config().set(QUICK), until="fuse", cache_dir=kept, force=force).stages[-1]
+        assert (out / "fused.ply").read_bytes() == before
+        return int(fused.figures["bricks_fused"])
+
+    # Before it is looked for, each of its files in its own way.
+    shutil.rmtree(kept / "fuse")
+    hurt = sorted((kept / "brick").iterdir())[:3]
+    (hurt[0] / "surface.npz").write_bytes(b"")
+    (hurt[1] / "joint.npz").unlink()
+    (hurt[2] / "skipped.json").write_text("{ }")
+    assert again() == 3
+
+    # After it was found, where only what it holds can tell.
+    from pipeline import bricks
+
+    get = bricks.KeptBricks.get
+    for name in ("surface.npz", "frame_counts.npy"):
+        shutil.rmtree(kept / "fuse")
+
+        def found(self: Any, *words: Any, name: str = name) -> Path | None:
+            folder = get(self, *words)
+            assert folder is not None
+            (folder / name).write_bytes(b"what is no array, and no text")
+            return folder
+
+        with monkeypatch.context() as patched:
+            patched.setattr(bricks.KeptBricks, "get", found)
+            with pytest.raises(StageError, match="this brick of the fused surface was damaged while it was"):
+                again()
+        assert again() == quiet["bricks"]
+    assert again(force=["fuse"]) == quiet["bricks"]
+
+
 def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
     # What would be derived of all frames together is given.
     given = ("fuse.truncation=0.045", "fuse.max_depth=2.2")
@@ -89,7 +163,12 @@ def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> Non
     ratio = "simplify.ratio=0.2"
     at_once = figures(scan, tmp_path / "at-once", ratio, until="simplify")
     whole = "fuse.brick_size=none"
-    ways = {"bricks": ("fuse.brick_size=0.16",), "one": (whole,), "tight": (whole, "fuse.memory=1")}
+    ways = {
+        "bricks": ("fuse.brick_size=0.16",),
+        "large": ("fuse.brick_size=1",),
+        "one": (whole,),
+        "tight": (whole, "fuse.memory=1"),
+    }
     with small_pieces():
         for way, settings in ways.items():
             in_pieces = figures(scan, tmp_path / way, ratio, *settings, until="simplify")

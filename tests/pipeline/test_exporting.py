@@ -19,6 +19,7 @@ from tests.made.coloured_sheet import sheet
 
 SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 QUICK = (
+    "scan.every=4",
     "fuse.voxel_size=0.04",
     "report.page=false",
     "report.width=64",

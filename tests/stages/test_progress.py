@@ -47,7 +47,7 @@ def hills(n: int) -> Mesh:
 
 @functools.cache
 def light() -> Mesh:
-    return simplify(hills(150), ratio=0.1).mesh
+    return simplify(hills(100), ratio=0.1).mesh
 
 
 ASKED: dict[str, dict[str, Any]] = {
@@ -68,23 +68,23 @@ def tiles_with_images(progress: Progress) -> None:
 WORK: dict[str, Callable[[Progress], object]] = {
     **{
         method.name: functools.partial(
-            lambda progress, **asked: simplify(hills(300), progress=progress, **asked),
+            lambda progress, **asked: simplify(hills(200), progress=progress, **asked),
             method=method.name,
             **ASKED[method.name],
         )
         for method in METHODS
     },
     "certified, to a number": lambda progress: simplify(
-        hills(150), max_shape=0.004, triangles=8000, progress=progress
+        hills(100), max_shape=0.004, triangles=4000, progress=progress
     ),
-    "certify": lambda progress: certify(light(), hills(150), progress=progress),
+    "certify": lambda progress: certify(light(), hills(100), progress=progress),
     "certify within a limit": lambda progress: certify(
-        light(), hills(150), max_shape=0.008, progress=progress
+        light(), hills(100), max_shape=0.008, progress=progress
     ),
-    "check": lambda progress: check(hills(400), progress=progress),
+    "check": lambda progress: check(hills(250), progress=progress),
     "lod": lambda progress: lod.build(hills(100), progress=progress),
     "tiles, with images": tiles_with_images,
-    "lod, from a base": lambda progress: lod.build(hills(100), base_error=0.002, progress=progress),
+    "lod, from a base": lambda progress: lod.build(hills(70), base_error=0.002, progress=progress),
     "repair": lambda progress: repair(hills(200), corner_angle=30, progress=progress),
     "clean, with repairs": lambda progress: clean(hills(100), repair=True, progress=progress),
     "patches": lambda progress: planar_patches(hills(400), progress=progress),

@@ -151,6 +151,7 @@ mod tests {
                     let side = (t[k], t[(k + 1) % 3]);
                     if let Some(other) = sides.iter().position(|&s| s == (side.1, side.0)) {
                         sides.swap_remove(other);
+                        assert!(!is_in_a_face(side.0, side.1), "cube {behind:08b}, diagonal {side:?}");
                     } else {
                         sides.push(side);
                     }

@@ -125,9 +125,14 @@ by_processor! {
 #[inline(always)]
 fn invert_row(depth: &mut [f32], inverse: &mut [f32], limits: Limits) {
     for (depth, inverse) in depth.iter_mut().zip(inverse) {
-        let is_there = (*depth > 0.0) & (*depth >= limits.nearest) & (*depth <= limits.farthest);
+        let found = 1.0 / *depth;
+        // An infinite difference would leave its whole window without a number.
+        let is_there = (*depth > 0.0)
+            & (*depth >= limits.nearest)
+            & (*depth <= limits.farthest)
+            & (found < f32::INFINITY);
         *depth = if is_there { *depth } else { 0.0 };
-        *inverse = if is_there { 1.0 / *depth } else { 0.0 };
+        *inverse = if is_there { found } else { 0.0 };
     }
 }
 
@@ -457,11 +462,11 @@ mod tests {
         (0..WIDTH * HEIGHT).map(at).collect()
     }
 
-    fn filtered(threads: usize) -> Oriented {
+    fn filtered(depth: Vec<f32>, threads: usize) -> Oriented {
         let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
         let camera = Camera::new((WIDTH, HEIGHT), [80.0, 80.0], [45.0, 10.0], pose);
-        let limits = Limits { nearest: 0.1, farthest: 9.0, jump: 0.05, cosine: 0.05 };
-        oriented(depth(), &camera, limits, threads)
+        let limits = Limits { nearest: 0.0, farthest: 9.0, jump: 0.05, cosine: 0.05 };
+        oriented(depth, &camera, limits, threads)
     }
 
     fn bits(found: &Oriented) -> Vec<u32> {
@@ -471,10 +476,24 @@ mod tests {
 
     #[test]
     fn any_number_of_threads_gives_the_same_bits() {
-        let one = filtered(1);
+        let one = filtered(depth(), 1);
         assert!(one.depth.iter().filter(|&&z| z > 0.0).count() > one.depth.len() / 2);
         assert!(one.obliqueness.iter().any(|&o| o > STEEP));
-        assert!(bits(&one) == bits(&filtered(2)) && bits(&one) == bits(&filtered(5)));
+        assert!([2, 5].iter().all(|&threads| bits(&filtered(depth(), threads)) == bits(&one)));
+    }
+
+    #[test]
+    fn depth_without_an_inverse_is_missing_and_spoils_nothing_beside_it() {
+        let with = |z: f32| {
+            let mut depth = depth();
+            (0..depth.len()).step_by(37).for_each(|i| depth[i] = z);
+            filtered(depth, 1)
+        };
+        let missing = with(0.0);
+        assert!(missing.obliqueness.iter().all(|o| o.is_finite()));
+        for z in [1e-40, f32::INFINITY, f32::NAN, -1.0] {
+            assert!(bits(&with(z)) == bits(&missing), "{z:e}");
+        }
     }
 
     #[test]

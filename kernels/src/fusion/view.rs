@@ -141,7 +141,9 @@ fn prepare(row: Row<'_>, weighing: Weighing, truncation: f32, measures: &mut [Me
         let share = weighing.typical / (weighing.constant + weighing.quadratic * (z * z));
         let flat = row.flatness[x / CELL];
         let worth = flat + (1.0 - flat) / (oblique * oblique);
-        looks[x] = ((UNIT * (share * share) * worth + 0.5).clamp(1.0, HEAVIEST) as u32) << 24;
+        // 1 for what is not a number: a measurement of no weight would have no colour either.
+        let weight = (UNIT * (share * share) * worth + 0.5).clamp(1.0, HEAVIEST) as u32;
+        looks[x] = weight.max(1) << 24;
     }
     if let Some(color) = row.color {
         for (look, color) in looks.iter_mut().zip(color.chunks_exact(3)) {
@@ -161,6 +163,15 @@ mod tests {
         let apply = |m: &Affine, p: [f64; 3]| m.map(|r| r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + r[3]);
         let back = apply(&camera.inverse, apply(&pose, [0.3, -0.2, 2.5]));
         assert!((0..3).all(|k| (back[k] - [0.3, -0.2, 2.5][k]).abs() < 1e-12));
+    }
+
+    #[test]
+    fn what_is_measured_weighs_something_however_far_it_is() {
+        let row = Row { depth: &[2e19, 1.0], obliqueness: &[1.0; 2], flatness: &[1.0], color: None };
+        let weighing = Weighing { typical: 1.0, constant: 1.0, quadratic: 0.0 };
+        let (mut measures, mut looks) = ([[0.0; 2]; 2], [0; 2]);
+        prepare_row(row, weighing, 0.07, &mut measures, &mut looks);
+        assert_eq!(looks.map(|look| look >> 24), [1, UNIT as u32]);
     }
 
     #[test]

@@ -30,6 +30,11 @@ impl Volume {
         }
     }
 
+    /// The same in another version of the instructions that the processor has.
+    pub fn using(self, add: Add) -> Self {
+        Self { add, ..self }
+    }
+
     pub fn blocks(&self) -> &Blocks {
         &self.blocks
     }

@@ -17,6 +17,7 @@ use crate::base::memory::give_back;
 use crate::base::parallel::threads;
 use crate::fusion::field::VOXELS;
 use crate::fusion::filter::{Limits, oriented};
+use crate::fusion::integrate::versions;
 use crate::fusion::order::block;
 use crate::fusion::surface::{BlockBox, surface};
 use crate::fusion::touch::{Surface, touched};
@@ -47,6 +48,8 @@ fn boxed((low, high): Corners) -> BlockBox {
 
 /// More pixels than 32-bit numbers count.
 const MOST_PIXELS: usize = 1 << 30;
+/// Columns and rows from here on are not all told apart in single precision.
+const LONGEST: usize = 1 << 24;
 
 fn camera(posed: &Posed<'_>) -> PyResult<Camera> {
     let (pinhole, ref pose) = *posed;
@@ -63,8 +66,11 @@ fn at((fx, fy, cx, cy, width, height): Pinhole, pose: Affine) -> PyResult<Camera
             "a camera needs finite focal lengths above 0, and a finite centre",
         ));
     }
-    if width == 0 || height == 0 || (width + 1).saturating_mul(height + 1) > MOST_PIXELS {
-        return Err(PyValueError::new_err("a camera needs an image of a pixel at least, and fewer than 2³⁰"));
+    let is_small = width.max(height) < LONGEST && (width + 1).saturating_mul(height + 1) <= MOST_PIXELS;
+    if width == 0 || height == 0 || !is_small {
+        return Err(PyValueError::new_err(
+            "a camera needs an image of a pixel at least, fewer than 2³⁰, and of sides below 2²⁴",
+        ));
     }
     Ok(Camera::new((width, height), [fx, fy], [cx, cy], pose))
 }
@@ -144,15 +150,30 @@ pub struct Volume {
 impl Volume {
     /// Lengths are metres; the truncation is along the surface's normal.
     #[new]
-    #[pyo3(signature = (voxel_size, truncation, *, color, most_blocks))]
-    fn new(voxel_size: f64, truncation: f64, color: bool, most_blocks: usize) -> PyResult<Self> {
+    #[pyo3(signature = (voxel_size, truncation, *, color, most_blocks, instructions = None))]
+    fn new(
+        voxel_size: f64,
+        truncation: f64,
+        color: bool,
+        most_blocks: usize,
+        instructions: Option<&str>,
+    ) -> PyResult<Self> {
         let are_sound = [voxel_size, truncation].iter().all(|x| x.is_finite() && *x > 0.0);
         if !are_sound {
             return Err(PyValueError::new_err("voxel_size and truncation must be above 0"));
         }
-        let inner =
-            Mutex::new(crate::fusion::volume::Volume::new(voxel_size, truncation, color, most_blocks));
-        Ok(Self { inner, truncation: truncation as f32 })
+        let wanted = instructions.unwrap_or(versions()[0].0);
+        let Some((_, add)) = versions().into_iter().find(|(name, _)| *name == wanted) else {
+            return Err(PyValueError::new_err(format!("this processor has no {wanted}")));
+        };
+        let field = crate::fusion::volume::Volume::new(voxel_size, truncation, color, most_blocks).using(add);
+        Ok(Self { inner: Mutex::new(field), truncation: truncation as f32 })
+    }
+
+    /// The sets of instructions that the processor has and a field may use, the widest first; all give the same bits.
+    #[staticmethod]
+    fn instructions() -> Vec<&'static str> {
+        versions().into_iter().map(|(name, _)| name).collect()
     }
 
     /// Blocks in use.
@@ -190,6 +211,9 @@ impl Volume {
         let camera = self::camera(&camera)?;
         guarded(keys.as_array().len() + camera.width * camera.height, || {
             let (typical, constant, quadratic) = weighing;
+            if ![typical, constant, quadratic].iter().all(|x| x.is_finite() && *x >= 0.0) {
+                return Err(PyValueError::new_err("weighing needs finite numbers that are not below 0"));
+            }
             let threads = threads(wanted_threads);
             let color = color.as_ref().map(|color| levels(color, &camera)).transpose()?;
             if color.is_none() && self.locked().blocks().is_colored() {

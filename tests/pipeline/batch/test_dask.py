@@ -1,4 +1,4 @@
-"""A batch by Dask: a real scheduler and real workers, one of them killed in the middle of a job."""
+"""A batch by Dask: a real scheduler and workers, one killed in the middle of a job; another job hangs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hanging import hang, hanging_environment
 from small_scans import write_small_scans
 
 from pipeline.batch.dask import work_by_dask
@@ -73,20 +74,38 @@ def worker_at_work(deadline: float) -> int:
     raise AssertionError("no job was begun")
 
 
-def test_a_worker_that_is_killed_in_the_middle_of_a_job_loses_nothing(scheduler: str, tmp_path: Path):
-    scans, out = write_small_scans(tmp_path / "scans", 4), tmp_path / "out"
+@pytest.fixture
+def hung(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where a job that hangs, the fifth, notes its processes; before the workers start, which start jobs."""
+    variables = hanging_environment(
+        tmp_path / "hook", "scan-0004/depth-2.png", "adjust", tmp_path / "out" / "cache"
+    )
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    return tmp_path / "hook" / "hung"
+
+
+def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
+    hung: Path, scheduler: str, tmp_path: Path
+):
+    scans, out = write_small_scans(tmp_path / "scans", 5), tmp_path / "out"
     (scans / "scan-0003" / "scan.json").write_text("{")
-    batch = started("cli.app", "batch", scans, "-o", out, *WORDS, "--scheduler", scheduler)
+    # Others tell something sooner, however busy the machine is.
+    words = (*WORDS, "--timeout", 20, "--scheduler", scheduler)
+    batch = started("cli.app", "batch", scans, "-o", out, *words)
     killed = worker_at_work(time.monotonic() + 60)
     os.kill(killed, signal.SIGKILL)
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 1, said
-    assert "1 of 4 scans are not done: 1 unusable" in said
+    assert "2 of 5 scans are not done: 1 failed, 1 unusable" in said
+    assert "scan-0004: it got no further in adjust for 20 s and was ended" in said
+    assert hung.exists()
+    assert not hang(hung)
 
     queue = standing_queue(out)
     assert queue is not None
     ends = Counter(claim.number for claim in Records(queue.folder / "done").all())
-    assert sorted(ends) == [0, 1, 2, 3]
+    assert sorted(ends) == [0, 1, 2, 3, 4]
     assert sum(count > 1 for count in ends.values()) <= 1
     for number in range(3):
         name = f"scan-{number:04d}"

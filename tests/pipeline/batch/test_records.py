@@ -1,4 +1,4 @@
-"""What became of a job is kept for each try, and the first that came to an end counts."""
+"""What became of a job is kept for each try, and the last that came to an end counts."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path):
     assert records.read(records.ended().values()) == [record]
 
 
-def test_of_two_tries_the_first_counts_and_both_are_known(tmp_path: Path):
+def test_of_two_tries_that_which_took_over_counts_and_both_are_known(tmp_path: Path):
     records = Records(tmp_path)
-    for attempt in (1, 0):
-        records.write(Record(3, "a", DONE, attempt=attempt))
-    assert records.ended() == {3: Claim(3, 0)}
+    # The first came to its end when it had lost the job already.
+    for attempt, state in ((1, DONE), (0, FAILED)):
+        records.write(Record(3, "a", state, attempt=attempt))
+    assert [(one.attempt, one.state) for one in records.read(records.ended().values())] == [(1, DONE)]
     assert len(records.all()) == 2
 
 

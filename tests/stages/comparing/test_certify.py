@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from real_parts import quarter
 
 from stages.cleaning.clean import clean
 from stages.comparing.certify import CertifyParams, certify
@@ -261,7 +262,8 @@ def test_what_is_said_to_stay_within_a_limit_does(seed, max_shape, max_color):
     ],
 )
 def test_a_million_samples_of_a_real_mesh_do_not_pass_the_bounds(shared_data, name, ratio, excess):
-    original = clean(read_mesh(shared_data / "meshes" / name)).mesh
+    original = read_mesh(shared_data / "meshes" / name)
+    original = clean(quarter(original) if "kitchen" in name else original).mesh
     result = simplify(original, ratio=ratio).mesh
     found = certify(result, original)
     rng = np.random.default_rng(7)

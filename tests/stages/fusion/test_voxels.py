@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -189,3 +190,63 @@ def test_depth_that_means_nothing_changes_nothing() -> None:
     one, other = (fuse(frames, **given).mesh for frames in (good, bad))  # type: ignore[arg-type]
     np.testing.assert_array_equal(one.vertices, other.vertices)
     np.testing.assert_array_equal(one.triangles, other.triangles)
+
+
+def kernel_field(**changes: Any) -> _kernels.Volume:
+    """Two plates in a field of the kernel's own."""
+    given = {"instructions": None, "weighing": (1.0, 1.0, 0.0)} | changes
+    volume = _kernels.Volume(
+        VOXEL, 3 * VOXEL, color=True, most_blocks=1 << 16, instructions=given["instructions"]
+    )
+    for x in (0.0, 0.1):
+        frame = plate(x)
+        view = read_posed_depth(frame, limits_of(FuseParams()))
+        here = view.surface.depth > 0
+        keys = touched_blocks(view, here, view.pose, voxel_size=VOXEL, truncation=3 * VOXEL)
+        camera = (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 160, 120), view.pose
+        color = np.ascontiguousarray(np.asarray(frame.color, np.uint8))
+        surface = view.surface
+        volume.integrate(
+            keys,
+            camera,
+            surface.depth,
+            surface.obliqueness,
+            color,
+            weighing=given["weighing"],
+            wanted_threads=2,
+        )
+    return volume
+
+
+def test_every_set_of_instructions_gives_the_same_field() -> None:
+    sets = _kernels.Volume.instructions()
+    assert sets[-1] == "plain"
+    usual = kernel_field().voxels()
+    for name in sets:
+        for one, other in zip(kernel_field(instructions=name).voxels(), usual, strict=True):
+            assert one is not None
+            assert other is not None
+            assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"instructions": "MMX"}, "this processor has no MMX"),
+        ({"weighing": (1.0, float("nan"), 0.0)}, "weighing needs finite numbers"),
+        ({"weighing": (1.0, 1.0, -1.0)}, "weighing needs finite numbers"),
+    ],
+)
+def test_what_a_field_cannot_be_made_of_is_refused(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        kernel_field(**changes)
+
+
+def test_an_image_whose_columns_single_precision_cannot_tell_apart_is_refused() -> None:
+    with pytest.raises(ValueError, match="of sides below 2²⁴"):
+        _kernels.oriented_depth(
+            np.zeros((1, 8), np.float32),
+            (1.0, 1.0, 0.0, 0.0, 1 << 24, 1),
+            limits=(0.0, 1.0, 0.05, 0.1),
+            wanted_threads=1,
+        )

@@ -27,7 +27,7 @@ from stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 
-MANY = 70_000
+MANY = 20_000
 SHARED = (
     "cow.obj",
     "horse.ply",

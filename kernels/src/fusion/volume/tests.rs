@@ -98,7 +98,7 @@ fn shots(count: usize) -> Vec<Shot> {
 
 fn fused(shots: &[Shot], within: Option<BlockBox>, add: Add, threads: usize) -> Volume {
     let control = Control::default();
-    let mut volume = Volume { add, ..Volume::new(VOXEL, TRUNCATION, true, 1 << 20) };
+    let mut volume = Volume::new(VOXEL, TRUNCATION, true, 1 << 20).using(add);
     for shot in shots {
         volume
             .integrate(&shot.touched(within), &shot.view(threads), threads, &Progress::new(&control))

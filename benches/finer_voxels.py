@@ -1,0 +1,82 @@
+"""Whether finer voxels pay where cameras came near: distance to the truth by distance to the nearest camera.
+
+    python benches/finer_voxels.py [--frames 200]
+
+A made room (`benches/building.py`) and the RGB-D sample, fused at voxels of several sizes. Prints Markdown:
+the RMS distance of the mesh's vertices from the true surface, mm, of the nearest tenth of them, then by
+quarters, and what the volume takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._open3d import open3d
+from stages.fusion.fuse import fuse
+from stages.scans.read import read_scan
+from stages.scans.scan import Scan
+from stages.surface.formats.ply import read_ply
+from stages.surface.raycasting import Surface
+
+sys.path.insert(0, str(Path(__file__).parent))
+from building import make_building, scene_of
+
+SAMPLES = Path(__file__).resolve().parents[1] / "samples"
+# Shares of the vertices, by distance to the nearest camera, that rows are of.
+SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
+
+Floats = NDArray[np.float64]
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=200, help="of the made room")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        room = Path(scratch) / "room"
+        make_building(room, 1, options.frames, os.cpu_count() or 1)
+        scene = scene_of(1)
+
+        def off_room(points: Floats) -> Floats:
+            asked = open3d().core.Tensor(points.astype(np.float32))
+            return np.asarray(scene.compute_distance(asked).numpy(), np.float64)
+
+        table("made room", read_scan(room), (0.02, 0.01, 0.005), off_room)
+    truth = Surface(read_ply(SAMPLES / "truth.ply"))
+    sizes = (0.0062, 0.0031, 0.0021)
+    table("samples/rgbd", read_scan(SAMPLES / "rgbd"), sizes, lambda points: truth.closest(points).distances)
+
+
+def table(name: str, scan: Scan, sizes: Sequence[float], off: Callable[[Floats], Floats]) -> None:
+    """Print a table of one scan."""
+    eyes = np.array([frame.world_from_camera for frame in scan.frames])[:, :3, 3]
+    edges: Floats | None = None
+    for size in sizes:
+        fused = fuse(scan, voxel_size=size)
+        points = fused.mesh.vertices
+        away = np.full(len(points), np.inf)
+        for eye in eyes:
+            np.minimum(away, np.linalg.norm(points - eye, axis=1), out=away)
+        if edges is None:
+            edges = np.quantile(away, SHARES)
+            ranges = [f"{low:.2f}–{high:.2f} m" for low, high in pairwise(edges)]
+            print(f"\n| {name} | {' | '.join(ranges)} | triangles | MB |")
+            print("|---" * (len(ranges) + 3) + "|")
+        distances, which = off(points), np.digitize(away, edges[1:-1])
+        rms = [1000 * np.sqrt((distances[which == part] ** 2).mean()) for part in range(len(edges) - 1)]
+        told = [f"{1000 * size:g} mm", *(f"{one:.2f}" for one in rms), f"{len(fused.mesh.triangles):,}"]
+        print(f"| {' | '.join(told)} | {fused.volume_bytes / 1e6:.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

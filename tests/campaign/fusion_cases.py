@@ -1,0 +1,235 @@
+"""Random depth maps through the kernels of fusion, and rules for the field and the surface that come out."""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.errors import StageError
+from stages.fusion.bricks import Cube, coordinates
+from stages.fusion.joining import Joined, Piece, write_piece
+from stages.fusion.voxels import BLOCK, Box, Keys
+from tests.campaign.kernel_rules import assert_manifold
+from tests.campaign.random_views import Shot, random_shots
+
+# So that a case takes a second at most; what is left out is told.
+_MOST_BLOCKS, _MOST_BRICKS = 1500, 40
+
+
+def fusion_case(seed: int) -> str:
+    """Run the case of a seed and say what came out.
+
+    Raises
+    ------
+    StageError
+        If places are too far to be counted.
+    AssertionError
+        If a rule is broken.
+    """
+    draw = random.Random(seed)
+    size = draw.choice((1.0, 1.0, 1.0, 2.0**-10, 2.0**10))
+    shots = random_shots(draw, size)
+    voxel_size = size * draw.choice((0.01, 0.03, 0.05, 0.08, 0.5))
+    truncation = voxel_size * draw.choice((0.5, 1.0, 3.0, 3.0, 3.0, 8.0))
+    field = _Field(shots, voxel_size, truncation, draw)
+    if not 0 < field.count <= _MOST_BLOCKS:
+        return f"{field.count} blocks"
+    threads = draw.choice((2, 3, 5))
+    whole = field.fused(threads=1)
+    for name in _kernels.Volume.instructions():
+        _assert_same(whole.voxels(), field.fused(threads=threads, instructions=name).voxels(), name)
+    _assert_voxels(*whole.voxels())
+    least = draw.choice((0, 1, 1, 1, 1, 2, 300))
+    surface, _ = whole.surface(least, within=None, wanted_threads=1)
+    _assert_same(surface, whole.surface(least, within=None, wanted_threads=threads)[0], "threads")
+    _assert_surface(whole, surface, max(least, 1), truncation / voxel_size)
+    said = _in_bricks(field, surface, least, draw)
+    _assert_keeps_to_most(field, draw)
+    return f"{field.count} blocks, {len(surface[1])} triangles, {said}"
+
+
+class _Field:
+    """Shots as they go into a field."""
+
+    def __init__(
+        self, shots: Sequence[Shot], voxel_size: float, truncation: float, draw: random.Random
+    ) -> None:
+        self._voxel_size = voxel_size
+        self._truncation = truncation
+        self._shots = shots
+        self._color = draw.random() < 0.7
+        self._weighing = (1.0, draw.choice((0.0, 0.5, 1.0)), draw.choice((0.0, 0.5, 1e6)))
+        limits = (0.0, draw.choice((3.0, 1e38)), draw.choice((0.05, 1e9)), draw.choice((0.1, 0.0)))
+        self._views = [_oriented(shot, limits, draw) for shot in shots]
+        self.keys = [self._touched(shot, view, draw) for shot, view in zip(shots, self._views, strict=True)]
+        self.count = len(np.unique(np.concatenate(self.keys)))
+
+    def fused(
+        self, *, threads: int, instructions: str | None = None, within: Box | None = None, most: int = 1 << 20
+    ) -> _kernels.Volume:
+        """Return the field; of a box of blocks alone, if there is one."""
+        volume = _kernels.Volume(
+            self._voxel_size,
+            self._truncation,
+            color=self._color,
+            most_blocks=most,
+            instructions=instructions,
+        )
+        for shot, (depth, _, obliqueness), keys in zip(self._shots, self._views, self.keys, strict=True):
+            volume.integrate(
+                keys if within is None else keys[_is_within(keys, within)],
+                (shot.pinhole, shot.pose),
+                depth,
+                obliqueness,
+                shot.color if self._color else None,
+                weighing=self._weighing,
+                wanted_threads=threads,
+            )
+        return volume
+
+    def _touched(self, shot: Shot, view: Any, draw: random.Random) -> Keys:
+        depth, normal, obliqueness = view
+
+        def found(within: Box | None) -> Keys:
+            return _kernels.touched_blocks(
+                (shot.pinhole, shot.pose),
+                depth,
+                normal,
+                obliqueness,
+                shot.wanted,
+                voxel_size=self._voxel_size,
+                truncation=self._truncation,
+                within=within,
+            )
+
+        try:
+            keys = found(None)
+        except _kernels.LimitError as error:
+            raise StageError("a frame shows places too far away") from error
+        assert (np.diff(keys.astype(np.float64)) >= 0).all(), "blocks are not in their order"
+        assert len(np.unique(keys)) == len(keys), "a block is named twice"
+        if len(keys):
+            low = coordinates(keys).min(axis=0) + draw.randrange(-1, 3)
+            box = _box(low, low + draw.randrange(0, 6))
+            _assert_same((keys[_is_within(keys, box)],), (found(box),), "a box")
+        return keys
+
+
+def _oriented(shot: Shot, limits: tuple[float, float, float, float], draw: random.Random) -> Any:
+    one, other = (
+        _kernels.oriented_depth(shot.depth, shot.pinhole, limits=limits, wanted_threads=threads)
+        for threads in (1, draw.choice((2, 3, 7)))
+    )
+    depth, normal, obliqueness = one
+    _assert_same((depth, *normal, obliqueness), (other[0], *other[1], other[2]), "threads")
+    is_there = depth > 0
+    assert (np.isfinite(depth) & (depth <= limits[1]))[is_there].all(), "depth beyond its limits"
+    assert not np.isnan(depth).any(), "what is missing is no number"
+    assert (obliqueness >= 0.999 / shot.sights())[is_there].all(), "seen flatter than along the normal"
+    return one
+
+
+def _assert_voxels(
+    blocks: NDArray[np.int32],
+    distances: NDArray[np.float32],
+    weights: NDArray[np.uint16],
+    frames: NDArray[np.uint8],
+    colors: NDArray[np.float32] | None,
+) -> None:
+    is_seen = weights > 0
+    assert len(np.unique(blocks, axis=0)) == len(blocks), "a block is there twice"
+    assert (np.isnan(distances) == ~is_seen).all(), "a voxel has a distance, or none, against its weight"
+    assert (np.abs(distances[is_seen]) <= 1 + 1e-5).all(), "a distance beyond one truncation"
+    assert (frames[~is_seen] == 0).all(), "frames have seen what has no weight"
+    assert colors is None or ((colors >= 0) & (colors < 256)).all(), "a colour that is none"
+
+
+def _assert_surface(volume: _kernels.Volume, surface: Any, least: int, truncation: float) -> None:
+    """Each vertex is on an edge between two voxels on either side, where the distance is zero."""
+    places, triangles, colors, seen = surface
+    assert np.isfinite(places).all(), "a vertex is nowhere"
+    assert ((colors >= 0) & (colors <= 255)).all(), "a colour that is none"
+    assert ((seen >= min(least, 255)) & (seen <= 255)).all(), "seen by fewer frames than are asked for"
+    assert_manifold(triangles, len(places))
+    blocks, distances, _, frames, _ = volume.voxels()
+    values = np.where(frames >= min(least, 255), distances, np.nan) * np.float32(truncation)
+    below = np.floor(places).astype(np.int64)
+    share = places - below
+    assert ((share > 0).sum(axis=1) == 1).all(), "a vertex lies on no edge"
+    above = below + (share > 0)
+    here, there = _at(blocks, values, below), _at(blocks, values, above)
+    assert ((here < 0) != (there < 0)).all(), "a vertex between voxels on one side"
+    assert not (np.isnan(here) | np.isnan(there)).any(), "a vertex beside what nobody saw"
+    expected = np.clip(here / (here - there), 1e-3, 1 - 1e-3)
+    assert np.abs(share.max(axis=1, initial=0) - expected).max(initial=0) < 1e-5, "not where it is zero"
+
+
+def _at(
+    blocks: NDArray[np.int32], values: NDArray[np.float32], voxels: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return what voxels (n, 3) hold."""
+    slots = {tuple(block): slot for slot, block in enumerate(blocks.tolist())}
+    at = [slots[tuple(block)] for block in (voxels // BLOCK).tolist()]
+    within = voxels % BLOCK @ np.array([1, BLOCK, BLOCK**2])
+    return values[np.array(at, np.int64), within].astype(np.float64)
+
+
+def _in_bricks(field: _Field, surface: Any, least: int, draw: random.Random) -> str:
+    """Fuse brick by brick, each with a rim of blocks, and compare what is joined with the whole."""
+    level = draw.choice((1, 1, 2, 3))
+    keys = np.unique(np.concatenate(field.keys))
+    cubes = [Cube(level, int(number)) for number in np.unique(keys >> np.uint64(3 * level))]
+    if len(cubes) > _MOST_BRICKS:
+        return f"{len(cubes)} bricks are too many"
+    with tempfile.TemporaryDirectory() as made:
+        folders = []
+        for cube in cubes:
+            box: Box = (cube.low, cube.high)
+            rim = _box(np.array(cube.low) - 1, np.array(cube.high) + 1)
+            volume = field.fused(threads=1, within=rim)
+            (places, triangles, colors, _), joints = volume.surface(least, within=box, wanted_threads=2)
+            folders.append(Path(made) / f"{cube.number}")
+            folders[-1].mkdir()
+            write_piece(folders[-1], Piece(places, triangles, np.rint(colors).astype(np.uint8)), joints)
+        joined = Joined(cubes, folders)
+        if joined.triangle_count == 0:
+            assert len(surface[1]) == 0, "bricks have no surface, and the whole has one"
+            return f"{len(cubes)} bricks"
+        mesh = joined.mesh()
+    whole = surface[0], surface[1], np.rint(surface[2]).astype(np.uint8)
+    _assert_same(whole, (mesh.vertices, mesh.triangles, mesh.colors), "bricks")
+    return f"{len(cubes)} bricks"
+
+
+def _assert_keeps_to_most(field: _Field, draw: random.Random) -> None:
+    """A field that may not hold all says so, and holds no more than it may."""
+    most = draw.randrange(field.count)
+    try:
+        field.fused(threads=1, most=most)
+    except _kernels.LimitError:
+        return
+    raise AssertionError(f"{field.count} blocks where {most} may be")
+
+
+def _is_within(keys: Keys, box: Box) -> NDArray[np.bool_]:
+    at = coordinates(keys)
+    return np.asarray(((at >= box[0]) & (at < box[1])).all(axis=1))
+
+
+def _box(low: NDArray[Any], high: NDArray[Any]) -> Box:
+    (a, b, c), (d, e, f) = low.tolist(), high.tolist()
+    return (a, b, c), (d, e, f)
+
+
+def _assert_same(one: Sequence[Any], other: Sequence[Any], what: str) -> None:
+    for a, b in zip(one, other, strict=True):
+        assert (a is None) == (b is None), f"{what} decides what there is"
+        if a is not None:
+            assert (a.shape, a.dtype, a.tobytes()) == (b.shape, b.dtype, b.tobytes()), f"{what} decides bytes"

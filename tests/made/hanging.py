@@ -1,0 +1,54 @@
+"""A job that hangs as it does where a network drive does not answer: opening one file takes for ever."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+# What Python runs at its start; only the processes of jobs are meant. The child is there to be ended, too.
+_HOOK = """
+import os, subprocess, sys, time
+from pathlib import Path
+
+
+def hang(event, args):
+    if event == "open" and str(args[0]).endswith({file!r}) and any(Path({drafts!r}).glob({stage!r} + "-*")):
+        child = subprocess.Popen(["sleep", "1000"])
+        Path({marker!r}).write_text(f"{{os.getpid()}} {{child.pid}}")
+        time.sleep(1000)
+
+
+if any("pipeline.batch.child" in word for word in sys.orig_argv):
+    sys.addaudithook(hang)
+"""
+
+
+def hanging_environment(folder: Path, file: str, stage: str, cache: Path) -> dict[str, str]:
+    """Return variables with which the processes of jobs hang where they open a file.
+
+    They then write their number, and that of a child, into `folder / "hung"`.
+
+    Parameters
+    ----------
+    folder : gets what makes them hang.
+    file : the end of its path.
+    stage : that is at work then.
+    cache : in which that stage makes its result.
+    """
+    folder.mkdir()
+    hook = _HOOK.format(file=file, drafts=str(cache / "drafts"), stage=stage, marker=str(folder / "hung"))
+    (folder / "sitecustomize.py").write_text(hook)
+    return {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)}
+
+
+def hang(noted: Path) -> bool:
+    """Return whether any of the processes is there that have noted themselves."""
+    return noted.exists() and any(map(_is_there, noted.read_text().split()))
+
+
+def _is_there(process: str) -> bool:
+    try:
+        # One that has ended, and that nobody asks for how, is Z.
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

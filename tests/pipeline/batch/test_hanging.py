@@ -1,0 +1,203 @@
+"""A job that hangs holds up none of the others; a worker that was stopped leaves its jobs to who has them."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+from hanging import hang, hanging_environment
+
+from pipeline.batch.claims import Claim, Claims
+from pipeline.batch.process import Process
+from pipeline.batch.queue import Job, Queue, new_queue
+from pipeline.batch.records import DONE, FAILED, UNUSABLE, Records
+from pipeline.batch.slot import Work
+from pipeline.batch.summary import summary_of
+from pipeline.batch.told import JobAt, JobEnded, Noted, Told
+from pipeline.batch.worker import Worker
+from pipeline.config import Config
+from pipeline.run import run
+from stages.errors import StageError
+
+Begin = Callable[..., Queue]
+# Nothing that does not hang is silent for so long, however busy the machine is.
+LONG = 300.0
+
+
+class Clock:
+    """Goes as it does, and much faster while something hangs."""
+
+    def __init__(self, has_hung: Callable[[], bool]) -> None:
+        self._has_hung = has_hung
+        self._ahead = 0.0
+
+    def __call__(self) -> float:
+        self._ahead += LONG if self._has_hung() else 0.0
+        return time.monotonic() + self._ahead
+
+
+def work() -> Work:
+    return Work(Job(0, "x", "x"), Claim(0, 0))
+
+
+def test_what_is_told_again_is_nothing_new():
+    one = work()
+    for share in (0.0, 0.1, 0.1):
+        one.passed(5.0)
+        one.at("fuse", share)
+    assert one.silent == 5.0
+    one.at("clean", 0.1)
+    assert one.silent == 0.0
+
+
+def test_a_job_that_waits_for_leave_does_not_hang():
+    one = work()
+    one.passed(5.0)
+    one.is_queueing = True
+    one.passed(1e6)
+    assert one.silent == 0.0
+    one.is_queueing = False
+    one.passed(5.0)
+    assert one.silent == 5.0
+
+
+def test_what_goes_on_after_another_run_is_something_new():
+    one = work()
+    one.at("fuse", 0.0)
+    one.is_waiting = True
+    one.passed(5.0)
+    one.at("fuse", 0.0)
+    assert (one.silent, one.is_waiting) == (0.0, False)
+
+
+def results(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(out.glob("*.ply"))}
+
+
+@pytest.mark.slow
+def test_a_process_that_the_system_cannot_end_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    process = Process(SimpleQueue(), 1, tmp_path / "log")
+    os.kill(process._process.pid, signal.SIGSTOP)
+    with monkeypatch.context() as patched:
+        # As where it waits for a drive: the signal is taken note of, and nothing follows.
+        patched.setattr("pipeline.batch.process._PATIENCE", 0.05)
+        patched.setattr("os.killpg", lambda *_: None)
+        assert not process.kill()
+        process.end()
+    assert process.kill()
+
+
+@pytest.fixture
+def _long_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.batch.worker._LONGEST_TURN", math.inf)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("_long_turns")
+def test_a_job_that_hangs_is_ended_with_its_children_and_the_others_go_on(
+    small_scans: Path, queue_of: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    queue = queue_of(small_scans, until="clean")
+    for name, value in hanging_environment(
+        tmp_path / "hook", "scan-1/depth-2.png", "fuse", queue.cache
+    ).items():
+        monkeypatch.setenv(name, value)
+    hung = tmp_path / "hook" / "hung"
+    Worker(queue, slots=1, threads=1, timeout=LONG, clock=Clock(partial(hang, hung))).work()
+    records = {one.name: one for one in summary_of(queue).records}
+    states = {name: one.state for name, one in records.items()}
+    assert states == {"broken": UNUSABLE, "scan-0": DONE, "scan-1": FAILED, "scan-2": DONE, "scan-3": DONE}
+    assert records["scan-1"].reason.startswith(f"it got no further in fuse for {LONG:g} s and was ended; see")
+    assert hung.exists()
+    assert not hang(hung)
+    assert not list((queue.cache / "drafts").iterdir())
+
+    # It goes on from what is in the cache, and comes to what a quiet run comes to.
+    (tmp_path / "hook" / "sitecustomize.py").unlink()
+    (scan,) = [one for one in queue.jobs if one.name == "scan-1"]
+    again = new_queue(queue.out, 2, queue.settings, [replace(scan, number=0)])
+    assert again is not None
+    Worker(again, slots=1, threads=1).work()
+    (record,) = summary_of(again).records
+    assert (record.state, record.figures["stages_cached"]) == (DONE, 1)
+    run(small_scans / "scan-1", tmp_path / "quiet", Config(), until="clean")
+    assert results(queue.out / "scan-1") == results(tmp_path / "quiet") != {}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("_long_turns")
+def test_a_job_that_is_stopped_is_ended(small_scans: Path, queue_of: Begin):
+    queue = queue_of(small_scans)
+    stopped = False
+
+    def tell(told: Told) -> None:
+        nonlocal stopped
+        if isinstance(told, JobAt) and told.name == "scan-1":
+            (slot,) = worker._slots
+            assert slot.process is not None
+            os.kill(slot.process._process.pid, signal.SIGSTOP)
+            stopped = True
+        stopped = stopped and not isinstance(told, JobEnded)
+
+    worker = Worker(queue, slots=1, threads=1, timeout=LONG, tell=tell, clock=Clock(lambda: stopped))
+    worker.work()
+    records = {one.name: one for one in summary_of(queue).records}
+    assert records["scan-1"].state == FAILED
+    assert [records[f"scan-{k}"].state for k in (0, 2, 3)] == [DONE] * 3
+
+
+@pytest.mark.slow
+def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
+    small_scans: Path, queue_of: Begin, tmp_path: Path
+):
+    queue = queue_of(small_scans, until="clean", take_over_after=2.0)
+    words = [sys.executable, "-m", "cli.app", "worker", str(queue.out), "--jobs", "1", "--threads", "1"]
+    claims = Claims(queue.folder / "claims", "")
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as first:
+        # In the middle of a job, with all that the job has locked.
+        while not claims.said(Claim(1, 0)).stage:
+            assert first.poll() is None
+            time.sleep(0.01)
+        jobs = Path(f"/proc/{first.pid}/task/{first.pid}/children").read_text().split()
+        for number in (first.pid, *map(int, jobs)):
+            os.kill(number, signal.SIGSTOP)
+
+        def tell(told: Told) -> None:
+            if isinstance(told, Noted) and "another run is working into" in told.text:
+                os.kill(first.pid, signal.SIGCONT)
+
+        Worker(queue, slots=1, threads=1, tell=tell).work()
+        os.kill(first.pid, signal.SIGCONT)
+        said = first.communicate(timeout=60)[1]
+    assert "scan-0: another worker has taken it over while this one gave no sign of life" in said
+    ends = [one for one in Records(queue.folder / "done").all() if one.number == 1]
+    assert [one.attempt for one in ends] == [1]
+    states = {one.name: one.state for one in summary_of(queue).records}
+    assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
+    run(small_scans / "scan-0", tmp_path / "quiet", Config(), until="clean")
+    assert results(queue.out / "scan-0") == results(tmp_path / "quiet") != {}
+    assert not list((queue.cache / "drafts").iterdir())
+
+
+@pytest.mark.slow
+def test_a_worker_whose_batch_is_gone_says_so(small_scans: Path, queue_of: Begin):
+    queue = queue_of(small_scans)
+
+    def tell(told: Told) -> None:
+        if isinstance(told, JobAt):
+            # As the next batch does, which was begun while no sign of this one came.
+            shutil.rmtree(queue.folder)
+
+    with pytest.raises(StageError, match=r"another batch was begun in .*out while this worker gave no sign"):
+        Worker(queue, slots=1, threads=1, tell=tell).work()
