@@ -40,10 +40,10 @@ def coverage(
     """Tell what is missing in a scan: where to go again, why, and from where to look.
 
     Holes in the surface, space that no frame saw (behind furniture, the far side of things), and surface that
-    few frames measured, only obliquely or only from far; the most important first, with the frames that came
-    nearest to seeing it. OUT then also holds coverage.json, coverage.ply and coverage.glb, the mesh in
-    colours of what is missing, and report.html shows the same. Where the scan just ends is no place of the
-    list.
+    few frames measured, only obliquely, only from far, or each elsewhere; the most important first, with the
+    frames that came nearest to seeing it. OUT then also holds coverage.json, coverage.ply and coverage.glb,
+    the mesh in colours of what is missing, and report.html shows the same. Where the scan just ends is no
+    place of the list.
 
     Example: scanloom coverage my_mesh
     """
@@ -91,6 +91,10 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
     lines.append(
         f"{_area(missing)} {m2} open to what no frame saw, beside {_area(surface)} {m2} of surface, of which "
         f"{thin / surface:.0%} was hardly seen; {counted(figures['frames_used'], 'frame')}"
+    )
+    lines.append(
+        f"frames are within {figures['spread_median_m']:.2g} {m} of half of what they measured, RMS, and within "
+        f"{figures['spread_95_m']:.2g} {m} of 95 % of it"
     )
     return lines
 

@@ -28,8 +28,9 @@ def test_a_table_of_places_is_printed_and_json_tells_the_same(scanloom: Run, out
     assert ran.exit_code == 0
     lines = ran.stdout.splitlines()
     assert lines[0].split()[:2] == ["what", "m²"]
-    assert "open to what no frame saw, beside" in lines[-1]
+    assert "open to what no frame saw, beside" in lines[-2]
     told = json.loads(scanloom("coverage", out, "--json").stdout)
+    assert f"within {told['spread_median_m']:.2g} m of half of what they measured" in lines[-1]
     assert len(told["places"]) == len(json.loads((out / "coverage.json").read_text())["places"])
     assert [line.split()[0] for line in lines[1 : len(told["places"]) + 1]] == [
         str(number + 1) for number in range(len(told["places"]))
