@@ -93,8 +93,8 @@ def _lines(figures: Mapping[str, Any], *, is_metric: bool) -> Sequence[str]:
         f"{thin / surface:.0%} was hardly seen; {counted(figures['frames_used'], 'frame')}"
     )
     lines.append(
-        f"frames are within {figures['spread_median_m']:.2g} {m} of half of what they measured, RMS, and within "
-        f"{figures['spread_95_m']:.2g} {m} of 95 % of it"
+        f"frames are within {figures['spread_median_m']:.2g} {m} of half of what they measured, RMS, "
+        f"and within {figures['spread_95_m']:.2g} {m} of 95 % of it"
     )
     return lines
 
