@@ -5,6 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 STUBS_FIT := $(VENV)/.stubs-fit
+# Tests wait for processes, browsers and each other: three at a time keep two cores busy.
+WORKERS ?= $(shell $(PYTHON) -c "import os; print(-(-3 * os.cpu_count() // 2))")
 KERNEL_SOURCES := $(shell find kernels/src -name '*.rs') kernels/Cargo.toml kernels/Cargo.lock
 # Tests start hundreds of Pythons: what they compile of our sources is kept, whatever the surroundings say.
 unexport PYTHONDONTWRITEBYTECODE
@@ -24,7 +26,7 @@ demo: $(READY)
 	@echo "The mesh is demo/rgbd/textured.glb (and simplified.ply), the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
 
 check: lint
-	$(BIN)/pytest -n auto --dist worksteal --quiet -m "not slow"
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m "not slow"
 
 # What needs no Python, and what is only fetched, goes on while the kernels are compiled. A machine with nothing prepared
 # compiles them for the tests alone: to optimise the crate as one whole takes minutes, and changes no result.
@@ -32,7 +34,7 @@ test: export CARGO_PROFILE_RELEASE_LTO = off
 test: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS = 16
 test:
 	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target python-lint clippy rust-tests browser packages
-	$(BIN)/pytest -n auto --dist worksteal
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 
 # Tests of pages need Chromium. Where it cannot be had, they say so: CI fails then, a developer's run skips them.
 # After the environment, which may need the system's packages, too: these are installed one at a time.
