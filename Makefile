@@ -36,14 +36,16 @@ test:
 	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target python-lint clippy rust-tests browser packages
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 
-# Tests of pages need Chromium. Where it cannot be had, they say so: CI fails then, a developer's run skips them.
-# After the environment, which may need the system's packages, too: these are installed one at a time.
+# Tests of pages need Chromium, best without the parts that draw windows: with them each start takes seconds. Where it
+# cannot be had, they say so: CI fails then, a developer's run skips them. After the environment, which may need the
+# system's packages, too: these are installed one at a time.
 browser: | $(READY)
-	@command -v chromium >/dev/null || { \
+	@command -v chromium-headless-shell >/dev/null || { \
 	  if [ "$$(id -u)" = 0 ]; then root=; else root="sudo -n"; fi; \
-	  $$root apt-get update -qq && \
-	  DEBIAN_FRONTEND=noninteractive $$root apt-get install -y -qq --no-install-recommends chromium >/dev/null; \
-	} || echo "Chromium is missing and cannot be installed from here; on Debian: apt-get install chromium"
+	  get="$$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends"; \
+	  $$root apt-get update -qq && { $$get chromium-headless-shell || $$get chromium; } >/dev/null; \
+	} || command -v chromium >/dev/null || \
+	  echo "Chromium is missing and cannot be installed from here; on Debian: apt-get install chromium-headless-shell"
 
 packages:
 	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory $(PACKAGES); \

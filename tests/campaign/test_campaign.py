@@ -35,7 +35,7 @@ def counts(ended: subprocess.CompletedProcess[str], kind: str) -> list[int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "cases"), [("readers", 400), ("runs", 3), ("kernels", 24), ("fusion", 24)])
+@pytest.mark.parametrize(("kind", "cases"), [("readers", 400), ("runs", 2), ("kernels", 24), ("fusion", 24)])
 def test_some_cases_of_each_kind_end_well(tmp_path: Path, kind: str, cases: int) -> None:
     ended = campaign(tmp_path, "--only", kind, "--cases", cases, "--seed", 2)
     assert ended.returncode == 0, ended.stdout + ended.stderr
@@ -67,7 +67,7 @@ def test_a_failure_of_any_kind_is_told_kept_and_repeated(tmp_path: Path, wrong: 
     env = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), _PATHS))}
     words = [sys.executable, "-m", "tests.campaign", "--failures", str(tmp_path / "kept")]
     run = {"cwd": ROOT, "env": env, "capture_output": True, "text": True, "check": False}
-    ended = subprocess.run([*words, "--only", "readers", "--cases", "20"], **run)
+    ended = subprocess.run([*words, "--only", "readers", "--cases", "8"], **run)
     assert ended.returncode == 1, ended.stderr
     kept = sorted((tmp_path / "kept").iterdir())
     assert len(kept) == counts(ended, "readers")[-1] > 0
