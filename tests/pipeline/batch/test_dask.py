@@ -59,12 +59,14 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
         one.communicate(timeout=60)
 
 
-def worker_at_work(deadline: float) -> int:
-    """Return the process of a worker of Dask that waits for a job it has started."""
+def worker_at_work(hook: Path, deadline: float) -> int:
+    """Return the process of a worker of Dask that waits for a job it has started, which knows the hook."""
     while time.monotonic() < deadline:
         for folder in Path("/proc").glob("[0-9]*"):
             try:
                 is_job = b"pipeline.batch.one" in (folder / "cmdline").read_bytes()
+                # Other tests have jobs, too.
+                is_job = is_job and bytes(hook) in (folder / "environ").read_bytes()
                 parent = re.search(r"PPid:\s*(\d+)", (folder / "status").read_text())
             except OSError:
                 continue
@@ -93,7 +95,7 @@ def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
     # Others tell something sooner, however busy the machine is.
     words = (*WORDS, "--timeout", 20, "--scheduler", scheduler)
     batch = started("cli.app", "batch", scans, "-o", out, *words)
-    killed = worker_at_work(time.monotonic() + 60)
+    killed = worker_at_work(hung.parent, time.monotonic() + 60)
     os.kill(killed, signal.SIGKILL)
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 1, said
