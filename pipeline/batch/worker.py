@@ -103,9 +103,17 @@ class Worker:
             Heartbeat(self._queue.folder / "workers", self.name, self._patience),
         ):
             try:
-                self._work()
-            finally:
-                self._stop()
+                self._work_and_stop()
+            except FileNotFoundError:
+                # It may go between two looks at it.
+                self._require_standing()
+                raise
+
+    def _work_and_stop(self) -> None:
+        try:
+            self._work()
+        finally:
+            self._stop()
 
     def _work(self) -> None:
         while True:

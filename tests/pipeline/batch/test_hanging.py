@@ -201,3 +201,18 @@ def test_a_worker_whose_batch_is_gone_says_so(small_scans: Path, queue_of: Begin
 
     with pytest.raises(StageError, match=r"another batch was begun in .*out while this worker gave no sign"):
         Worker(queue, slots=1, threads=1, tell=tell).work()
+
+
+@pytest.mark.slow
+def test_a_worker_whose_batch_goes_between_two_looks_says_so(
+    small_scans: Path, queue_of: Begin, monkeypatch: pytest.MonkeyPatch
+):
+    queue = queue_of(small_scans)
+
+    def hear(_: Worker) -> None:
+        shutil.rmtree(queue.folder)
+        (queue.folder / "claims" / "000001.0").write_text("")
+
+    monkeypatch.setattr(Worker, "_hear", hear)
+    with pytest.raises(StageError, match=r"another batch was begun in .*out while this worker gave no sign"):
+        Worker(queue, slots=1, threads=1).work()
