@@ -103,17 +103,13 @@ class Worker:
             Heartbeat(self._queue.folder / "workers", self.name, self._patience),
         ):
             try:
-                self._work_and_stop()
+                self._work()
             except FileNotFoundError:
                 # It may go between two looks at it.
                 self._require_standing()
                 raise
-
-    def _work_and_stop(self) -> None:
-        try:
-            self._work()
-        finally:
-            self._stop()
+            finally:
+                self._stop()
 
     def _work(self) -> None:
         while True:

@@ -139,8 +139,8 @@ class Piecewise:
         """Return the unit normals (n, 3) of the vertices of a piece, with what others have there."""
         sums = normal_sums(part.mesh)
         numbers, of_all = self._shared
-        place, is_shared = _found(numbers, part.numbers)
-        sums[is_shared] = of_all[place[is_shared]]
+        rows = rows_of(numbers, part.numbers)
+        sums[rows >= 0] = of_all[rows[rows >= 0]]
         return unit(sums).astype(np.float32)
 
     @cached_property
@@ -157,18 +157,17 @@ class Piecewise:
         sums = np.zeros((len(numbers), 3), np.float32)
         for number in range(len(self._pieces)):
             part = self._pieces.part(number)
-            place, is_shared = _found(numbers, part.numbers)
-            sums[place[is_shared]] += normal_sums(part.mesh)[is_shared].astype(np.float32)
+            rows = rows_of(numbers, part.numbers)
+            sums[rows[rows >= 0]] += normal_sums(part.mesh)[rows >= 0].astype(np.float32)
         return numbers, sums
 
 
-def _found(
-    numbers: NDArray[np.int32], wanted: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return where wanted numbers (n,) are among others, which ascend, and which are there at all."""
-    place = np.searchsorted(numbers, wanted.astype(np.int32))
-    place[place == len(numbers)] = 0
-    return place, np.asarray(numbers[place] == wanted) if len(numbers) else np.zeros(len(wanted), np.bool_)
+def rows_of(known: NDArray[np.integer[Any]], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where numbers (n,) are among known ones (k,), which ascend; −1 where they are not."""
+    if not len(known):
+        return np.full(len(wanted), -1)
+    rows = np.searchsorted(known, wanted.astype(known.dtype, copy=False)).clip(max=len(known) - 1)
+    return np.where(known[rows] == wanted, rows, -1)
 
 
 def _some(part: Part, normals: NDArray[np.float32] | None, rows: slice) -> Piece:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.inspecting.coverage.views import Floats, Singles
-from stages.surface.piecewise import OnePiece, Piece, Piecewise
+from stages.surface.piecewise import OnePiece, Piece, Piecewise, rows_of
 from stages.surface.raycasting import is_used
 from stages.surface.topology import areas
 
@@ -76,8 +76,8 @@ class Probes:
         vertices, normals : (n, 3), metres, in the axes of the mesh.
         numbers : (n,) of the vertices in all of the mesh.
         """
-        own = _found(self.keys, self.cubes.keys(vertices, normals))
-        at_rim = _found(self.rims, numbers)
+        own = rows_of(self.keys, self.cubes.keys(vertices, normals))
+        at_rim = rows_of(self.rims, numbers)
         return np.where(at_rim >= 0, self.instead[at_rim], own) if len(self.rims) else own
 
     def of_piece(self, piece: Piece) -> Ids:
@@ -208,11 +208,3 @@ def _most(numbers: Ids, scores: Ids) -> tuple[Ids, Ids]:
     order = np.lexsort((scores, numbers))
     last = order[np.flatnonzero(np.diff(numbers[order], append=-1))]
     return numbers[last], scores[last]
-
-
-def _found(known: Ids, wanted: Ids) -> Ids:
-    """Return where wanted numbers (n,) are among others, which ascend; −1 for those that are not there."""
-    if not len(known):
-        return np.full(len(wanted), -1)
-    place = np.searchsorted(known, wanted).clip(max=len(known) - 1)
-    return np.where(known[place] == wanted, place, -1)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sample_in_pieces import sample_in_pieces, small_pieces
+from sample_in_pieces import small_pieces
 
 from stages.cleaning.clean import CleanParams, clean
 from stages.cleaning.clean_in_pieces import clean_in_pieces
@@ -15,36 +15,31 @@ from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.pieces import Pieces
 
 
-@pytest.fixture(scope="module")
-def fused(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return sample_in_pieces(tmp_path_factory.mktemp("fused") / "fused.ply")
-
-
 @pytest.mark.parametrize(
     "params", [{}, {"keep_largest": True}, {"min_island_area": 0.0}, {"min_island_area": 0.01}]
 )
-def test_islands_go_as_from_the_whole(fused: Path, params: dict[str, Any], tmp_path: Path) -> None:
-    whole = clean(read_ply(fused), **params)
+def test_islands_go_as_from_the_whole(large: Path, params: dict[str, Any], tmp_path: Path) -> None:
+    whole = clean(read_ply(large), **params)
     write_ply(tmp_path / "whole.ply", whole.mesh)
     result = tmp_path / "clean.ply"
     with small_pieces():
-        figures = clean_in_pieces(fused, result, CleanParams(**params))
+        figures = clean_in_pieces(large, result, CleanParams(**params))
     assert result.read_bytes() == (tmp_path / "whole.ply").read_bytes()
     expected = whole.figures()
     assert figures == {name: pytest.approx(expected[name]) for name in figures}
     assert whole.changes.islands > 5 or params == {"min_island_area": 0.0}
     # And it is in pieces again.
-    assert len(Pieces(result)) == len(Pieces(fused)) > 5
+    assert len(Pieces(result)) == len(Pieces(large)) > 5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["clean.pieces.json", "clean.ply", "whole.ply"]
 
 
-def test_nothing_left_is_an_error(fused: Path, tmp_path: Path) -> None:
+def test_nothing_left_is_an_error(large: Path, tmp_path: Path) -> None:
     with pytest.raises(MeshError, match="nothing is left of it"):
-        clean_in_pieces(fused, tmp_path / "clean.ply", CleanParams(min_island_area=1e6))
+        clean_in_pieces(large, tmp_path / "clean.ply", CleanParams(min_island_area=1e6))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("params", [{"repair": True}, {"fill_holes": 0.1}, {"weld_distance": 0.001}])
-def test_what_takes_the_whole_is_refused(fused: Path, params: dict[str, Any], tmp_path: Path) -> None:
+def test_what_takes_the_whole_is_refused(large: Path, params: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=next(iter(params))):
-        clean_in_pieces(fused, tmp_path / "clean.ply", CleanParams(**params))
+        clean_in_pieces(large, tmp_path / "clean.ply", CleanParams(**params))

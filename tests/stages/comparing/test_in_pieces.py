@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sample_in_pieces import sample_in_pieces
 
 from stages.comparing import in_pieces
 from stages.comparing.compare import CompareParams, compare
@@ -16,7 +15,7 @@ from stages.comparing.in_pieces import compare_in_pieces
 from stages.comparing.measurable import box_of
 from stages.comparing.needles import WithNeedles
 from stages.simplification.simplify import simplify
-from stages.surface import pieces, piecewise
+from stages.surface import pieces
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Written
@@ -26,21 +25,12 @@ from stages.surface.raycasting import Floats, Surface
 PARAMS = CompareParams(samples=20_000)
 SIGNED = DeviationParams(signed_samples=5_000)
 
-
-@pytest.fixture(autouse=True)
-def _few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let some pieces be worked on in several steps."""
-    monkeypatch.setattr(piecewise, "AT_ONCE", 800)
+pytestmark = pytest.mark.usefixtures("few_at_a_time")
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return sample_in_pieces(tmp_path_factory.mktemp("fused") / "fused.ply")
-
-
-@pytest.fixture(scope="module")
-def whole(path: Path) -> Mesh:
-    return read_ply(path)
+def whole(large: Path) -> Mesh:
+    return read_ply(large)
 
 
 def measured(path: Path, whole: Mesh, mesh: Mesh) -> tuple[Any, Any]:
@@ -63,9 +53,9 @@ def is_near(found: Any, expected: Any) -> None:
         assert found == (pytest.approx(expected, rel=1e-6, abs=1e-9) if expected else expected)
 
 
-def test_figures_are_those_of_the_whole(path: Path, whole: Mesh) -> None:
+def test_figures_are_those_of_the_whole(large: Path, whole: Mesh) -> None:
     light = simplify(whole, ratio=0.1).mesh
-    found, signed = measured(path, whole, light)
+    found, signed = measured(large, whole, light)
     is_near(found.figures(), compare(whole, light, PARAMS).figures())
     expected = deviations(whole, light, SIGNED)
     is_near(signed.figures(), expected.figures())
@@ -94,15 +84,15 @@ def test_over_a_ridge_where_pieces_meet_is_outside(tmp_path: Path, monkeypatch: 
     assert found.figures()["color"] is None
 
 
-def test_what_is_far_off_is_found_as_well(path: Path, whole: Mesh) -> None:
+def test_what_is_far_off_is_found_as_well(large: Path, whole: Mesh) -> None:
     away = np.array([[0, 0, 9.0], [1, 0, 9], [0, 1, 9]])
     triangle = Mesh(np.vstack([away, whole.vertices[:3]]), np.array([[0, 1, 2], [3, 4, 5]], np.int32))
-    found, _ = measured(path, whole, triangle)
+    found, _ = measured(large, whole, triangle)
     is_near(found.figures(), compare(whole, triangle, PARAMS).figures())
 
 
 def test_few_points_ask_a_piece_they_are_not_near(
-    path: Path, whole: Mesh, monkeypatch: pytest.MonkeyPatch
+    large: Path, whole: Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
 
@@ -113,6 +103,6 @@ def test_few_points_ask_a_piece_they_are_not_near(
 
     monkeypatch.setattr(in_pieces, "WithNeedles", Counting)
     light = simplify(whole, ratio=0.1).mesh
-    measured(path, whole, light)
+    measured(large, whole, light)
     points = PARAMS.samples + SIGNED.signed_samples + 2 * len(light.vertices)
     assert points <= sum(asked) < 2 * points

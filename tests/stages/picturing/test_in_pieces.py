@@ -6,50 +6,39 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_in_pieces import sample_in_pieces
 
 from stages.picturing import in_pieces
 from stages.picturing.in_pieces import draw_in_pieces
 from stages.picturing.render import Model, Shading
 from stages.picturing.viewpoints import looking_at, viewpoints
 from stages.scans.read import read_scan
-from stages.surface import piecewise
 from stages.surface.formats.ply import read_ply
 from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Surface
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rgbd"
 
-
-@pytest.fixture(autouse=True)
-def _few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let some pieces be worked on in several steps."""
-    monkeypatch.setattr(piecewise, "AT_ONCE", 800)
-
-
-@pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return sample_in_pieces(tmp_path_factory.mktemp("fused") / "fused.ply")
+pytestmark = pytest.mark.usefixtures("few_at_a_time")
 
 
 @pytest.mark.parametrize("shading", ["color", "plain"])
 def test_pictures_are_those_of_the_whole(
-    path: Path, shading: Shading, monkeypatch: pytest.MonkeyPatch
+    large: Path, shading: Shading, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, large = read_ply(path), Piecewise(path)
-    middle = large.box.mean(axis=0)
+    whole, pieced = read_ply(large), Piecewise(large)
+    middle = pieced.box.mean(axis=0)
     around = (
         # From above, without what looks away; as a frame saw it; and in the midst of the pieces.
         *viewpoints(whole, 2, frames=read_scan(SAMPLE).frames, width=160),
         looking_at(middle, middle + np.array((0.3, 0.2, 1)), (0, -1, 0), 160, 120, field=100),
     )
-    model = Model(Surface(whole, large.box))
+    model = Model(Surface(whole, pieced.box))
     expected = [model.draw(one, shading).astype(int) for one in around]
-    found = list(draw_in_pieces(large, around, large.box, shading=shading))
+    found = list(draw_in_pieces(pieced, around, pieced.box, shading=shading))
     for one, other in zip(found, expected, strict=True):
         # A ray along an edge may meet either triangle.
         assert np.count_nonzero(np.abs(one - other).max(axis=2) > 1) <= 5
         assert len(np.unique(one)) > 30
     monkeypatch.setattr(in_pieces, "_AT_ONCE", 1)
-    again = draw_in_pieces(large, around, large.box, shading=shading)
+    again = draw_in_pieces(pieced, around, pieced.box, shading=shading)
     assert all((one == other).all() for one, other in zip(found, again, strict=True))

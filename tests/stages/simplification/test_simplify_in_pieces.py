@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_in_pieces import sample_in_pieces, small_pieces
+from sample_in_pieces import small_pieces
 
 from stages.cleaning.clean import CleanParams
 from stages.cleaning.clean_in_pieces import clean_in_pieces
@@ -20,11 +20,10 @@ from stages.surface.topology import topology
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def path(large: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("clean")
-    fused = sample_in_pieces(folder / "fused.ply")
     with small_pieces():
-        clean_in_pieces(fused, folder / "clean.ply", CleanParams())
+        clean_in_pieces(large, folder / "clean.ply", CleanParams())
     return folder / "clean.ply"
 
 

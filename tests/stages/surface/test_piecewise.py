@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_in_pieces import sample_in_pieces
 
 from stages.surface import piecewise
 from stages.surface.formats.ply import read_ply
@@ -18,23 +17,18 @@ from stages.surface.vertex_normals import vertex_normals
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return sample_in_pieces(tmp_path_factory.mktemp("fused") / "fused.ply")
-
-
-@pytest.fixture(scope="module")
-def whole(path: Path) -> Mesh:
-    return read_ply(path)
+def whole(large: Path) -> Mesh:
+    return read_ply(large)
 
 
 @pytest.mark.parametrize("at_once", [300, 500_000])
 def test_vertices_of_pieces_face_as_in_the_whole(
-    path: Path, whole: Mesh, at_once: int, monkeypatch: pytest.MonkeyPatch
+    large: Path, whole: Mesh, at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(piecewise, "AT_ONCE", at_once)
     expected = vertex_normals(whole)
     met = count = done = 0
-    for piece in Piecewise(path).pieces(facing=True):
+    for piece in Piecewise(large).pieces(facing=True):
         count += 1
         own = piece.mesh.triangles
         rows = whole.triangles[done : done + len(own)]
@@ -54,14 +48,14 @@ def test_vertices_of_pieces_face_as_in_the_whole(
     assert count > (60 if at_once == 300 else 30)
 
 
-def test_areas_and_boxes_are_those_of_the_whole(path: Path, whole: Mesh) -> None:
-    found = Piecewise(path)
+def test_areas_and_boxes_are_those_of_the_whole(large: Path, whole: Mesh) -> None:
+    found = Piecewise(large)
     assert found.area_ends[-1] == np.cumsum(areas(whole.vertices, whole.triangles))[-1]
     assert (found.box == bounding_box(whole)).all()
     assert (found.some_vertices(1000) == whole.vertices[:: 1 + len(whole.vertices) // 1000]).all()
 
 
-def test_no_point_is_farther_than_it_is_said_to_be_at_most(path: Path, whole: Mesh) -> None:
+def test_no_point_is_farther_than_it_is_said_to_be_at_most(large: Path, whole: Mesh) -> None:
     low, high = bounding_box(whole)
     points = np.random.default_rng(0).uniform(low - 1, high + 1, (500, 3))
-    assert (Surface(whole).closest(points).distances <= Piecewise(path).at_most(points) + 1e-12).all()
+    assert (Surface(whole).closest(points).distances <= Piecewise(large).at_most(points) + 1e-12).all()

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from cut_in_pieces import cut_in_pieces
 from plates import frames_of, plate, without
-from sample_in_pieces import sample_in_pieces
 
 from stages import coverage, read_scan
 from stages.inspecting.coverage import probes
@@ -25,30 +24,25 @@ _SAMPLE = Path(__file__).resolve().parents[4] / "samples" / "rgbd"
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return sample_in_pieces(tmp_path_factory.mktemp("pieces") / "mesh.ply")
-
-
-@pytest.fixture(scope="module")
 def frames() -> list[Frame]:
     """All from one side, so that there is something of several kinds."""
     return list(read_scan(_SAMPLE).frames[:8])
 
 
 @pytest.fixture(scope="module")
-def whole(path: Path, frames: list[Frame]) -> Coverage:
-    return coverage(read_ply(path), frames, few_frames=2, spacing=0.03)
+def whole(large: Path, frames: list[Frame]) -> Coverage:
+    return coverage(read_ply(large), frames, few_frames=2, spacing=0.03)
 
 
 @pytest.fixture(scope="module")
-def pieced(path: Path, frames: list[Frame]) -> Coverage:
+def pieced(large: Path, frames: list[Frame]) -> Coverage:
     with pytest.MonkeyPatch.context() as patch:
         # Of some pieces not all triangles are worked on at a time.
         patch.setattr(piecewise, "AT_ONCE", 300)
-        large = Piecewise(path)
-        assert len(large) > 5
-        assert len(list(large.pieces())) > len(large)
-        found = coverage(large, frames, few_frames=2, spacing=0.03)
+        surface = Piecewise(large)
+        assert len(surface) > 5
+        assert len(list(surface.pieces())) > len(surface)
+        found = coverage(surface, frames, few_frames=2, spacing=0.03)
         # What it tells of vertices is read when it is asked for.
         found.painted  # noqa: B018
     return found
@@ -83,8 +77,8 @@ def test_colours_and_what_is_known_of_vertices_are_those_of_the_whole(
     assert len(whole.painted.vertices) > len(whole.kinds) == len(pieced.kinds)
 
 
-def test_the_border_is_that_of_the_whole_though_loops_run_through_many_pieces(path: Path) -> None:
-    one, many = border_of(OnePiece(read_ply(path))), border_of(Piecewise(path))
+def test_the_border_is_that_of_the_whole_though_loops_run_through_many_pieces(large: Path) -> None:
+    one, many = border_of(OnePiece(read_ply(large))), border_of(Piecewise(large))
     assert len(one.tails) > 100
     for name in ("tails", "heads", "starts", "ends"):
         np.testing.assert_array_equal(getattr(many, name), getattr(one, name))
@@ -109,12 +103,12 @@ def test_a_hole_whose_rim_runs_through_four_pieces_is_told_as_of_the_whole(tmp_p
 
 
 def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is(
-    path: Path, frames: list[Frame], monkeypatch: pytest.MonkeyPatch
+    large: Path, frames: list[Frame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(probes, "_POINTS", 10)
-    for mesh in (read_ply(path), Piecewise(path)):
+    for mesh in (read_ply(large), Piecewise(large)):
         found = coverage(mesh, frames).covered
-        vertices = read_ply(path).vertices - found.surface.box.mean(axis=0)
+        vertices = read_ply(large).vertices - found.surface.box.mean(axis=0)
         stands = np.concatenate([part.probes for part in found.painted()])[: len(vertices)]
         away = np.linalg.norm(found.probes.points[stands] - vertices, axis=1)
         # Marching cubes of 15 mm: their edges are shorter. Beside rims another cube's stands for a vertex.
@@ -122,19 +116,19 @@ def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is
         assert 200 < len(found.probes.points) < len(vertices) / 4
 
 
-def test_rays_meet_pieces_as_they_meet_the_whole(path: Path) -> None:
-    mesh, large = read_ply(path), Piecewise(path)
+def test_rays_meet_pieces_as_they_meet_the_whole(large: Path) -> None:
+    mesh, pieced = read_ply(large), Piecewise(large)
     rng = np.random.default_rng(3)
-    low, high = large.box
+    low, high = pieced.box
     origins = rng.uniform(low - 0.2, high + 0.2, (3000, 3))
     directions = rng.normal(size=(3000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     # Some along the axes of boxes.
     directions[:300] = np.eye(3)[rng.integers(0, 3, 300)]
     reaches = rng.uniform(0.05, 1.0, 3000)
-    hits = Surface(mesh, large.box).cast(origins, directions)
+    hits = Surface(mesh, pieced.box).cast(origins, directions)
     expected = np.zeros(3000, bool)
     expected[hits.rays] = hits.distances <= reaches[hits.rays]
     assert 100 < expected.sum() < 2900
-    for surface in (OnePiece(mesh), large):
+    for surface in (OnePiece(mesh), pieced):
         np.testing.assert_array_equal(Sight(surface).is_met(origins, directions, reaches), expected)
