@@ -34,10 +34,11 @@ from stages.texturing.alignment import Shifts
 from stages.texturing.exposure import Exposures
 from stages.texturing.filling import filled_up
 from stages.texturing.pages import Pages, laid_out
-from stages.texturing.painting import Painted, Painter
+from stages.texturing.painting import Painted, Painter, Shown
 from stages.texturing.photos import Photos, photos_of
 from stages.texturing.seams import seam_ratio
 from stages.texturing.survey import judged, survey
+from stages.texturing.views import drawn_mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -251,9 +252,10 @@ def texture(
             f"none of the {len(colored)} photos can be used (frame {first.name}: {first.reason}).", where
         )
     normals = vertex_normals(given)
-    surveyed = survey(given, normals, photos, params.views, far.photo(0.25))
+    drawn = drawn_mesh(given)
+    surveyed = survey(given, drawn, normals, photos, params.views, far.photo(0.25))
     # The one is a kernel on one core, the other NumPy.
-    (used, exposures), pages = both(
+    (used, exposures, parts), pages = both(
         lambda: judged(surveyed, photos, params.exposure),
         lambda: laid_out(
             given,
@@ -264,7 +266,8 @@ def texture(
             progress=far.nothing,
         ),
     )
-    painter = Painter(given, normals, pages, used, exposures.photos, params.views)
+    seen = Shown(used, exposures.photos, parts)
+    painter = Painter(given, drawn, normals, pages, seen, params.views)
     rounds = 1 + params.rounds
     part = 0.7 / rounds
     painted = painter.paint(None, far.photo(0.25 + part, painter.parts))

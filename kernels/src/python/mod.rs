@@ -93,10 +93,10 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<atlas::LaidOut>()?;
     module.add_function(wrap_pyfunction!(atlas::lay_out, module)?)?;
     module.add_function(wrap_pyfunction!(atlas::texels, module)?)?;
+    module.add_class::<texture::DrawnMesh>()?;
     module.add_class::<texture::Photo>()?;
     module.add_class::<texture::View>()?;
     module.add_class::<texture::SurfacePoints>()?;
-    module.add_function(wrap_pyfunction!(texture::zbuffer, module)?)?;
     module.add_class::<texture::TexturedSurface>()?;
     module.add_class::<certified::Proven>()?;
     module.add_function(wrap_pyfunction!(certified::simplify_certified, module)?)?;
