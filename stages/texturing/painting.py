@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -49,6 +49,14 @@ class Painted:
     views: NDArray[np.uint8]
 
 
+def levels_of(painted: Painted) -> NDArray[np.uint8]:
+    """Return what photos are brought to: (h, w, 3) levels, 0 where none shows the surface."""
+    levels = np.rint(painted.colors)
+    np.clip(levels, 1, 255, out=levels)
+    levels[painted.labels < 0] = 0
+    return levels.astype(np.uint8)
+
+
 class Shown(NamedTuple):
     """Photos, how bright each is, and which parts of the drawn mesh it may show."""
 
@@ -77,18 +85,16 @@ class Painter:
         self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
         self.parts = sum(len(self._parts(page)) for page in range(len(pages.sizes)))
 
-    def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> list[Painted]:
-        """Return the images; `progress` is called for each photo and part of the texels."""
-        return [self._page(number, shifts, progress) for number in range(len(self._pages.sizes))]
+    def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Iterator[Painted]:
+        """Yield one image after the other; `progress` is called for each photo and part of the texels."""
+        for number in range(len(self._pages.sizes)):
+            yield self._page(number, shifts, progress)
 
-    def shifts(self, painted: Sequence[Painted], progress: Callable[[], object]) -> list[Shifts]:
-        """Return by how much each photo is off the texture."""
+    def shifts(self, images: Sequence[NDArray[np.uint8]], progress: Callable[[], object]) -> list[Shifts]:
+        """Return by how much each photo is off the texture, which `levels_of` gives."""
         import cv2
 
         mesh, pages, (photos, exposures, _) = self._mesh, self._pages, self._shown
-        images = [np.rint(image.colors).clip(1, 255).astype(np.uint8) for image in painted]
-        for image, page in zip(images, painted, strict=True):
-            image[page.labels < 0] = 0
         surface = _kernels.TexturedSurface(mesh.vertices, mesh.triangles, pages.corners, pages.pages, images)
         near = self._drawn.near
 

@@ -15,7 +15,7 @@ from stages.surface.raycasting import Surface
 from stages.surface.vertex_normals import vertex_normals
 from stages.texturing.exposure import no_exposure
 from stages.texturing.photos import photos_of
-from stages.texturing.seams import seam_ratio
+from stages.texturing.seams import SeamSums
 from stages.texturing.views import drawn_mesh, kernel_camera, see
 
 
@@ -111,6 +111,12 @@ def test_the_best_views_come_first_and_show_the_paint():
     assert (views[inner, 0] >= 0).all()
 
 
+def seam_ratio(image: np.ndarray, labels: np.ndarray) -> float | None:
+    sums = SeamSums()
+    sums.add(image, labels)
+    return sums.ratio()
+
+
 def test_a_seam_is_seen_in_the_ratio():
     rng = np.random.default_rng(1)
     image = (120 + 3 * rng.standard_normal((64, 64, 3))).astype(np.float32)
@@ -118,10 +124,10 @@ def test_a_seam_is_seen_in_the_ratio():
     labels[:, 32:] = 1
     labels = np.tile(labels, (1, 4))
     image = np.tile(image, (1, 4, 1))
-    assert seam_ratio([image], [labels]) == pytest.approx(1, abs=0.1)
+    assert seam_ratio(image, labels) == pytest.approx(1, abs=0.1)
     stepped = image + 20 * (labels[..., None] == 1)
-    assert seam_ratio([stepped.astype(np.float32)], [labels]) > 2
-    assert seam_ratio([image], [np.zeros_like(labels)]) is None
+    assert seam_ratio(stepped.astype(np.float32), labels) > 2
+    assert seam_ratio(image, np.zeros_like(labels)) is None
 
 
 def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
