@@ -46,6 +46,7 @@ __all__ = [
     "encode_triangles",
     "first_inside",
     "fit",
+    "give_back",
     "inside_all",
     "intersecting_triangles",
     "lay_out",
@@ -377,6 +378,9 @@ def lay_out(
     progress: Callable[[int, int], object],
 ) -> LaidOut:
     """Lay a surface out in images of `side` × `side`; `density` holds the texels a metre of each triangle."""
+
+def give_back() -> None:
+    """Give free memory that the allocator holds back to the system."""
 
 def texels(
     corners: NDArray[np.float64], pages: NDArray[np.int32], *, page: int, width: int, height: int

@@ -15,6 +15,7 @@ mod guarded;
 mod intersections;
 mod jia01;
 mod lod;
+mod memory;
 mod normal_mesh;
 mod order;
 mod planar;
@@ -90,6 +91,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(stereo::weighted_medians, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;
+    module.add_function(wrap_pyfunction!(memory::give_back, module)?)?;
     module.add_class::<atlas::LaidOut>()?;
     module.add_function(wrap_pyfunction!(atlas::lay_out, module)?)?;
     module.add_function(wrap_pyfunction!(atlas::texels, module)?)?;
