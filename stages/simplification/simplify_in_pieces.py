@@ -33,7 +33,7 @@ from stages.simplification.params import SimplifyParams
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
 from stages.surface.mesh import Mesh
-from stages.surface.pieces import Pieces
+from stages.surface.pieces import MOST_AT_ONCE, Pieces
 
 # Of meshes that are too large to be simplified at once: part of their key alone.
 RESULT_VERSION = 1
@@ -46,7 +46,7 @@ _FOR_PARTS = 0.6
 # Of a number of triangles, how many times as many parts keep for the whole to choose from.
 _SPARE = 1.5
 # Triangles that are simplified at a time, which takes up to about 400 bytes for each.
-AT_ONCE = 2_500_000
+AT_ONCE = 1_500_000
 # Figures of bounds, which add up.
 _BOUNDS = ("max_shape", "max_color")
 _ADD_UP = (
@@ -71,11 +71,13 @@ class InPieces:
     parts : figures of each inside, and of the strips; see `Simplified.figures`.
     whole : of the round over all of it, by parts again where it is large; none where what is left of the
         bounds is too little for one.
+    notes : what a person should know.
     """
 
     mesh: Mesh
     parts: tuple[Mapping[str, Any], ...]
     whole: tuple[Mapping[str, Any], ...]
+    notes: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, Any]:
         """Return sums of counts; of bounds the worst of the parts' and the whole's together."""
@@ -100,7 +102,7 @@ class InPieces:
             "attempts": sum(one["attempts"] for one in rounds),
             "details": details,
             "parts": len(self.parts),
-            "warnings": sorted({text for one in rounds for text in one["warnings"]}),
+            "warnings": [*self.notes, *sorted({text for one in rounds for text in one["warnings"]})],
         }
 
 
@@ -112,7 +114,8 @@ def simplify_in_pieces(path: Path, params: SimplifyParams, *, progress: Progress
     Parameters
     ----------
     path : of the file, with its table of pieces beside it: what fusion and cleaning left.
-    params : see SimplifyParams. A number of triangles is shared out by the triangles each part has.
+    params : see SimplifyParams. A number of triangles is shared out by the triangles each part has. Without a
+        number or a bound no more than MOST_AT_ONCE are left.
     progress : called with the triangles that are done and all.
 
     Raises
@@ -150,9 +153,17 @@ def simplify_in_pieces(path: Path, params: SimplifyParams, *, progress: Progress
     def told(done: int) -> object:
         return progress(total + int(done * rest), steps)
 
-    found = _simplified(again, left, _of_whole(params, total), told, is_last=True)
+    goal = _of_whole(params, total)
+    notes: tuple[str, ...] = ()
+    if left > MOST_AT_ONCE and goal.triangles is None and not _asked_bounds(params):
+        goal = replace(goal, triangles=MOST_AT_ONCE)
+        notes = (
+            f"within the default bounds {left:,} triangles would be left, more than what follows takes at "
+            f"once; {MOST_AT_ONCE:,} are. Give simplify.triangles, ratio or max_shape for another number.",
+        )
+    found = _simplified(again, left, goal, told, is_last=True)
     progress(steps, steps)
-    return InPieces(joined(found.meshes, count), tuple(parts), tuple(found.figures))
+    return InPieces(joined(found.meshes, count), tuple(parts), tuple(found.figures), notes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,5 +232,9 @@ def _of_whole(params: SimplifyParams, total: int) -> SimplifyParams:
 
 
 def _shares(params: SimplifyParams, share: float) -> dict[str, Any]:
+    return {name: share * bound for name, bound in _asked_bounds(params).items()}
+
+
+def _asked_bounds(params: SimplifyParams) -> dict[str, float]:
     bounds = {name: getattr(params, name) for name in _BOUNDS}
-    return {name: share * bound for name, bound in bounds.items() if bound is not None}
+    return {name: bound for name, bound in bounds.items() if bound is not None}

@@ -90,6 +90,22 @@ def test_what_is_large_all_the_same_is_halved(
         assert 0.198 < len(found.mesh.triangles) / len(given.triangles) <= 0.2
 
 
+def test_without_a_wish_no_more_are_left_than_others_hold(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = simplify_in_pieces(path, SimplifyParams())
+    assert free.figures()["warnings"] == []
+    monkeypatch.setattr(simplify_in_pieces_module, "MOST_AT_ONCE", 1_200)
+    assert len(free.mesh.triangles) > 1_200
+    found = simplify_in_pieces(path, SimplifyParams())
+    assert len(found.mesh.triangles) <= 1_200
+    assert any("default bounds" in text and "1,200 are" in text for text in found.figures()["warnings"])
+    # What was asked for is kept to.
+    asked = simplify_in_pieces(path, SimplifyParams(ratio=0.2))
+    assert len(asked.mesh.triangles) > 1_200
+    assert asked.figures()["warnings"] == []
+
+
 def test_colours_are_kept(path: Path) -> None:
     given = read_ply(path)
     found = simplify_in_pieces(path, SimplifyParams(ratio=0.3)).mesh
