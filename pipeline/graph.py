@@ -154,7 +154,7 @@ def _simplify(job: Job) -> Mapping[str, Any]:
     path = job.inputs["clean"] / "clean.ply"
     simplified: Simplified[Any] | InPieces
     if is_large(path):
-        simplified = simplify_in_pieces(path, job.config.simplify, progress=job.progress)
+        simplified = simplify_in_pieces(path, job.config.simplify, scratch=job.folder, progress=job.progress)
         write_proof(job.folder, simplified.figures())
     else:
         simplified = simplify(read_ply(path), job.config.simplify, progress=job.progress)

@@ -72,23 +72,19 @@ def _cut(part: Part, used: NDArray[np.bool_], chosen: NDArray[np.bool_], both: N
     return Cut(Mesh(mesh.vertices[used], triangles, colors), part.numbers[used], both[used])
 
 
-def joined_strips(strips: Sequence[Cut]) -> Cut:
-    """Make one mesh of the strips of all pieces."""
-    if not strips:
-        return Cut(
-            Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.zeros(0, np.int64), np.zeros(0, bool)
-        )
-    all_numbers = np.concatenate([strip.numbers for strip in strips])
+def joined_cuts(cuts: Sequence[Cut]) -> Cut:
+    """Make one of some cuts, one at least."""
+    all_numbers = np.concatenate([cut.numbers for cut in cuts])
     numbers, first, place = np.unique(all_numbers, return_index=True, return_inverse=True)
     both = np.zeros(len(numbers), bool)
-    np.logical_or.at(both, place, np.concatenate([strip.is_of_both for strip in strips]))
-    offsets = np.cumsum([0, *(len(strip.numbers) for strip in strips[:-1])])
+    np.logical_or.at(both, place, np.concatenate([cut.is_of_both for cut in cuts]))
+    offsets = np.cumsum([0, *(len(cut.numbers) for cut in cuts[:-1])])
     triangles = np.concatenate(
-        [place[strip.mesh.triangles + start] for strip, start in zip(strips, offsets, strict=True)]
+        [place[cut.mesh.triangles + start] for cut, start in zip(cuts, offsets, strict=True)]
     )
-    colors = [strip.mesh.colors for strip in strips if strip.mesh.colors is not None]
+    colors = [cut.mesh.colors for cut in cuts if cut.mesh.colors is not None]
     mesh = Mesh(
-        np.concatenate([strip.mesh.vertices for strip in strips])[first],
+        np.concatenate([cut.mesh.vertices for cut in cuts])[first],
         triangles.astype(np.int32),
         np.concatenate(colors)[first] if colors else None,
     )
@@ -104,12 +100,18 @@ def split(cut: Cut, most: int) -> Iterator[Cut]:
     middles = mesh.vertices[mesh.triangles].mean(axis=1).astype(np.float32)
     blocks = list(_halved(middles, np.arange(len(middles), dtype=np.int32), most))
     del middles
+    yield from cuts_of(cut, blocks)
+
+
+def cuts_of(cut: Cut, groups: Sequence[NDArray[np.integer[Any]]]) -> Iterator[Cut]:
+    """Yield the triangles of each group, which have all of a cut's, one after the other."""
+    mesh = cut.mesh
     seen, is_of_both = np.zeros(len(mesh.vertices), np.bool_), cut.is_of_both.copy()
-    for rows in blocks:
+    for rows in groups:
         named = np.unique(mesh.triangles[rows])
         is_of_both[named[seen[named]]] = True
         seen[named] = True
-    for rows in blocks:
+    for rows in groups:
         used, triangles = np.unique(mesh.triangles[rows], return_inverse=True)
         colors = None if mesh.colors is None else mesh.colors[used]
         some = Mesh(mesh.vertices[used], triangles.reshape(-1, 3).astype(np.int32), colors)

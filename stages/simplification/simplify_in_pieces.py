@@ -2,17 +2,19 @@
 
 While a part is simplified, the vertices that other parts name stay as they are, and so do those next to them,
 so that parts always fit: nothing cracks, and no edge comes to have more than two triangles. The insides come
-one after the other; the strips along all faces, a few voxels wide, are then one mesh. What they leave is
-simplified once more, which makes the surface as light where parts were joined as elsewhere. Whatever of this
-is still large is halved until its parts are not: those of the last round meet elsewhere than those before, so
-that what stays of their borders is light. Both rounds share out the bounds, which add up: what is proven for
-each is proven for both together, since the distance of surfaces obeys the triangle inequality.
+one after the other, then the strips along all faces, a few voxels wide. What they leave is simplified once
+more, which makes the surface as light where parts were joined as elsewhere. Whatever of this is still large
+is halved until its parts are not: those of a round meet elsewhere than those before, so that what stays of
+their borders is light. Both rounds share out the bounds, which add up: what is proven for each is proven for
+both together, since the distance of surfaces obeys the triangle inequality.
 """
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,6 @@ from stages.simplification.cuts import (
     Numbers,
     halves,
     joined,
-    joined_strips,
     numbers_of,
     split,
     whole_cut,
@@ -32,6 +33,7 @@ from stages.simplification.cuts import (
 from stages.simplification.params import SimplifyParams
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
+from stages.simplification.strips import Strips
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import MOST_AT_ONCE, Pieces
 
@@ -102,11 +104,14 @@ class InPieces:
             "attempts": sum(one["attempts"] for one in rounds),
             "details": details,
             "parts": len(self.parts),
-            "warnings": [*self.notes, *sorted({text for one in rounds for text in one["warnings"]})],
+            # What is told of parts is mostly of where they were cut.
+            "warnings": [*self.notes, *sorted({text for one in self.whole for text in one["warnings"]})],
         }
 
 
-def simplify_in_pieces(path: Path, params: SimplifyParams, *, progress: Progress = silent) -> InPieces:
+def simplify_in_pieces(
+    path: Path, params: SimplifyParams, *, scratch: Path | None = None, progress: Progress = silent
+) -> InPieces:
     """Make a PLY file in pieces light.
 
     Memory holds some 80 bytes for each triangle of 1.5 times the result, and what simplifies a few of them.
@@ -116,6 +121,7 @@ def simplify_in_pieces(path: Path, params: SimplifyParams, *, progress: Progress
     path : of the file, with its table of pieces beside it: what fusion and cleaning left.
     params : see SimplifyParams. A number of triangles is shared out by the triangles each part has. Without a
         number or a bound no more than MOST_AT_ONCE are left.
+    scratch : folder for a while, on a disk with room for a share of the mesh; the system's by default.
     progress : called with the triangles that are done and all.
 
     Raises
@@ -125,24 +131,20 @@ def simplify_in_pieces(path: Path, params: SimplifyParams, *, progress: Progress
     """
     pieces = Pieces(path)
     total = pieces.triangle_count
-    strips: list[Cut] = []
 
-    def insides() -> Iterator[Cut]:
+    def insides(strips: Strips) -> Iterator[Cut]:
         for number, extent in enumerate(pieces.extents):
             inside, strip = halves(pieces.part(number), extent, _RIM * pieces.spacing)
-            strips.append(strip)
+            strips.add(strip)
             yield inside
-
-    def all_parts() -> Iterator[Cut]:
-        yield from insides()
-        strip = joined_strips(strips)
-        strips.clear()
-        yield strip
 
     # The whole counts as much as a tenth.
     steps = total + total // 10
-    of_parts = _of_parts(params, total)
-    found = _simplified(all_parts(), total, of_parts, lambda done: progress(done, steps))
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        strips = Strips(Path(folder), pieces.extents, pieces.vertex_count)
+        of_parts = chain(insides(strips), strips.cells())
+        found = _simplified(of_parts, total, _of_parts(params, total), lambda done: progress(done, steps))
+        del strips, of_parts
     mesh = joined(found.meshes, pieces.vertex_count)
     parts, found = found.figures, _Round([], [])
     count, left = len(mesh.vertices), len(mesh.triangles)
