@@ -22,7 +22,7 @@ from pipeline.reasons import reason
 from pipeline.results import Results
 from pipeline.sections import Sections
 from pipeline.system import peak_bytes, reset_peak
-from stages._kernels import give_back
+from stages.memory import give_back
 from stages.progress import Progress
 
 

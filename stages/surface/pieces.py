@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
 from stages.errors import InputError
 from stages.files.documents import read_document
 from stages.files.opening import opened
 from stages.files.replacing import replacing
+from stages.memory import give_back
 from stages.surface.mesh import Mesh
 
 Point = tuple[float, float, float]
@@ -147,7 +147,7 @@ class Pieces:
             If a triangle names a vertex that is not there.
         """
         # What was done with the last one has left holes, which would grow from piece to piece.
-        _kernels.give_back()
+        give_back()
         extent = self.extents[number]
         vertices, faces = self._rows()
         triangles = np.array(faces[slice(*extent.triangles)]["corners"], np.int64)

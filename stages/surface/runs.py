@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
+from stages.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Part
 
@@ -54,7 +54,7 @@ class Runs:
     def part(self, number: int) -> Part:
         """Return a run."""
         # What was done with the last one has left holes, which would grow from run to run.
-        _kernels.give_back()
+        give_back()
         triangles = self._triangles[_rows(number)]
         first, end = (0 if number == 0 else int(self._ends[number - 1])), int(self._ends[number])
         foreign = np.unique(triangles[triangles < first]).astype(np.int64)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.memory import give_back
 from stages.scans.prefetch import read_ahead, workers
 from stages.surface.mesh import Mesh
 from stages.texturing.alignment import Shifts, shifts_of
@@ -21,7 +22,7 @@ from stages.texturing.views import DrawnMesh, kernel_camera, see, see_again
 Floats = NDArray[np.float64]
 
 # Texels that are painted at a time: each remembers its best photos.
-_AT_ONCE = 4_000_000
+_AT_ONCE = 3_000_000
 # Details come from the best photos: their share falls with this power of the score; the rest is a mean.
 _DETAILS_POWER, _BLURRED_POWER = 3, 1
 # Photos that differ from the median by so many deviations, and so many levels, do not count.
@@ -136,6 +137,8 @@ class Painter:
         self, texels: Texels, shifts: Sequence[Shifts] | None, progress: Callable[[], object]
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
         mesh, drawn, (photos, exposures, _) = self._mesh, self._drawn, self._shown
+        # The last part has left holes.
+        give_back()
         points = self._remembered
         if points is not None and shifts is not None:
             see_again(points, photos, exposures, shifts, progress)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError, UsageError
 from stages.files.image_bytes import encoded_image
+from stages.memory import give_back
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
@@ -357,6 +358,7 @@ class _Image(NamedTuple):
 
 
 def _finished(painted: Painted, padding: int, params: TextureParams, seams: SeamSums) -> _Image:
+    give_back()
     data, _ = both(
         lambda: encoded_image(
             filled_up(painted.colors, painted.filled, padding), params.format, params.quality
