@@ -32,6 +32,9 @@ check: lint
 # compiles them for the tests alone: to optimise the crate as one whole takes minutes, and changes no result.
 test: export CARGO_PROFILE_RELEASE_LTO = off
 test: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS = 16
+# What is compiled once need not be ready to be compiled again, nor know its lines: where a test fails is told all the same.
+test: export CARGO_INCREMENTAL = 0
+test: export CARGO_PROFILE_TEST_DEBUG = 0
 test:
 	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target python-lint clippy rust-tests browser packages
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
@@ -96,7 +99,7 @@ clippy:
 	cd kernels && MAKEFLAGS= cargo clippy --locked --quiet --all-targets --features python,bench -- -D warnings
 
 rust-tests:
-	cd kernels && MAKEFLAGS= cargo test --locked --quiet
+	cd kernels && MAKEFLAGS= cargo test --locked --quiet --lib
 
 bench:
 	cd kernels && cargo bench --locked --features bench -- $(BENCH)

@@ -77,7 +77,7 @@ def test_too_little_memory_is_an_error_and_no_abort(kernel: str) -> None:
         ends = json.loads(process.stdout.read())
     assert process.returncode == 0
     assert {end for how in ends.values() for end in how.values()} <= {DONE, MEMORY}, ends
-    assert ends["falling"]["0 MiB"] == MEMORY
+    assert ends["rising"]["0 MiB"] == MEMORY
 
 
 @pytest.fixture(scope="module")
