@@ -1,8 +1,9 @@
 """Commands with more and more memory until it is enough, each time in a process of its own.
 
 `python -m tests.made.commands_short_of_memory` reads command lines, and answers each with a line of JSON: the
-exit code and the output of each run, by how much the process was allowed to grow. What is enough once is not
-exceeded: a run that lacks nothing tells nothing. Libraries are imported before, once. "{}" in a word stands for the number of the run, whose results then are no other's.
+exit code and the output of each run, by how much the process was allowed to grow. The first that is enough is
+the last: with more, nothing is lacking either. Libraries are imported before, once. "{}" in a word stands for
+the number of the run, whose results then are no other's.
 """
 
 from __future__ import annotations

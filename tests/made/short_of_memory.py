@@ -1,8 +1,8 @@
 """Each kernel with too little memory, each time in a process of its own.
 
 `python -m tests.made.short_of_memory KERNEL SIDE` runs a kernel on a sheet of 2 SIDE² triangles with more and
-more address space, and with none that is left after a while, until it has what it needs: more would tell nothing.
-It writes how each run ended: "done", "memory" for a MemoryError, else what was wrong.
+more address space until that is enough, and with none that is left after a while. It writes how each run
+ended: "done", "memory" for a MemoryError, else what was wrong.
 """
 
 from __future__ import annotations
@@ -365,7 +365,7 @@ def _end(call: Call, spare: int, after: float) -> None:
 
 
 def until_done(runs: Mapping[str, Callable[[], str]]) -> dict[str, str]:
-    """Return how runs end, up to the second that has what it needs: the first may have been quick by chance."""
+    """Return how runs end, up to the second that lacks nothing: the first may have been quick by chance."""
     ends: dict[str, str] = {}
     for name, run in runs.items():
         ends[name] = run()
