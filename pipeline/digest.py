@@ -11,8 +11,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,12 +22,15 @@ from pipeline.own_paths import from_there, home
 from stages.errors import StageError
 from stages.files.opening import opened
 from stages.progress import Progress, silent
+from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Packed, Scan
 from stages.scans.threads import threads_to_use
 
 # Few stages look at these, or none: names and times are shown to people. See `label_digests`.
 _DIGESTED_APART = frozenset({"name", "timestamp", "up"})
 _BLOCK = 1 << 20
+# Files whose digests are being made: enough that no core waits for the one that is asked for first.
+_AHEAD = 256
 
 _Signature = tuple[int, ...] | None
 
@@ -80,8 +82,7 @@ def file_digest(path: Path) -> str:
 
 def file_digests(paths: Iterable[Path]) -> list[str]:
     """Digests of many files, read on all cores."""
-    with ThreadPoolExecutor(threads_to_use()) as threads:
-        return list(threads.map(file_digest, paths))
+    return list(_on_all_cores(file_digest, paths))
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,9 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
     paths = sorted(_files_of(scan.frames))
     signatures = [_signature(path) for path in paths]
     contents: dict[Path, str] = {}
-    with ThreadPoolExecutor(threads_to_use()) as threads:
-        for path, one in zip(paths, threads.map(content, paths), strict=True):
-            contents[path] = one
-            progress(len(contents), len(paths))
+    for path, one in zip(paths, _on_all_cores(content, paths), strict=True):
+        contents[path] = one
+        progress(len(contents), len(paths))
     parts = {"calibration": digest(_plain(scan.rig, contents))}
     if scan.box is not None:
         parts["bounding box"] = digest(_plain(scan.box, contents))
@@ -134,6 +134,10 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
         parts[f"frame {number} ({frame.name})"] = digest(_frame(frame, contents))
     files = {path: (contents[path], signature) for path, signature in zip(paths, signatures, strict=True)}
     return ScanDigest(digest(list(parts.values())), parts, files)
+
+
+def _on_all_cores(work: Callable[[Path], str], paths: Iterable[Path]) -> Iterator[str]:
+    return read_ahead(work, paths, threads=threads_to_use(), ahead=_AHEAD)
 
 
 def _files_of(frames: Iterable[Frame]) -> set[Path]:

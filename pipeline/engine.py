@@ -22,6 +22,7 @@ from pipeline.reasons import reason
 from pipeline.results import Results
 from pipeline.sections import Sections
 from pipeline.system import peak_bytes, reset_peak
+from stages._kernels import give_back
 from stages.progress import Progress
 
 
@@ -244,6 +245,8 @@ class Engine:
             self._events(StageProgress(stage.name, done, total))
 
         inputs = _values(stage, self._sources)
+        # What other stages have left would count as this one's.
+        give_back()
         reset_peak()
         started = time.perf_counter()
         with explained(f"{stage.name} failed"):

@@ -47,7 +47,7 @@ from pipeline.bricks import KeptBricks
 from pipeline.depth_maps import measure_of, write_depth_maps
 from pipeline.engine import Job, Stage
 from pipeline.expectation import Cost
-from pipeline.large import is_large, read_proof, some_of, surface_of, whole, write_proof
+from pipeline.large import is_clean_large, is_large, read_proof, some_of, surface_of, whole, write_proof
 from pipeline.own_paths import from_folder
 from pipeline.skipped import said_of_skipped
 from pipeline.standing import Up, read_up
@@ -154,7 +154,7 @@ def _simplify(job: Job) -> Mapping[str, Any]:
     path = job.inputs["clean"] / "clean.ply"
     simplified: Simplified[Any] | InPieces
     if is_large(path):
-        simplified = simplify_in_pieces(path, job.config.simplify, progress=job.progress)
+        simplified = simplify_in_pieces(path, job.config.simplify, scratch=job.folder, progress=job.progress)
         write_proof(job.folder, simplified.figures())
     else:
         simplified = simplify(read_ply(path), job.config.simplify, progress=job.progress)
@@ -189,10 +189,6 @@ def _lod(job: Job) -> Mapping[str, Any]:
     mesh = read_ply(folder / "simplified.ply").with_(up=_up(job))
     count = Pieces(clean).triangle_count
     return levels.make_of_simplified(job.folder, mesh, read_proof(folder), count, params, job.progress)
-
-
-def _is_clean_large(read: Mapping[str, Any]) -> bool:
-    return "clean" in read and is_large(read["clean"] / "clean.ply")
 
 
 def _tiles(job: Job) -> Mapping[str, Any]:
@@ -398,7 +394,7 @@ STAGES: tuple[Stage, ...] = (
         writes="levels",
         sections=("lod",),
         make=_lod,
-        when={"simplified": _is_clean_large},
+        when={"simplified": is_clean_large},
         versions=versions.of_lod,
         libraries=installed("scanloom", "opencv", "scipy"),
         results=(levels.FILE,),

@@ -26,6 +26,11 @@ def is_large(path: Path) -> bool:
     return table_of(path).exists()
 
 
+def is_clean_large(read: Mapping[str, Any]) -> bool:
+    """Whether of what a stage reads, as far as it is known, the clean mesh is one."""
+    return "clean" in read and is_large(read["clean"] / "clean.ply")
+
+
 def whole(path: Path, stage: str) -> Mesh:
     """Return a mesh for a stage that needs all of it.
 

@@ -23,6 +23,8 @@ from stages.errors import StageError
 
 # Seconds between two looks at what a stage has taken.
 _MEMORY_PAUSE, _DISK_PAUSE = 0.05, 1.0
+# Of a limit, a volume of voxels takes one part of so many.
+_OF_VOLUME = 3
 # What a stage takes at its begin says little of its end; it is taken for so much of its work at least.
 _LEAST_SHARE = 0.25
 _BASES = {"measured": "as it took before", "scaled": "by other work", "estimated": "by the scan's size"}
@@ -49,10 +51,13 @@ NO_LIMITS = Limits()
 
 
 def within(config: Config, limits: Limits) -> Config:
-    """Return the configuration whose volume of voxels takes half of the limit; no result depends on it."""
+    """Return the configuration whose volume of voxels keeps to the limit; no result depends on it.
+
+    The rest is for meshes that are taken out of it, and for what is known of all frames.
+    """
     if limits.memory is None:
         return config
-    most = max((limits.memory - BASE_BYTES) / 2e6, 1.0)
+    most = max((limits.memory - BASE_BYTES) / (_OF_VOLUME * 1e6), 1.0)
     return replace(config, fuse=replace(config.fuse, memory=min(config.fuse.memory, most)))
 
 

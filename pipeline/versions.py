@@ -9,6 +9,7 @@ from typing import Any
 from pipeline import levels
 from pipeline.config import Config
 from pipeline.depth_maps import measure_of
+from pipeline.large import is_clean_large
 from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
@@ -21,6 +22,7 @@ from stages.normal_meshes.remesh import remesh
 from stages.simplification.auto import chosen
 from stages.simplification.methods import METHODS
 from stages.simplification.simplify import simplify
+from stages.simplification.simplify_in_pieces import simplify_in_pieces
 from stages.stereo.by_network import network_of
 from stages.stereo.depth import depth_scan
 from stages.stereo.networks.network import Network
@@ -63,14 +65,15 @@ def of_clean(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  #
     return _stated(clean, certify) if config.clean.repair else _stated(clean)
 
 
-def of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+def of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:
     """Return the versions of what `simplify` runs."""
     try:
         method = chosen(config.simplify)  # What clean leaves has neither texture nor parts.
     except UsageError:
         return _stated(simplify)  # No method runs: the stage says what is wrong.
     proof = _stated(certify) if method.proves else {}
-    return {**_stated(simplify), method.name: method.result_version, **proof}
+    in_pieces = _stated(simplify_in_pieces) if is_clean_large(inputs) else {}
+    return {**_stated(simplify), **in_pieces, method.name: method.result_version, **proof}
 
 
 def of_remesh(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001

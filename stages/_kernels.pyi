@@ -14,6 +14,7 @@ __all__ = [
     "BySeams",
     "BySums",
     "Certified",
+    "DrawnMesh",
     "Front",
     "InvalidMeshError",
     "LaidOut",
@@ -45,6 +46,7 @@ __all__ = [
     "encode_triangles",
     "first_inside",
     "fit",
+    "give_back",
     "inside_all",
     "intersecting_triangles",
     "lay_out",
@@ -67,7 +69,6 @@ __all__ = [
     "touched_blocks",
     "weighted_medians",
     "weld_sheets",
-    "zbuffer",
 ]
 
 # Height over longest side below which only the longest side of a triangle counts in a proof.
@@ -378,15 +379,13 @@ def lay_out(
 ) -> LaidOut:
     """Lay a surface out in images of `side` × `side`; `density` holds the texels a metre of each triangle."""
 
+def give_back() -> None:
+    """Give free memory that the allocator holds back to the system."""
+
 def texels(
     corners: NDArray[np.float64], pages: NDArray[np.int32], *, page: int, width: int, height: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
     """Return the texels of one image, by triangles: pixels, triangles and shares of their corners."""
-
-def zbuffer(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int32], camera: _Camera, *, near: float
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Return depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen."""
 
 @final
 class Volume:
@@ -447,6 +446,17 @@ class Volume:
         """Blocks (n, 3), distances (n, 512) in truncations, weights, frames, colours (n, 512, 3) or None."""
 
 @final
+class DrawnMesh:
+    """A mesh that many cameras look at."""
+
+    def __new__(cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> DrawnMesh: ...
+    def zbuffer(self, camera: _Camera, *, near: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Return depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen."""
+
+    def parts(self) -> NDArray[np.uint32]:
+        """Return the part that each triangle (m,) is in; parts that follow each other are near each other."""
+
+@final
 class Photo:
     """The colours that a camera took; `warp` holds shifts of the photo at the corners of a grid."""
 
@@ -491,8 +501,11 @@ class SurfacePoints:
         *,
         kept: int,
     ) -> SurfacePoints: ...
-    def see(self, view: View, number: int, *, wanted_threads: int) -> None:
-        """Look at all points from one more view."""
+    def see(self, view: View, number: int, *, remember: bool, wanted_threads: int) -> NDArray[np.uint32]:
+        """Look at all points from one more view, and return the triangles that it may show.
+
+        `see_again` takes those that were to be remembered.
+        """
 
     def see_again(self, photo: Photo, number: int, *, wanted_threads: int) -> None:
         """Take the colours of a view anew, at the points at which it is one of the best."""

@@ -32,9 +32,13 @@ def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahea
 
     Parameters
     ----------
-    threads : workers; `work` must release the GIL (as OpenCV and file reading do) for them to help.
+    threads : workers; `work` must release the GIL (as OpenCV and file reading do) for them to help. One is
+        the caller itself: who asks for one thread gets one, whatever other cores are busy with.
     ahead : the bound on memory, in results.
     """
+    if threads == 1:
+        yield from map(work, items)
+        return
     require_buffers(threads + 1)
     rest = iter(items)
     pool = ThreadPoolExecutor(threads, thread_name_prefix="read-ahead")

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import _kernels
 from stages.errors import InputError
 from stages.files.documents import read_document
 from stages.files.opening import opened
@@ -145,6 +146,8 @@ class Pieces:
         InputError
             If a triangle names a vertex that is not there.
         """
+        # What was done with the last one has left holes, which would grow from piece to piece.
+        _kernels.give_back()
         extent = self.extents[number]
         vertices, faces = self._rows()
         triangles = np.array(faces[slice(*extent.triangles)]["corners"], np.int64)

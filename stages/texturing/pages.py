@@ -255,8 +255,26 @@ class Texels:
 
     def parts(self, count: int) -> list[Texels]:
         """Return them in parts of at most so many."""
-        rows = [slice(start, start + count) for start in range(0, len(self.pixels), count)]
-        return [Texels(self.pixels[part], self.triangles[part], self.shares[part]) for part in rows]
+        return [self._some(slice(start, start + count)) for start in range(0, len(self.pixels), count)]
+
+    def parts_of(self, places: NDArray[np.uint32], count: int) -> list[Texels]:
+        """Return them in parts of at most so many, each of triangles whose places are near each other.
+
+        Parameters
+        ----------
+        places : (m,) of the triangles of the mesh, along a curve through space.
+        """
+        if len(self.pixels) <= count:
+            return [self]
+        of_each = places[self.triangles]
+        before = np.cumsum(np.bincount(of_each)) - 1
+        # As many at a place as there are: those with more than `count` are cut after that.
+        groups = (before // math.ceil(len(self.pixels) / math.ceil(len(self.pixels) / count)))[of_each]
+        chosen = (np.flatnonzero(groups == group) for group in np.unique(groups).tolist())
+        return [part for rows in chosen for part in self._some(rows).parts(count)]
+
+    def _some(self, rows: slice | NDArray[np.intp]) -> Texels:
+        return Texels(self.pixels[rows], self.triangles[rows], self.shares[rows])
 
 
 def texels_of(pages: Pages, page: int) -> Texels:

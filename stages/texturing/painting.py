@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from stages.texturing.alignment import Shifts, shifts_of
 from stages.texturing.exposure import Exposure
 from stages.texturing.pages import Pages, Texels, texels_of
 from stages.texturing.photos import Photos
-from stages.texturing.views import kernel_camera, near_of, see, see_again
+from stages.texturing.views import DrawnMesh, kernel_camera, see, see_again
 
 Floats = NDArray[np.float64]
 
@@ -48,40 +49,54 @@ class Painted:
     views: NDArray[np.uint8]
 
 
+def levels_of(painted: Painted) -> NDArray[np.uint8]:
+    """Return what photos are brought to: (h, w, 3) levels, 0 where none shows the surface."""
+    levels = np.rint(painted.colors)
+    np.clip(levels, 1, 255, out=levels)
+    levels[painted.labels < 0] = 0
+    return levels.astype(np.uint8)
+
+
+class Shown(NamedTuple):
+    """Photos, how bright each is, and which parts of the drawn mesh it may show."""
+
+    photos: Photos
+    exposures: Sequence[Exposure]
+    parts: Sequence[NDArray[np.uint32]]
+
+    def showing(self, parts: NDArray[np.uint32]) -> list[int]:
+        """Return the numbers of the photos that may show some of these parts."""
+        wanted = np.zeros(1 + max(int(some.max(initial=0)) for some in (parts, *self.parts)), np.bool_)
+        wanted[parts] = True
+        return [number for number, some in enumerate(self.parts) if wanted[some].any()]
+
+
 class Painter:
     """Paints all images of a texture, once or again with other shifts."""
 
     def __init__(
-        self,
-        mesh: Mesh,
-        normals: Floats,
-        pages: Pages,
-        photos: Photos,
-        exposures: Sequence[Exposure],
-        kept: int,
+        self, mesh: Mesh, drawn: DrawnMesh, normals: Floats, pages: Pages, shown: Shown, kept: int
     ) -> None:
-        self._mesh, self._normals, self._pages, self._kept = mesh, normals, pages, kept
-        self._photos, self._exposures = photos, exposures
+        self._mesh, self._drawn, self._normals, self._pages = mesh, drawn, normals, pages
+        self._shown, self._kept = shown, kept
         # What is painted at once can be painted again without looking for the best photos anew.
         self._remembered: _kernels.SurfacePoints | None = None
         # Found once where there is one image; all of many may not fit into memory.
         self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
-        self.parts = sum(len(self._texels(page).parts(_AT_ONCE)) for page in range(len(pages.sizes)))
+        self.parts = sum(len(self._parts(page)) for page in range(len(pages.sizes)))
 
-    def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> list[Painted]:
-        """Return the images; `progress` is called for each photo and part of the texels."""
-        return [self._page(number, shifts, progress) for number in range(len(self._pages.sizes))]
+    def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Iterator[Painted]:
+        """Yield one image after the other; `progress` is called for each photo and part of the texels."""
+        for number in range(len(self._pages.sizes)):
+            yield self._page(number, shifts, progress)
 
-    def shifts(self, painted: Sequence[Painted], progress: Callable[[], object]) -> list[Shifts]:
-        """Return by how much each photo is off the texture."""
+    def shifts(self, images: Sequence[NDArray[np.uint8]], progress: Callable[[], object]) -> list[Shifts]:
+        """Return by how much each photo is off the texture, which `levels_of` gives."""
         import cv2
 
-        mesh, pages, photos, exposures = self._mesh, self._pages, self._photos, self._exposures
-        images = [np.rint(image.colors).clip(1, 255).astype(np.uint8) for image in painted]
-        for image, page in zip(images, painted, strict=True):
-            image[page.labels < 0] = 0
+        mesh, pages, (photos, exposures, _) = self._mesh, self._pages, self._shown
         surface = _kernels.TexturedSurface(mesh.vertices, mesh.triangles, pages.corners, pages.pages, images)
-        near = near_of(mesh)
+        near = self._drawn.near
 
         def off(number: int) -> Shifts:
             photo = photos.read(number)
@@ -96,8 +111,10 @@ class Painter:
             progress()
         return found
 
-    def _texels(self, page: int) -> Texels:
-        return texels_of(self._pages, page) if self._only is None else self._only
+    def _parts(self, page: int) -> list[Texels]:
+        """Return what is painted at a time of an image: what few photos show."""
+        texels = texels_of(self._pages, page) if self._only is None else self._only
+        return texels.parts_of(self._drawn.parts, _AT_ONCE)
 
     def _page(self, number: int, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Painted:
         width, height = self._pages.sizes[number]
@@ -105,7 +122,7 @@ class Painter:
         filled = np.zeros(height * width, np.bool_)
         labels = np.full(height * width, -1, np.int32)
         views = np.zeros(height * width, np.uint8)
-        for texels in self._texels(number).parts(_AT_ONCE):
+        for texels in self._parts(number):
             at = texels.pixels
             colors[at], labels[at], views[at] = self._part(texels, shifts, progress)
             # What nothing is known of takes on the colours around it.
@@ -118,7 +135,7 @@ class Painter:
     def _part(
         self, texels: Texels, shifts: Sequence[Shifts] | None, progress: Callable[[], object]
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
-        mesh, photos, exposures = self._mesh, self._photos, self._exposures
+        mesh, drawn, (photos, exposures, _) = self._mesh, self._drawn, self._shown
         points = self._remembered
         if points is not None and shifts is not None:
             see_again(points, photos, exposures, shifts, progress)
@@ -126,9 +143,12 @@ class Painter:
             points = _kernels.SurfacePoints(
                 mesh.vertices, self._normals, mesh.triangles, texels.triangles, texels.shares, kept=self._kept
             )
-            see(points, mesh, photos, exposures, shifts, progress)
-        if self.parts == 1:
-            self._remembered = points
+            is_all = self.parts == 1
+            numbers = self._shown.showing(np.unique(drawn.parts[texels.triangles]))
+            see(points, drawn, photos, exposures, shifts, progress, numbers=numbers, remember=is_all)
+            for _ in range(len(photos) - len(numbers)):
+                progress()
+            self._remembered = points if is_all else None
         colors, labels, views = points.blend(
             blurred=_BLURRED_POWER,
             details=_DETAILS_POWER,

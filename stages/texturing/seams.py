@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,28 +13,36 @@ _LEAST_PAIRS = 100
 _ROWS = 512
 
 
-def seam_ratio(colors: Sequence[NDArray[np.float32]], labels: Sequence[NDArray[np.int32]]) -> float | None:
-    """Return the mean colour difference across borders of photos over that of all other neighbours.
+class SeamSums:
+    """Colour differences between neighbouring texels of images, across borders of photos and within them."""
 
-    Parameters
-    ----------
-    colors : of each image (h, w, 3), levels.
-    labels : of each image (h, w), the photo that counts most at each texel, -1 for none.
+    def __init__(self) -> None:
+        self._sums, self._counts = np.zeros(2), np.zeros(2, np.int64)
 
-    Returns
-    -------
-    The ratio of mean distances in CIELAB (CIE 1976), 1 where no border can be seen; None where there are
-    hardly any borders.
-    """
-    sums, counts = np.zeros(2), np.zeros(2, np.int64)
-    for image, label in zip(colors, labels, strict=True):
+    def add(self, image: NDArray[np.float32], label: NDArray[np.int32]) -> None:
+        """Add an image.
+
+        Parameters
+        ----------
+        image : (h, w, 3), levels.
+        label : (h, w), the photo that counts most at each texel, -1 for none.
+        """
         for start in range(0, len(label), _ROWS):
             rows = slice(start, start + _ROWS + 1)
-            _add(image[rows], label[rows], sums, counts)
-    if counts.min() < _LEAST_PAIRS:
-        return None
-    across, within = sums / counts
-    return float(across / within) if within > 0 else None
+            _add(image[rows], label[rows], self._sums, self._counts)
+
+    def ratio(self) -> float | None:
+        """Return the mean colour difference across borders of photos over that of all other neighbours.
+
+        Returns
+        -------
+        The ratio of mean distances in CIELAB (CIE 1976), 1 where no border can be seen; None where there are
+        hardly any borders.
+        """
+        if self._counts.min() < _LEAST_PAIRS:
+            return None
+        across, within = self._sums / self._counts
+        return float(across / within) if within > 0 else None
 
 
 def _add(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.topology import areas
 from stages.texturing.exposure import Exposures, exposures, no_exposure
 from stages.texturing.photos import Photos
-from stages.texturing.views import see
+from stages.texturing.views import DrawnMesh, see
 
 Floats = NDArray[np.float64]
 
@@ -41,6 +41,7 @@ class Survey:
     radii2 : (n, k) squared distance from the middle of the photo, 1 in its corners.
     pixels_per_m : (m,) float32, of each triangle in the photo that shows it best; less where none does.
     seen : share of the surface that some photo shows.
+    shown : of each photo, the parts of the drawn mesh that it may show.
     """
 
     views: NDArray[np.int32]
@@ -49,13 +50,22 @@ class Survey:
     radii2: NDArray[np.float32]
     pixels_per_m: NDArray[np.float32]
     seen: float
+    shown: Sequence[NDArray[np.uint32]]
 
 
-def survey(mesh: Mesh, normals: Floats, photos: Photos, kept: int, progress: Callable[[], object]) -> Survey:
+def survey(
+    mesh: Mesh,
+    drawn: DrawnMesh,
+    normals: Floats,
+    photos: Photos,
+    kept: int,
+    progress: Callable[[], object],
+) -> Survey:
     """Look at points all over a mesh with all photos.
 
     Parameters
     ----------
+    drawn : the same mesh.
     normals : (n, 3) of the vertices.
     kept : photos that are kept of each point.
     progress : called after each photo.
@@ -67,7 +77,7 @@ def survey(mesh: Mesh, normals: Floats, photos: Photos, kept: int, progress: Cal
     """
     of, shares = _points(mesh)
     points = _kernels.SurfacePoints(mesh.vertices, normals, mesh.triangles, of, shares, kept=kept)
-    see(points, mesh, photos, [no_exposure()] * len(photos), None, progress)
+    shown = see(points, drawn, photos, [no_exposure()] * len(photos), None, progress)
     views, colors, _ = points.samples()
     if (views < 0).all():
         raise InputError(
@@ -90,11 +100,14 @@ def survey(mesh: Mesh, normals: Floats, photos: Photos, kept: int, progress: Cal
         radii2=_radii2(mesh, of, shares, views, photos),
         pixels_per_m=wanted.astype(np.float32),
         seen=float(area[is_seen].sum() / area.sum()),
+        shown=shown,
     )
 
 
-def judged(surveyed: Survey, photos: Photos, correct: bool) -> tuple[Photos, Exposures]:
-    """Return the photos that show the mesh, and agree, and how bright each is.
+def judged(
+    surveyed: Survey, photos: Photos, correct: bool
+) -> tuple[Photos, Exposures, list[NDArray[np.uint32]]]:
+    """Return the photos that show the mesh, and agree, how bright each is, and what parts it may show.
 
     Parameters
     ----------
@@ -119,7 +132,8 @@ def judged(surveyed: Survey, photos: Photos, correct: bool) -> tuple[Photos, Exp
         found = exposures(compared, colors, radii2, len(photos))
     if not correct:
         found = found.none()
-    return photos.without(wrong), found.without(wrong)
+    shown = [parts for number, parts in enumerate(surveyed.shown) if number not in wrong]
+    return photos.without(wrong), found.without(wrong), shown
 
 
 def _points(mesh: Mesh) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +35,11 @@ from stages.texturing.alignment import Shifts
 from stages.texturing.exposure import Exposures
 from stages.texturing.filling import filled_up
 from stages.texturing.pages import Pages, laid_out
-from stages.texturing.painting import Painted, Painter
+from stages.texturing.painting import Painted, Painter, Shown, levels_of
 from stages.texturing.photos import Photos, photos_of
-from stages.texturing.seams import seam_ratio
+from stages.texturing.seams import SeamSums
 from stages.texturing.survey import judged, survey
+from stages.texturing.views import drawn_mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -251,9 +253,10 @@ def texture(
             f"none of the {len(colored)} photos can be used (frame {first.name}: {first.reason}).", where
         )
     normals = vertex_normals(given)
-    surveyed = survey(given, normals, photos, params.views, far.photo(0.25))
+    drawn = drawn_mesh(given)
+    surveyed = survey(given, drawn, normals, photos, params.views, far.photo(0.25))
     # The one is a kernel on one core, the other NumPy.
-    (used, exposures), pages = both(
+    (used, exposures, parts), pages = both(
         lambda: judged(surveyed, photos, params.exposure),
         lambda: laid_out(
             given,
@@ -264,25 +267,27 @@ def texture(
             progress=far.nothing,
         ),
     )
-    painter = Painter(given, normals, pages, used, exposures.photos, params.views)
-    rounds = 1 + params.rounds
-    part = 0.7 / rounds
-    painted = painter.paint(None, far.photo(0.25 + part, painter.parts))
+    seen = Shown(used, exposures.photos, parts)
+    painter = Painter(given, drawn, normals, pages, seen, params.views)
+    part = 0.7 / (1 + params.rounds)
+    painted: Iterable[Painted] = painter.paint(None, far.photo(0.25 + part, painter.parts))
     shift = 0.0
     for turn in range(params.rounds):
-        shifts = painter.shifts(painted, far.photo(0.25 + part * (turn + 1.3)))
+        images, painted = _levels(painted, keep=len(pages.sizes) == 1)
+        shifts = painter.shifts(images, far.photo(0.25 + part * (turn + 1.3)))
+        del images
         # The first shifts tell how far off photos are.
         shift = shift or _typical(shifts, used)
         if shift < _STILL:
+            # Of several images nothing else was kept.
+            painted = painted or painter.paint(None, far.photo(0.95, painter.parts))
             break
         painted = painter.paint(shifts, far.photo(0.25 + part * (turn + 2), painter.parts))
-    images, seams = both(
-        lambda: [_encoded(one, pages.padding, params) for one in painted],
-        lambda: seam_ratio([one.colors for one in painted], [one.labels for one in painted]),
-    )
+    seams = SeamSums()
+    made = list(map(partial(_finished, padding=pages.padding, params=params, seams=seams), painted))
     progress(1000, 1000)
-    found = _Found(used, exposures, surveyed.seen, shift, seams)
-    return _result(given, found, pages, painted, images)
+    found = _Found(used, exposures, surveyed.seen, shift, seams.ratio())
+    return _result(given, found, pages, made)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,33 +335,54 @@ def _typical(shifts: Sequence[Shifts], photos: Photos) -> float:
     return float(np.median(np.array([np.linalg.norm(one, axis=2).mean() for one in shifts]) / widths))
 
 
-def _encoded(painted: Painted, padding: int, params: TextureParams) -> bytes:
-    return encoded_image(filled_up(painted.colors, painted.filled, padding), params.format, params.quality)
+def _levels(painted: Iterable[Painted], *, keep: bool) -> tuple[list[NDArray[np.uint8]], list[Painted]]:
+    """Return the levels of all images, and the images if they are to be kept."""
+    levels, kept = [], []
+    for one in painted:
+        levels.append(levels_of(one))
+        if keep:
+            kept.append(one)
+        # Else there are two of them while the next one is made.
+        del one
+    return levels, kept
 
 
-def _result(
-    mesh: Mesh,
-    found: _Found,
-    pages: Pages,
-    painted: Sequence[Painted],
-    images: Sequence[bytes],
-) -> Textured:
-    suffix = {b"\xff\xd8": "jpg", b"\x89P": "png"}.get(images[0][:2], "webp")
+class _Image(NamedTuple):
+    """What is left of an image that is painted; see `Painted`."""
+
+    data: bytes
+    labels: NDArray[np.int32]
+    views: NDArray[np.uint8]
+    filled: int
+
+
+def _finished(painted: Painted, padding: int, params: TextureParams, seams: SeamSums) -> _Image:
+    data, _ = both(
+        lambda: encoded_image(
+            filled_up(painted.colors, painted.filled, padding), params.format, params.quality
+        ),
+        lambda: seams.add(painted.colors, painted.labels),
+    )
+    return _Image(data, painted.labels, painted.views, int(painted.filled.sum()))
+
+
+def _result(mesh: Mesh, found: _Found, pages: Pages, images: Sequence[_Image]) -> Textured:
+    suffix = {b"\xff\xd8": "jpg", b"\x89P": "png"}.get(images[0].data[:2], "webp")
     materials = tuple(
         Material(
             name=f"photos-{number}",
-            image=Image(name=f"photos-{number}.{suffix}", encoded=data),
+            image=Image(name=f"photos-{number}.{suffix}", encoded=one.data),
             wrap=("clamp", "clamp"),
             kept=shown_as_it_is(),
         )
-        for number, data in enumerate(images, 1)
+        for number, one in enumerate(images, 1)
     )
     textured = mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))
     exposures = found.exposures.photos
     gains = np.array([one.gain for one in exposures])
     v = exposures[0].vignette
-    views = np.concatenate([one.views[one.labels >= 0] for one in painted])
-    texels = sum(one.filled.size for one in painted)
+    views = np.concatenate([one.views[one.labels >= 0] for one in images])
+    texels = sum(one.views.size for one in images)
     return Textured(
         mesh=textured,
         photos=tuple(frame.name for frame in found.photos.frames),
@@ -364,7 +390,7 @@ def _result(
         skipped=found.photos.skipped,
         sizes=pages.sizes,
         charts=int(pages.charts.max()) + 1,
-        filled=sum(int(one.filled.sum()) for one in painted) / texels,
+        filled=sum(one.filled for one in images) / texels,
         texel_size=1 / float(np.median(pages.texels_per_m)),
         seen=found.seen,
         views=float(views.mean()) if len(views) else 0.0,
@@ -374,8 +400,8 @@ def _result(
         vignette=1 - v[0] * (1 + v[1] + v[2]),
         shift=found.shift,
         seams=found.seams,
-        labels=tuple(one.labels for one in painted),
-        counts=tuple(one.views for one in painted),
+        labels=tuple(one.labels for one in images),
+        counts=tuple(one.views for one in images),
         warnings=tuple(_warnings(mesh, found)),
     )
 

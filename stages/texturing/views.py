@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -41,6 +42,28 @@ def kernel_camera(camera: Camera, camera_from_world: Pose) -> KernelCamera:
     return values, np.ascontiguousarray(camera_from_world, np.float64)
 
 
+@dataclass(frozen=True, eq=False)
+class DrawnMesh:
+    """A mesh that many cameras look at.
+
+    Attributes
+    ----------
+    kernel : draws it.
+    near : metres, before which nothing of it is drawn.
+    parts : (m,) which part each triangle is in: parts whose numbers follow each other are near each other.
+    """
+
+    kernel: _kernels.DrawnMesh
+    near: float
+    parts: NDArray[np.uint32]
+
+
+def drawn_mesh(mesh: Mesh) -> DrawnMesh:
+    """Make a mesh ready to be drawn."""
+    kernel = _kernels.DrawnMesh(mesh.vertices, mesh.triangles)
+    return DrawnMesh(kernel, near_of(mesh), kernel.parts())
+
+
 def near_of(mesh: Mesh) -> float:
     """Return the distance in metres before which nothing of a mesh is drawn."""
     return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) * _NEAR
@@ -48,31 +71,43 @@ def near_of(mesh: Mesh) -> float:
 
 def see(
     points: _kernels.SurfacePoints,
-    mesh: Mesh,
+    mesh: DrawnMesh,
     photos: Photos,
     exposures: Sequence[Exposure],
     shifts: Sequence[Shifts] | None,
     progress: Callable[[], object],
-) -> None:
+    *,
+    numbers: Sequence[int] | None = None,
+    remember: bool = False,
+) -> list[NDArray[np.uint32]]:
     """Look at points of a mesh with one photo after another.
 
     Parameters
     ----------
     exposures, shifts : of each photo; see `stages.texturing.exposure` and `alignment`.
     progress : called after each photo.
+    numbers : the photos to look with, in this order; all by default.
+    remember : for `see_again`.
+
+    Returns
+    -------
+    Of each photo that was looked with, the parts of the mesh that it may show.
     """
-    near = near_of(mesh)
+    numbers = range(len(photos)) if numbers is None else numbers
     # Beyond, fusion believes no depth either.
     flattest = float(np.cos(np.radians(MAX_ANGLE_ALONE if len(photos) == 1 else MAX_ANGLE)))
 
     def prepared(number: int) -> _kernels.View:
         photo = photos.read(number)
         colors = _colors(photo, exposures[number], None if shifts is None else shifts[number])
-        return _view(photo, colors, mesh, near, worth=float(photos.worths[number]), flattest=flattest)
+        return _view(photo, colors, mesh, worth=float(photos.worths[number]), flattest=flattest)
 
-    for number, view in enumerate(_each(prepared, photos)):
-        points.see(view, number, wanted_threads=0)
+    shown = []
+    for number, view in zip(numbers, _each(prepared, numbers), strict=True):
+        triangles = points.see(view, number, remember=remember, wanted_threads=0)
+        shown.append(np.unique(mesh.parts[triangles]))
         progress()
+    return shown
 
 
 def see_again(
@@ -84,6 +119,8 @@ def see_again(
 ) -> None:
     """Take the colours of points anew, of photos that were shifted; which are best stays as `see` found it.
 
+    It was to remember what it saw.
+
     Parameters
     ----------
     photos, exposures, shifts, progress : as of `see`.
@@ -92,13 +129,14 @@ def see_again(
     def prepared(number: int) -> _kernels.Photo:
         return _colors(photos.read(number), exposures[number], shifts[number])
 
-    for number, photo in enumerate(_each(prepared, photos)):
+    numbers = range(len(photos))
+    for number, photo in zip(numbers, _each(prepared, numbers), strict=True):
         points.see_again(photo, number, wanted_threads=0)
         progress()
 
 
-def _each(prepared: Callable[[int], T], photos: Photos) -> Iterator[T]:
-    return read_ahead(prepared, range(len(photos)), threads=workers(), ahead=workers() + 1)
+def _each(prepared: Callable[[int], T], numbers: Sequence[int]) -> Iterator[T]:
+    return read_ahead(prepared, numbers, threads=workers(), ahead=workers() + 1)
 
 
 def _colors(photo: Photo, exposure: Exposure, shifts: Shifts | None) -> _kernels.Photo:
@@ -108,10 +146,10 @@ def _colors(photo: Photo, exposure: Exposure, shifts: Shifts | None) -> _kernels
 
 
 def _view(
-    photo: Photo, colors: _kernels.Photo, mesh: Mesh, near: float, *, worth: float, flattest: float
+    photo: Photo, colors: _kernels.Photo, mesh: DrawnMesh, *, worth: float, flattest: float
 ) -> _kernels.View:
     drawn = kernel_camera(_drawing_camera(photo.camera), photo.camera_from_world)
-    depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, drawn, near=near)
+    depth, triangles = mesh.kernel.zbuffer(drawn, near=mesh.near)
     nearest, reach = _nearest(depth)
     if photo.seen is not None:
         # Nothing is known there, and nothing is taken from there.

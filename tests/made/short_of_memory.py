@@ -113,12 +113,8 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
             width=1024,
             height=1024,
         ),
-        "zbuffer": partial(
-            kernels.zbuffer,
-            mesh.vertices,
-            mesh.triangles,
-            ((800.0, 800.0, 500.0, 500.0, 1000, 1000), np.eye(4)),
-            near=1e-3,
+        "zbuffer": lambda: kernels.DrawnMesh(mesh.vertices, mesh.triangles).zbuffer(
+            ((800.0, 800.0, 500.0, 500.0, 1000, 1000), np.eye(4)), near=1e-3
         ),
         "weld_sheets": partial(kernels.weld_sheets, sets, mesh.triangles),
         "color_weight": partial(

@@ -1,4 +1,4 @@
-//! `stages._kernels.zbuffer`, `Photo`, `View`, `SurfacePoints` and `TexturedSurface`.
+//! `stages._kernels.DrawnMesh`, `Photo`, `View`, `SurfacePoints` and `TexturedSurface`.
 
 use std::sync::{Arc, Mutex};
 
@@ -15,6 +15,7 @@ use super::detached::detached;
 use super::guarded::guarded;
 use crate::base::parallel::threads;
 use crate::texture::blend::{NO_VIEW, Weights, blend};
+use crate::texture::clusters::Clusters;
 use crate::texture::pinhole::Pinhole;
 use crate::texture::shade::{Textured, shade as shaded};
 use crate::texture::surface_points::SurfacePoints as Points;
@@ -52,30 +53,43 @@ fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
     })
 }
 
-/// Depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen.
-#[pyfunction]
-#[pyo3(signature = (vertices, triangles, camera, *, near))]
-pub fn zbuffer(
-    py: Python<'_>,
-    vertices: PyReadonlyArray2<'_, f64>,
-    triangles: PyReadonlyArray2<'_, i32>,
-    camera: Camera<'_>,
-    near: f64,
-) -> PyResult<Drawn> {
-    let camera = pinhole(&camera)?;
-    let count = vertices.as_array().nrows() + triangles.as_array().nrows();
-    guarded(count + camera.width * camera.height / 16, || {
-        let points = rows::<f64, 3>(&vertices)?;
-        let triangles = triangles_from(&triangles, points.len())?;
-        crate::mesh::connect::check_indices(points.len(), &triangles)?;
-        let seen = py.detach(|| drawn(&points, &triangles, &camera, near));
-        let size = (camera.height, camera.width);
-        let numbers = seen.triangle.into_iter().map(|t| if t == NOTHING { -1 } else { t as i32 }).collect();
-        Ok((
-            Array2::from_shape_vec(size, seen.depth).map_err(shape)?.into_pyarray(py).unbind(),
-            Array2::from_shape_vec(size, numbers).map_err(shape)?.into_pyarray(py).unbind(),
-        ))
-    })
+/// A mesh that many cameras look at.
+#[pyclass(frozen, module = "stages._kernels")]
+pub struct DrawnMesh(Clusters);
+
+#[pymethods]
+impl DrawnMesh {
+    #[new]
+    fn new(vertices: PyReadonlyArray2<'_, f64>, triangles: PyReadonlyArray2<'_, i32>) -> PyResult<Self> {
+        guarded(vertices.as_array().nrows() + triangles.as_array().nrows(), || {
+            let points = rows::<f64, 3>(&vertices)?;
+            let triangles = triangles_from(&triangles, points.len())?;
+            crate::mesh::connect::check_indices(points.len(), &triangles)?;
+            Ok(Self(Clusters::new(&points, &triangles)))
+        })
+    }
+
+    /// Depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen.
+    #[pyo3(signature = (camera, *, near))]
+    fn zbuffer(&self, py: Python<'_>, camera: Camera<'_>, near: f64) -> PyResult<Drawn> {
+        let camera = pinhole(&camera)?;
+        guarded(camera.width * camera.height / 16, || {
+            let seen = py.detach(|| drawn(&self.0, &camera, near));
+            let size = (camera.height, camera.width);
+            let numbers =
+                seen.triangle.into_iter().map(|t| if t == NOTHING { -1 } else { t as i32 }).collect();
+            Ok((
+                Array2::from_shape_vec(size, seen.depth).map_err(shape)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec(size, numbers).map_err(shape)?.into_pyarray(py).unbind(),
+            ))
+        })
+    }
+
+    /// The part of the mesh that each triangle (m,) is in: few triangles that are near each other, and so are
+    /// parts whose numbers follow each other.
+    fn parts(&self, py: Python<'_>) -> Py<PyArray1<u32>> {
+        PyArray1::from_vec(py, self.0.of_triangles()).unbind()
+    }
 }
 
 /// The colours that a camera took.
@@ -214,13 +228,22 @@ impl SurfacePoints {
         })
     }
 
-    /// Look at all points from one more view; views have numbers below 65,535.
-    #[pyo3(signature = (view, number, *, wanted_threads))]
-    fn see(&self, py: Python<'_>, view: &View, number: u16, wanted_threads: usize) -> PyResult<()> {
+    /// Look at all points from one more view, and return the triangles that it may show; views have numbers
+    /// below 65,535. `see_again` takes those that were to be remembered.
+    #[pyo3(signature = (view, number, *, remember, wanted_threads))]
+    fn see(
+        &self,
+        py: Python<'_>,
+        view: &View,
+        number: u16,
+        remember: bool,
+        wanted_threads: usize,
+    ) -> PyResult<Py<PyArray1<u32>>> {
         guarded(0, || {
-            detached(py, None, false, |progress| {
-                self.locked().see(&view.0, number, threads(wanted_threads), progress)
-            })
+            let found = detached(py, None, false, |progress| {
+                self.locked().see(&view.0, number, remember, threads(wanted_threads), progress)
+            })?;
+            Ok(PyArray1::from_vec(py, found).unbind())
         })
     }
 
@@ -299,6 +322,7 @@ impl SurfacePoints {
 /// A mesh laid out in images.
 #[pyclass(frozen, module = "stages._kernels")]
 pub struct TexturedSurface {
+    clusters: Clusters,
     points: Vec<[f64; 3]>,
     triangles: Vec<[u32; 3]>,
     corners: Vec<[[f64; 2]; 3]>,
@@ -329,7 +353,8 @@ impl TexturedSurface {
                 return Err(PyValueError::new_err("corners and pages need one row for each triangle"));
             }
             let images = images.iter().map(image).collect::<PyResult<Vec<_>>>()?;
-            Ok(Self { points, triangles, corners, pages, images })
+            let clusters = Clusters::new(&points, &triangles);
+            Ok(Self { clusters, points, triangles, corners, pages, images })
         })
     }
 
@@ -337,9 +362,9 @@ impl TexturedSurface {
     #[pyo3(signature = (camera, *, near))]
     fn seen_by(&self, py: Python<'_>, camera: Camera<'_>, near: f64) -> PyResult<Shaded> {
         let camera = pinhole(&camera)?;
-        guarded(self.points.len() + camera.width * camera.height / 16, || {
+        guarded(camera.width * camera.height / 16, || {
             let (colors, shown) = py.detach(|| {
-                let seen = drawn(&self.points, &self.triangles, &camera, near);
+                let seen = drawn(&self.clusters, &camera, near);
                 let mesh = Textured {
                     points: &self.points,
                     triangles: &self.triangles,

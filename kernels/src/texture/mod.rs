@@ -3,6 +3,7 @@
 //! | file | what |
 //! | --- | --- |
 //! | [`pinhole`] | cameras and where they stand |
+//! | [`clusters`] | the mesh in parts, of which a camera looks at few |
 //! | [`zbuffer`] | which triangle a camera sees at each pixel |
 //! | [`view`] | a photo with what its camera sees, and the colour of a point in it |
 //! | [`surface_points`] | points of the surface, each with its best few views |
@@ -10,6 +11,7 @@
 //! | [`shade`] | the textured mesh as a camera sees it |
 
 pub mod blend;
+pub mod clusters;
 pub mod pinhole;
 pub mod shade;
 pub mod surface_points;

@@ -12,8 +12,8 @@ use crate::base::progress::Progress;
 /// Points a thread takes at a time, in whole triangles.
 const PART: u32 = 1 << 14;
 
-/// Some of the triangles, a bit each.
-type Bits = Vec<u64>;
+/// Some of the triangles: of 64 that follow each other, which are meant; none where nothing is.
+type Bits = Vec<(u32, u64)>;
 
 /// A point in one photo.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,13 +34,12 @@ pub struct SurfacePoints {
     origin: Vec3,
     /// The first point of each triangle, and the number of points.
     first: Vec<u32>,
-    /// Triangles around each vertex's triangles: by triangle, its corners.
     triangles: Vec<[u32; 3]>,
-    vertices: usize,
+    around: Around,
     /// Of each point, the best first.
     samples: Vec<Sample>,
     kept: usize,
-    /// The triangles that each view may show.
+    /// The triangles that each view may show, of those that are to be remembered.
     looked_at: BTreeMap<u16, Bits>,
     /// Pixels a metre in the photo that is nearest; 0 where none shows the point.
     pub density: Vec<f32>,
@@ -69,13 +68,14 @@ impl SurfacePoints {
         let density = vec![0.0; points.len()];
         let looks = vec![Look::None; points.len()];
         let looked_at = BTreeMap::new();
+        let around = Around::new(&triangles, vertices);
         Ok(Self {
             places,
             normals,
             origin,
             first,
             triangles,
-            vertices,
+            around,
             samples,
             kept,
             looked_at,
@@ -102,7 +102,8 @@ impl SurfacePoints {
         (&self.samples, self.kept)
     }
 
-    /// Look at all points from one more camera.
+    /// Look at all points from one more camera, which `see_again` knows if it is to be remembered. Returns the triangles
+    /// that it may show, in ascending order.
     ///
     /// # Errors
     /// As [`Progress::check`].
@@ -110,9 +111,10 @@ impl SurfacePoints {
         &mut self,
         view: &View,
         number: u16,
+        remember: bool,
         threads: usize,
         progress: &Progress,
-    ) -> Result<(), KernelError> {
+    ) -> Result<Vec<u32>, KernelError> {
         let looked_at = self.looked_at(view);
         self.over(&looked_at, threads, |point| {
             let least = point.samples[point.samples.len() - 1].score;
@@ -128,8 +130,12 @@ impl SurfacePoints {
                 insert(point.samples, &seen, number);
             }
         });
-        self.looked_at.insert(number, looked_at);
-        progress.check()
+        progress.check()?;
+        let triangles = looked_at.iter().flat_map(|&word| numbers(word)).collect();
+        if remember {
+            self.looked_at.insert(number, looked_at);
+        }
+        Ok(triangles)
     }
 
     /// Take the colours of a camera anew, where it is among the best.
@@ -155,33 +161,38 @@ impl SurfacePoints {
     }
 
     /// Triangles that may be seen: those of some pixel, and their neighbours, which may be smaller than one.
-    fn looked_at(&self, view: &View) -> Bits {
-        let mut near = vec![false; self.vertices];
+    fn looked_at(&mut self, view: &View) -> Bits {
         let mut last = NOTHING;
         for &triangle in &view.triangles {
             if triangle != last && triangle != NOTHING {
-                for v in self.triangles[triangle as usize] {
-                    near[v as usize] = true;
-                }
+                self.around.mark(&self.triangles[triangle as usize]);
             }
             last = triangle;
         }
-        let is_near = |corners: &[u32; 3]| corners.iter().any(|&v| near[v as usize]);
-        let word = |some: &[[u32; 3]]| {
-            some.iter().enumerate().fold(0, |word, (i, corners)| word | u64::from(is_near(corners)) << i)
-        };
-        self.triangles.chunks(64).map(word).collect()
+        self.around.marked()
     }
 
     /// Do something at each point of some triangles, on several threads.
-    fn over(&mut self, triangles: &[u64], threads: usize, change: impl Fn(Point<'_>) + Sync) {
+    fn over(&mut self, triangles: &[(u32, u64)], threads: usize, change: impl Fn(Point<'_>) + Sync) {
         let (origin, kept) = (self.origin, self.kept);
-        each(self.parts(), threads, |part: Part<'_>| {
-            for (triangle, ends) in (part.start..).zip(part.first.windows(2)) {
-                if triangles.get(triangle / 64).is_none_or(|word| word >> (triangle % 64) & 1 == 0) {
+        let mut rest = triangles;
+        let mut parts = self.parts();
+        // Most are elsewhere.
+        parts.retain(|part| {
+            let before = rest.partition_point(|&(word, _)| (word as usize + 1) * 64 <= part.start);
+            rest = &rest[before..];
+            rest.first().is_some_and(|&(word, _)| (word as usize) * 64 < part.start + part.first.len() - 1)
+        });
+        each(parts, threads, |part: Part<'_>| {
+            let end = part.start + part.first.len() - 1;
+            let from = triangles.partition_point(|&(word, _)| (word as usize + 1) * 64 <= part.start);
+            let words = triangles[from..].iter().take_while(|&&(word, _)| (word as usize) * 64 < end);
+            for t in words.flat_map(|&word| numbers(word)).map(|t| t as usize) {
+                if t < part.start || t >= end {
                     continue;
                 }
-                let [begin, end] = [ends[0], ends[1]].map(|point| (point - part.first[0]) as usize);
+                let ends = [part.first[t - part.start], part.first[t - part.start + 1]];
+                let [begin, end] = ends.map(|point| (point - part.first[0]) as usize);
                 for i in begin..end {
                     change(Point {
                         place: [0, 1, 2].map(|k| origin[k] + f64::from(part.places[i][k])),
@@ -219,6 +230,72 @@ impl SurfacePoints {
             start = end;
         }
         parts
+    }
+}
+
+/// The numbers that a word of bits stands for.
+fn numbers((word, bits): (u32, u64)) -> impl Iterator<Item = u32> {
+    let mut rest = bits;
+    std::iter::from_fn(move || {
+        let bit = (rest != 0).then(|| rest.trailing_zeros())?;
+        rest &= rest - 1;
+        Some(word * 64 + bit)
+    })
+}
+
+/// The triangles around vertices, to find those around a few without a look at all.
+#[derive(Debug)]
+struct Around {
+    /// Of each vertex, where its triangles begin; and where the last one's end.
+    first: Vec<u32>,
+    triangles: Vec<u32>,
+    is_marked: Vec<bool>,
+    marked: Vec<u32>,
+    /// 0 but while `marked` is at work.
+    words: Vec<u64>,
+}
+
+impl Around {
+    fn new(triangles: &[[u32; 3]], vertices: usize) -> Self {
+        let mut first = vec![0u32; vertices + 1];
+        triangles.iter().flatten().for_each(|&v| first[v as usize + 1] += 1);
+        (0..vertices).for_each(|v| first[v + 1] += first[v]);
+        let mut next = first.clone();
+        let mut around = vec![0; 3 * triangles.len()];
+        for (t, corners) in (0..).zip(triangles) {
+            for &v in corners {
+                around[next[v as usize] as usize] = t;
+                next[v as usize] += 1;
+            }
+        }
+        let words = vec![0; triangles.len().div_ceil(64)];
+        Self { first, triangles: around, is_marked: vec![false; vertices], marked: vec![], words }
+    }
+
+    fn mark(&mut self, corners: &[u32; 3]) {
+        for &v in corners {
+            if !std::mem::replace(&mut self.is_marked[v as usize], true) {
+                self.marked.push(v);
+            }
+        }
+    }
+
+    /// The triangles around all vertices that are marked, which are forgotten.
+    fn marked(&mut self) -> Bits {
+        let mut touched = vec![];
+        for v in self.marked.drain(..) {
+            self.is_marked[v as usize] = false;
+            let [from, to] = [self.first[v as usize], self.first[v as usize + 1]].map(|i| i as usize);
+            for &t in &self.triangles[from..to] {
+                let word = &mut self.words[t as usize / 64];
+                if *word == 0 {
+                    touched.push(t / 64);
+                }
+                *word |= 1 << (t % 64);
+            }
+        }
+        touched.sort_unstable();
+        touched.into_iter().map(|w| (w, std::mem::take(&mut self.words[w as usize]))).collect()
     }
 }
 

@@ -1,5 +1,6 @@
 //! Which triangle a camera sees at each pixel, and how far it is.
 
+use super::clusters::Clusters;
 use super::pinhole::Pinhole;
 use crate::base::geometry::{Vec3, add_scaled, sub};
 
@@ -15,22 +16,27 @@ pub struct ZBuffer {
 }
 
 /// Draw a mesh, either side of its triangles; of two at one depth the first is seen. What is nearer than `near` is cut off.
-pub fn zbuffer(points: &[Vec3], triangles: &[[u32; 3]], camera: &Pinhole, near: f64) -> ZBuffer {
+pub fn zbuffer(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer {
     let corner = |p: Vec3| Corner { pixel: camera.pixel(&p), depth: p[2] };
-    let seen: Vec<Vec3> = points.iter().map(|p| camera.in_camera(p)).collect();
-    // Those that are not in front have none that means anything; it is not asked for.
-    let appear: Vec<Corner> = seen.iter().map(|&p| corner(p)).collect();
     let pixels = camera.width * camera.height;
     let mut buffer = ZBuffer { depth: vec![f32::INFINITY; pixels], triangle: vec![NOTHING; pixels] };
-    for (number, corners) in triangles.iter().enumerate() {
-        let drawn = corners.map(|v| appear[v as usize]);
-        let behind = drawn.iter().filter(|p| p.depth < near).count();
-        if behind == 0 {
-            buffer.draw(&drawn, number as u32, camera);
-        } else if behind < 3 {
-            let (cut, count) = cut_off(&corners.map(|v| seen[v as usize]), near);
-            for k in 2..count {
-                buffer.draw(&[cut[0], cut[k - 1], cut[k]].map(corner), number as u32, camera);
+    let (mut seen, mut appear) = (vec![], vec![]);
+    for (points, triangles, numbers) in mesh.before(camera, near) {
+        seen.clear();
+        seen.extend(points.iter().map(|p| camera.in_camera(p)));
+        // Those that are not in front have none that means anything; it is not asked for.
+        appear.clear();
+        appear.extend(seen.iter().map(|&p| corner(p)));
+        for (corners, &number) in triangles.iter().zip(numbers) {
+            let drawn = corners.map(|v| appear[v as usize]);
+            let behind = drawn.iter().filter(|p: &&Corner| p.depth < near).count();
+            if behind == 0 {
+                buffer.draw(&drawn, number, camera);
+            } else if behind < 3 {
+                let (cut, count) = cut_off(&corners.map(|v| seen[v as usize]), near);
+                for k in 2..count {
+                    buffer.draw(&[cut[0], cut[k - 1], cut[k]].map(corner), number, camera);
+                }
             }
         }
     }
@@ -108,9 +114,9 @@ impl ZBuffer {
             let row = y * camera.width;
             for x in first as usize..=last as usize {
                 let z = (1.0 / (inverse[0] * x as f64 + inverse[1] * y as f64 + inverse[2])) as f32;
-                if z < self.depth[row + x] {
-                    self.depth[row + x] = z;
-                    self.triangle[row + x] = number;
+                let (depth, triangle) = (&mut self.depth[row + x], &mut self.triangle[row + x]);
+                if z < *depth || (z == *depth && z.is_finite() && number < *triangle) {
+                    (*depth, *triangle) = (z, number);
                 }
             }
         }
@@ -137,7 +143,7 @@ mod tests {
         let square = |z: f64, r: f64| [[-r, -r, z], [r, -r, z], [r, r, z], [-r, r, z]];
         let points: Vec<Vec3> = square(2.0, 0.5).into_iter().chain(square(1.0, 0.1)).collect();
         let triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
-        let seen = zbuffer(&points, &triangles, &camera(), 1e-3);
+        let seen = zbuffer(&Clusters::new(&points, &triangles), &camera(), 1e-3);
         let count = |depth: f32| seen.depth.iter().filter(|&&z| (z - depth).abs() < 1e-6).count();
         // 0.1 m at 1 m and 0.5 m at 2 m, with both borders.
         assert_eq!((count(1.0), count(2.0)), (21 * 21, 51 * 51 - 21 * 21));
@@ -147,7 +153,7 @@ mod tests {
     #[test]
     fn a_floor_under_the_camera_is_cut_off_where_it_begins() {
         let points = [[-50.0, 1.0, -50.0], [50.0, 1.0, -50.0], [0.0, 1.0, 100.0]];
-        let seen = zbuffer(&points, &[[0, 1, 2]], &camera(), 0.1);
+        let seen = zbuffer(&Clusters::new(&points, &[[0, 1, 2]]), &camera(), 0.1);
         // Below the horizon the depth of a floor 1 m down is 100 / rows below it.
         assert!(seen.depth[..40 * 101].iter().all(|z| z.is_infinite()));
         for row in 45..81 {

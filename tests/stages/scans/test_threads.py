@@ -6,10 +6,11 @@ import os
 import subprocess
 import sys
 import threading
+from itertools import islice
 
 import pytest
 
-from stages.scans.prefetch import both, workers
+from stages.scans.prefetch import both, read_ahead, workers
 from stages.scans.threads import VARIABLE, environment_of, threads_to_use
 
 # Threads while a mesh is simplified, at the most, and the result.
@@ -62,6 +63,24 @@ def test_with_one_thread_nothing_goes_on_beside(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setenv(VARIABLE, said)
     beside, here = both(threading.get_ident, threading.get_ident)
     assert (beside != here) is others
+
+
+@pytest.mark.parametrize(("threads", "others"), [(1, False), (2, True)])
+def test_one_thread_that_works_ahead_is_the_callers(threads: int, others: bool):
+    def worked(item: int) -> tuple[int, int]:
+        return item, threading.get_ident()
+
+    found = list(read_ahead(worked, range(9), threads=threads, ahead=4))
+    assert [item for item, _ in found] == list(range(9))
+    assert (threading.get_ident() not in {where for _, where in found}) is others
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_what_fails_ahead_is_raised_in_its_turn(threads: int):
+    results = read_ahead(lambda item: 6 // (3 - item), range(9), threads=threads, ahead=5)
+    assert list(islice(results, 3)) == [2, 3, 6]
+    with pytest.raises(ZeroDivisionError):
+        next(results)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from sample_in_pieces import small_pieces
 from stages.cleaning.clean import CleanParams
 from stages.cleaning.clean_in_pieces import clean_in_pieces
 from stages.comparing.certify import certify
+from stages.simplification import simplify_in_pieces as simplify_in_pieces_module
 from stages.simplification.params import SimplifyParams
 from stages.simplification.simplify import simplify
 from stages.simplification.simplify_in_pieces import simplify_in_pieces
@@ -70,6 +71,39 @@ def test_bounds_are_proven_for_the_whole(path: Path) -> None:
     assert certify(found.mesh, given, max_shape=0.009).within_limits
     in_one = len(simplify(given, params).mesh.triangles)
     assert in_one < len(found.mesh.triangles) < 2.5 * in_one
+
+
+@pytest.mark.parametrize("params", [SimplifyParams(ratio=0.2), SimplifyParams(max_shape=0.02)])
+def test_what_is_large_all_the_same_is_halved(
+    path: Path, params: SimplifyParams, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simplify_in_pieces_module, "AT_ONCE", 1_500)
+    given = read_ply(path)
+    found = simplify_in_pieces(path, params)
+    assert len(found.whole) > 2
+    assert max(one["triangles_before"] for one in (*found.parts, *found.whole)) <= 1_500
+    is_same_thing(found.mesh, given)
+    if params.ratio is None:
+        assert found.figures()["details"]["proven"]
+        assert certify(found.mesh, given, max_shape=0.02).within_limits
+    else:
+        assert 0.198 < len(found.mesh.triangles) / len(given.triangles) <= 0.2
+
+
+def test_without_a_wish_no_more_are_left_than_others_hold(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = simplify_in_pieces(path, SimplifyParams())
+    assert free.figures()["warnings"] == []
+    monkeypatch.setattr(simplify_in_pieces_module, "MOST_AT_ONCE", 1_200)
+    assert len(free.mesh.triangles) > 1_200
+    found = simplify_in_pieces(path, SimplifyParams())
+    assert len(found.mesh.triangles) <= 1_200
+    assert any("default bounds" in text and "1,200 are" in text for text in found.figures()["warnings"])
+    # What was asked for is kept to.
+    asked = simplify_in_pieces(path, SimplifyParams(ratio=0.2))
+    assert len(asked.mesh.triangles) > 1_200
+    assert asked.figures()["warnings"] == []
 
 
 def test_colours_are_kept(path: Path) -> None:

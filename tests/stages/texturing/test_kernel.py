@@ -15,8 +15,8 @@ from stages.surface.raycasting import Surface
 from stages.surface.vertex_normals import vertex_normals
 from stages.texturing.exposure import no_exposure
 from stages.texturing.photos import photos_of
-from stages.texturing.seams import seam_ratio
-from stages.texturing.views import kernel_camera, see
+from stages.texturing.seams import SeamSums
+from stages.texturing.views import drawn_mesh, kernel_camera, see
 
 
 def camera(place: np.ndarray) -> tuple:
@@ -28,7 +28,7 @@ def test_a_camera_sees_what_rays_meet(shape):
     # From outside a ball, and from inside a room whose walls reach behind the camera.
     mesh = ball() if shape == "ball" else of_trimesh(trimesh.creation.box((3, 2, 4)))
     place = pose(0.1, 0.05, z=-2.5) if shape == "ball" else pose(0.3, -0.2, z=0.4, turn=40)
-    depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, camera(place), near=1e-3)
+    depth, triangles = _kernels.DrawnMesh(mesh.vertices, mesh.triangles).zbuffer(camera(place), near=1e-3)
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
     x, y = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
     rays = np.stack([x, y, np.ones(x.shape)], axis=-1).reshape(-1, 3) @ place[:3, :3].T
@@ -47,6 +47,33 @@ def test_a_camera_sees_what_rays_meet(shape):
     assert np.mean(same[both] == triangles.ravel()[both]) > 0.99
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_of_many_parts_what_is_nearest_is_seen(seed):
+    # Hills of many parts, most of them not before the camera, in an order that tells nothing.
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(70.0), np.arange(70.0))
+    hills = np.stack([x, y, 3 * np.sin(x / 5) * np.cos(y / 4)], -1).reshape(-1, 3) / 20
+    at = (np.arange(69) + 70 * np.arange(69)[:, None]).ravel()
+    faces = np.concatenate([np.stack([at, at + 1, at + 71], -1), np.stack([at, at + 71, at + 70], -1)])
+    faces = rng.permutation(faces).astype(np.int32)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = turn * np.linalg.det(turn), rng.uniform((1, 1, -1), (2.5, 2.5, 1))
+    mesh = _kernels.DrawnMesh(hills, faces)
+    parts = mesh.parts()
+    assert len(np.unique(parts)) > 20
+    depth, triangles = mesh.zbuffer(camera(place), near=1e-3)
+    # Each few triangles drawn alone, and of all what is nearest, the first of those that are as near.
+    nearest, seen = np.full(depth.shape, np.float32(np.inf)), np.full(depth.shape, -1)
+    for rows in np.array_split(np.arange(len(faces)), 97):
+        alone, own = _kernels.DrawnMesh(hills, faces[rows]).zbuffer(camera(place), near=1e-3)
+        is_nearer = alone < nearest
+        nearest[is_nearer], seen[is_nearer] = alone[is_nearer], rows[own[is_nearer]]
+    np.testing.assert_array_equal(depth, nearest)
+    np.testing.assert_array_equal(triangles, seen)
+    assert 0 < len(np.unique(parts[seen[seen >= 0]])) < len(np.unique(parts))
+
+
 def test_threads_change_nothing():
     mesh, frames = wall(), photos(5)
     of = np.repeat(np.arange(len(mesh.triangles), dtype=np.uint32), 100)
@@ -57,7 +84,7 @@ def test_threads_change_nothing():
             mesh.vertices, vertex_normals(mesh), mesh.triangles, of, shares, kept=3
         )
         one = photos_of(frames, silent)
-        see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
+        see(points, drawn_mesh(mesh), one, [no_exposure()] * len(one), None, lambda: None)
         blended = points.blend(blurred=1, details=3, deviations=3, levels=12, wanted_threads=threads)
         found.append([*points.samples(), points.density(), *blended])
     for others in found[1:]:
@@ -70,7 +97,7 @@ def test_the_best_views_come_first_and_show_the_paint():
     shares = np.full((len(of), 3), 1 / 3, np.float32)
     points = _kernels.SurfacePoints(mesh.vertices, vertex_normals(mesh), mesh.triangles, of, shares, kept=4)
     one = photos_of(frames, silent)
-    see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
+    see(points, drawn_mesh(mesh), one, [no_exposure()] * len(one), None, lambda: None)
     views, colors, scores = points.samples()
     assert (np.diff(scores, axis=1) <= 0).all()
     assert ((views >= 0) == (scores > 0)).all()
@@ -84,6 +111,12 @@ def test_the_best_views_come_first_and_show_the_paint():
     assert (views[inner, 0] >= 0).all()
 
 
+def seam_ratio(image: np.ndarray, labels: np.ndarray) -> float | None:
+    sums = SeamSums()
+    sums.add(image, labels)
+    return sums.ratio()
+
+
 def test_a_seam_is_seen_in_the_ratio():
     rng = np.random.default_rng(1)
     image = (120 + 3 * rng.standard_normal((64, 64, 3))).astype(np.float32)
@@ -91,10 +124,10 @@ def test_a_seam_is_seen_in_the_ratio():
     labels[:, 32:] = 1
     labels = np.tile(labels, (1, 4))
     image = np.tile(image, (1, 4, 1))
-    assert seam_ratio([image], [labels]) == pytest.approx(1, abs=0.1)
+    assert seam_ratio(image, labels) == pytest.approx(1, abs=0.1)
     stepped = image + 20 * (labels[..., None] == 1)
-    assert seam_ratio([stepped.astype(np.float32)], [labels]) > 2
-    assert seam_ratio([image], [np.zeros_like(labels)]) is None
+    assert seam_ratio(stepped.astype(np.float32), labels) > 2
+    assert seam_ratio(image, np.zeros_like(labels)) is None
 
 
 def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
@@ -106,7 +139,7 @@ def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
     one = photos_of([frames[number] for number in order], silent)
     # Sharpness is judged among those taken one after the other: not here.
     one = replace(one, worths=np.ones(len(one)))
-    see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
+    see(points, drawn_mesh(mesh), one, [no_exposure()] * len(one), None, lambda: None)
     return points
 
 
@@ -155,7 +188,7 @@ def test_a_flat_look_does_not_see_through_what_is_before_it():
     shares = np.full((len(of), 3), 1 / 3, np.float32)
     points = _kernels.SurfacePoints(both.vertices, vertex_normals(both), both.triangles, of, shares, kept=1)
     one = photos_of([frame], silent)
-    see(points, both, one, [no_exposure()], None, lambda: None)
+    see(points, drawn_mesh(both), one, [no_exposure()], None, lambda: None)
     x = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0]
     seen = points.density() > 0
     # By a pixel, which is a tenth of the way there, it may be wrong.

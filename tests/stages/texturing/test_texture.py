@@ -15,8 +15,10 @@ from stages.scans.scan import Frame, Scan
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh, write_mesh
+from stages.texturing import painting
 from stages.texturing.maps import write_maps
 from stages.texturing.texture import Textured, texture
+from stages.texturing.views import see
 
 INNER = (0.2, 0.8)
 
@@ -66,6 +68,28 @@ def test_equal_input_gives_equal_bytes():
         image.file_bytes for image in second.mesh.texture.images
     ]
     assert np.array_equal(first.mesh.texture.uvs, second.mesh.texture.uvs)
+
+
+def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.MonkeyPatch):
+    # Each from so near that it shows a part of the wall.
+    places = [(x, y) for x in (0.2, 0.4, 0.6, 0.8) for y in (0.2, 0.4, 0.6, 0.8)]
+    frames = [photo(number, pose(x, y, z=-0.3)) for number, (x, y) in enumerate(places)]
+    at_once = texture(wall(40), frames, format="png", rounds=0)
+    asked = []
+
+    def watched(*given, numbers=None, **named):
+        asked.append(numbers)
+        return see(*given, numbers=numbers, **named)
+
+    monkeypatch.setattr(painting, "see", watched)
+    monkeypatch.setattr(painting, "_AT_ONCE", 30_000)
+    found = texture(wall(40), frames, format="png", rounds=0)
+    assert len(asked) > 3
+    assert sum(0 < len(numbers) < len(frames) for numbers in asked) > len(asked) / 2
+    # Places are kept in single precision from where a part begins.
+    same = [one == other for one, other in zip(at_once.labels, found.labels, strict=True)]
+    assert np.mean(np.concatenate([one.ravel() for one in same])) > 0.999
+    assert np.quantile(np.abs(shown(found.mesh)[0] - shown(at_once.mesh)[0]), 0.999) <= 1
 
 
 def test_photos_are_made_equally_bright():

@@ -1,0 +1,162 @@
+"""Parts of a mesh that are simplified each by itself, and fit each other afterwards.
+
+A cut knows which of its vertices others name, too, and what number each has in all; joined again, cuts whose
+such vertices stayed where they were are one mesh without a crack.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import StageError
+from stages.simplification.result import Simplified
+from stages.surface.mesh import Mesh
+from stages.surface.pieces import Extent, Part
+
+Numbers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Some triangles of a mesh.
+
+    Attributes
+    ----------
+    mesh : them alone.
+    numbers : (n,) of its vertices in all.
+    is_of_both : (n,) which of them others name, too.
+    """
+
+    mesh: Mesh
+    numbers: Numbers
+    is_of_both: Mask
+
+    def lock(self) -> Mask:
+        """Return which vertices (n,) are to stay: those that others name, and their neighbours."""
+        near, triangles = self.is_of_both.copy(), self.mesh.triangles
+        near[triangles[self.is_of_both[triangles].any(axis=1)]] = True
+        return np.asarray(near)
+
+
+def whole_cut(mesh: Mesh) -> Cut:
+    """Return all of a mesh."""
+    count = len(mesh.vertices)
+    return Cut(mesh, np.arange(count), np.zeros(count, np.bool_))
+
+
+def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
+    """Cut a piece in its inside and the strip along its faces."""
+    mesh = part.mesh
+    low, high = np.array(extent.low) + rim, np.array(extent.high) - rim
+    near = np.asarray(((mesh.vertices < low) | (mesh.vertices > high)).any(axis=1), np.bool_)
+    is_strip = np.asarray(near[mesh.triangles].all(axis=1))
+    of_strip, of_inside = np.zeros(len(near), np.bool_), np.zeros(len(near), np.bool_)
+    of_strip[mesh.triangles[is_strip]] = True
+    of_inside[mesh.triangles[~is_strip]] = True
+    if of_inside[part.own :].any():
+        raise StageError("pieces of the mesh meet farther inside than their voxels tell; fuse again.")
+    both = of_strip & of_inside
+    return _cut(part, of_inside, ~is_strip, both), _cut(part, of_strip, is_strip, both)
+
+
+def _cut(part: Part, used: NDArray[np.bool_], chosen: NDArray[np.bool_], both: NDArray[np.bool_]) -> Cut:
+    mesh, index = part.mesh, np.cumsum(used) - 1
+    colors = None if mesh.colors is None else mesh.colors[used]
+    triangles = index[mesh.triangles[chosen]].astype(np.int32)
+    return Cut(Mesh(mesh.vertices[used], triangles, colors), part.numbers[used], both[used])
+
+
+def joined_cuts(cuts: Sequence[Cut]) -> Cut:
+    """Make one of some cuts, one at least."""
+    all_numbers = np.concatenate([cut.numbers for cut in cuts])
+    numbers, first, place = np.unique(all_numbers, return_index=True, return_inverse=True)
+    both = np.zeros(len(numbers), bool)
+    np.logical_or.at(both, place, np.concatenate([cut.is_of_both for cut in cuts]))
+    offsets = np.cumsum([0, *(len(cut.numbers) for cut in cuts[:-1])])
+    triangles = np.concatenate(
+        [place[cut.mesh.triangles + start] for cut, start in zip(cuts, offsets, strict=True)]
+    )
+    colors = [cut.mesh.colors for cut in cuts if cut.mesh.colors is not None]
+    mesh = Mesh(
+        np.concatenate([cut.mesh.vertices for cut in cuts])[first],
+        triangles.astype(np.int32),
+        np.concatenate(colors)[first] if colors else None,
+    )
+    return Cut(mesh, numbers, both)
+
+
+def split(cut: Cut, most: int) -> Iterator[Cut]:
+    """Yield a cut in parts of at most so many triangles, halved where it is longest, one after the other."""
+    mesh = cut.mesh
+    if len(mesh.triangles) <= most:
+        yield cut
+        return
+    middles = mesh.vertices[mesh.triangles].mean(axis=1).astype(np.float32)
+    blocks = list(_halved(middles, np.arange(len(middles), dtype=np.int32), most))
+    del middles
+    yield from cuts_of(cut, blocks)
+
+
+def cuts_of(cut: Cut, groups: Sequence[NDArray[np.integer[Any]]]) -> Iterator[Cut]:
+    """Yield the triangles of each group, which have all of a cut's, one after the other."""
+    mesh = cut.mesh
+    seen, is_of_both = np.zeros(len(mesh.vertices), np.bool_), cut.is_of_both.copy()
+    for rows in groups:
+        named = np.unique(mesh.triangles[rows])
+        is_of_both[named[seen[named]]] = True
+        seen[named] = True
+    for rows in groups:
+        used, triangles = np.unique(mesh.triangles[rows], return_inverse=True)
+        colors = None if mesh.colors is None else mesh.colors[used]
+        some = Mesh(mesh.vertices[used], triangles.reshape(-1, 3).astype(np.int32), colors)
+        yield Cut(some, cut.numbers[used], is_of_both[used])
+
+
+def _halved(middles: NDArray[np.float32], rows: NDArray[np.int32], most: int) -> Iterator[NDArray[np.int32]]:
+    if len(rows) <= most:
+        # In the order of the mesh, whose neighbours are near in memory.
+        yield np.sort(rows)
+        return
+    axis = int(np.ptp(middles[rows], axis=0).argmax())
+    order, half = np.argsort(middles[rows, axis], kind="stable"), len(rows) // 2
+    yield from _halved(middles, rows[order[:half]], most)
+    yield from _halved(middles, rows[order[half:]], most)
+
+
+def numbers_of(cut: Cut, light: Simplified[Any]) -> Numbers:
+    """Return the numbers in all of the vertices that stayed because others name them, −1 for all else."""
+    source = light.vertex_source
+    stayed = cut.is_of_both[source]
+    if not np.array_equal(light.mesh.vertices[stayed], cut.mesh.vertices[source[stayed]]):
+        raise StageError("a vertex that was to stay has moved, which is a defect of this program.")
+    return np.where(stayed, cut.numbers[source], -1)
+
+
+def joined(found: Sequence[tuple[Mesh, Numbers]], count: int) -> Mesh:
+    """Join meshes at the vertices that have a number in all, below `count`."""
+    if not found:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    given = np.concatenate([numbers for _, numbers in found])
+    # A vertex without one is its own.
+    own = np.where(given < 0, count + np.arange(len(given)), given)
+    _, first, place = np.unique(own, return_index=True, return_inverse=True)
+    # In the order in which they come.
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    place, first = rank[place], first[order]
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in found[:-1])])
+    triangles = [place[mesh.triangles + start] for (mesh, _), start in zip(found, offsets, strict=True)]
+    colors = [mesh.colors for mesh, _ in found if mesh.colors is not None]
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh, _ in found])[first],
+        np.concatenate(triangles).astype(np.int32),
+        np.concatenate(colors)[first] if colors else None,
+        notes=tuple(dict.fromkeys(note for mesh, _ in found for note in mesh.notes)),
+    )

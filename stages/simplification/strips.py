@@ -1,0 +1,81 @@
+"""The strips along the faces where pieces of a mesh meet, on disk until all pieces have been looked at.
+
+A floor may lie along such faces as a whole, so that strips are as large as pieces are. They are simplified in
+cells: cubes as large as the pieces, half of one away from them, so that no face is where another was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.simplification.cuts import Cut, cuts_of, joined_cuts
+from stages.surface.mesh import Mesh
+from stages.surface.pieces import Extent
+
+_NONE = np.iinfo(np.uint16).max
+
+
+class Strips:
+    """Strips by their cells.
+
+    Parameters
+    ----------
+    folder : for files, which whoever made it removes.
+    extents : of all pieces.
+    vertex_count : of all pieces; memory holds three bytes for each.
+    """
+
+    def __init__(self, folder: Path, extents: Sequence[Extent], vertex_count: int) -> None:
+        self._folder = folder
+        sizes = [np.subtract(one.high, one.low).max() for one in extents]
+        self._size = float(max(sizes, default=1.0))
+        self._cells: dict[tuple[int, ...], list[Path]] = {}
+        # The first cell that each vertex is in, and whether it is in others, too.
+        self._cell = np.full(vertex_count, _NONE, np.uint16)
+        self._in_several = np.zeros(vertex_count, np.bool_)
+
+    def add(self, strip: Cut) -> None:
+        """Add the strip of a piece."""
+        mesh = strip.mesh
+        if not len(mesh.triangles):
+            return
+        middles = mesh.vertices[mesh.triangles].mean(axis=1)
+        places = np.floor(middles / self._size - 0.5).astype(np.int64)
+        cells, of_cell = np.unique(places, axis=0, return_inverse=True)
+        groups = [np.flatnonzero(of_cell.ravel() == number) for number in range(len(cells))]
+        for place, cut in zip(cells.tolist(), cuts_of(strip, groups), strict=True):
+            files = self._cells.setdefault(tuple(place), [])
+            cell = list(self._cells).index(tuple(place))
+            known = self._cell[cut.numbers]
+            self._in_several[cut.numbers[(known != _NONE) & (known != cell)]] = True
+            self._cell[cut.numbers[known == _NONE]] = cell
+            files.append(self._folder / f"{cell}-{len(files)}.npz")
+            _write(files[-1], cut)
+
+    def cells(self) -> Iterator[Cut]:
+        """Yield what is in each cell, as one mesh."""
+        for files in self._cells.values():
+            cut = joined_cuts([_read(file) for file in files])
+            yield Cut(cut.mesh, cut.numbers, cut.is_of_both | self._in_several[cut.numbers])
+
+
+def _write(path: Path, cut: Cut) -> None:
+    arrays: dict[str, Any] = {
+        "vertices": cut.mesh.vertices,
+        "triangles": cut.mesh.triangles,
+        "numbers": cut.numbers,
+        "is_of_both": cut.is_of_both,
+    }
+    if cut.mesh.colors is not None:
+        arrays["colors"] = cut.mesh.colors
+    np.savez(path, **arrays)
+
+
+def _read(path: Path) -> Cut:
+    with np.load(path) as held:
+        mesh = Mesh(held["vertices"], held["triangles"], held.get("colors"))
+        return Cut(mesh, held["numbers"], held["is_of_both"])
