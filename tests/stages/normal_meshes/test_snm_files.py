@@ -28,7 +28,7 @@ from stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 
-MANY = 5_000
+MANY = 2_000
 SHARED = (
     "cow.obj",
     "horse.ply",
