@@ -44,7 +44,7 @@ from stages.scans.images import read_depth
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Scan
 from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.pieces import table_of
+from stages.surface.pieces import Pieces, table_of
 from stages.surface.piecewise import Piecewise
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
@@ -106,7 +106,7 @@ def taken(folder: Path, path: Path, *, in_pieces: bool) -> dict[str, Any]:
         if done in (1, of):
             at.append(time.process_time())
 
-    mesh = Piecewise(path) if in_pieces else read_ply(path)
+    mesh = Piecewise(Pieces(path)) if in_pieces else read_ply(path)
     found = coverage(mesh, scan, progress=told)
     at.append(time.process_time())
     frame = (at[2] - at[1]) / (len(scan.frames) - 1)

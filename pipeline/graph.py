@@ -214,7 +214,7 @@ def _coverage(job: Job) -> Mapping[str, Any]:
 
 def _report(job: Job) -> Mapping[str, Any]:
     # Neither of these has to have room in memory.
-    origins = {name: surface_of(job.inputs[name] / f"{name}.ply") for name in ("fused", "clean")}
+    origins = {name: surface_of(job.inputs[name] / f"{name}.ply") for name in report.ORIGINS}
     meshes = {"simplified": read_ply(job.inputs["simplified"] / "simplified.ply")}
     by_photo = None
     if "textured" in job.inputs:

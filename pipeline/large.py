@@ -49,7 +49,7 @@ def whole(path: Path, stage: str) -> Mesh:
 
 def surface_of(path: Path) -> Mesh | Piecewise:
     """Return a mesh for a stage that takes it in pieces, too."""
-    return Piecewise(path) if is_large(path) else read_ply(path)
+    return Piecewise(Pieces(path)) if is_large(path) else read_ply(path)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Part, Pieces
 from stages.surface.raycasting import Floats, bounding_box
+from stages.surface.runs import Runs
 from stages.surface.topology import areas
 from stages.surface.vertex_normals import normal_sums, unit, vertex_normals
 
@@ -23,6 +23,8 @@ _LANDMARKS = 200_000
 _ROUGHLY = 0.1
 # Triangles that are worked on at a time: to search them takes about a kilobyte for each.
 AT_ONCE = 500_000
+# Of so many, all are worked on at once.
+_FEW = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +45,19 @@ class Piece:
     numbers: NDArray[np.int64]
 
 
+def piecewise(mesh: Mesh) -> Mesh | Piecewise:
+    """Return a mesh, or what works on it piece by piece where that takes far less memory."""
+    return mesh if len(mesh.triangles) <= _FEW else Piecewise(Runs(mesh))
+
+
 class Piecewise:
-    """A PLY file in pieces, looked over.
+    """A mesh in pieces, looked over.
 
     Beside a piece, memory holds what is known of vertices that several pieces name.
 
     Parameters
     ----------
-    path : of the file, with its table of pieces beside it: what fusion and cleaning leave.
+    pieces : of a file, or the runs of a mesh.
 
     Attributes
     ----------
@@ -65,8 +72,8 @@ class Piecewise:
         If the files are damaged, or do not fit each other.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._pieces = Pieces(path)
+    def __init__(self, pieces: Pieces | Runs) -> None:
+        self._pieces = pieces
         self.has_colors = self._pieces.has_colors
         self.triangle_count = self._pieces.triangle_count
         self.vertex_count = self._pieces.vertex_count

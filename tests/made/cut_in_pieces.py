@@ -9,7 +9,7 @@ import pytest
 
 from stages.surface import pieces
 from stages.surface.mesh import Mesh
-from stages.surface.pieces import Extent, Written, write_pieces
+from stages.surface.pieces import Extent, Pieces, Written, write_pieces
 from stages.surface.piecewise import Piecewise
 
 
@@ -40,4 +40,4 @@ def cut_in_pieces(path: Path, mesh: Mesh, of: np.ndarray) -> Piecewise:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pieces, "MOST_AT_ONCE", 1)
         write_pieces(path, sizes, written, has_colors=False, spacing=1.0)
-    return Piecewise(path)
+    return Piecewise(Pieces(path))

@@ -35,13 +35,13 @@ from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans.scan import Frame, Scan
 from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.piecewise import OnePiece, Piecewise
+from stages.surface.piecewise import OnePiece, Piecewise, piecewise
 from stages.surface.topology import require_area, require_manifold
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # Derived parameters; see CoverageParams.
 _FEW, _SHARE_OF_FRAMES = 3, 5
@@ -98,7 +98,8 @@ def _surface_of(mesh: MeshLike | Piecewise) -> OnePiece | Piecewise:
     given = as_mesh(mesh)
     require_area(given, "mesh")
     require_manifold(given)
-    return OnePiece(given)
+    found = piecewise(given)
+    return found if isinstance(found, Piecewise) else OnePiece(found)
 
 
 def _covered(

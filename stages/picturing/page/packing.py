@@ -38,6 +38,8 @@ _LAST = 2
 _AT_ONCE = 0.5
 # More is left out than must be, so that it fits at once: the fewer triangles, the more bytes each takes.
 _SPARE = 1.4
+# Of the page: what is too large by less is made lighter as if it were by this, so that it fits the next time.
+_LEAST_EXCESS = 0.02
 # Of the page, photos may take one part of so many.
 _PHOTOS_SHARE = 4
 # Bytes in a page for one of a file in it, by base64.
@@ -109,7 +111,8 @@ def packed_page(
             return page
         # Of what cannot be made lighter, nothing can be left out.
         sizes = [0.0 if plan.is_least else _GROWN * len(done[plan][1].glb) for plan in plans]
-        shares = _shares(sizes, _SPARE * (len(page) - most_bytes), is_first_kept=attempt < _LAST)
+        excess = max(len(page) - most_bytes, _LEAST_EXCESS * most_bytes)
+        shares = _shares(sizes, _SPARE * excess, is_first_kept=attempt < _LAST)
         # From what is light already: that takes less time than from all of it.
         plans = [
             plan if share == 1 else replace(plan, shown=done[plan][0]).lighter(share)

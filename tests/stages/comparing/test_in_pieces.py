@@ -18,7 +18,7 @@ from stages.simplification.simplify import simplify
 from stages.surface import pieces
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
-from stages.surface.pieces import Extent, Written
+from stages.surface.pieces import Extent, Pieces, Written
 from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Floats, Surface
 
@@ -36,7 +36,7 @@ def whole(large: Path) -> Mesh:
 def measured(path: Path, whole: Mesh, mesh: Mesh) -> tuple[Any, Any]:
     box: Floats = box_of(whole, mesh)
     light = WithNeedles(Surface(mesh, box), box)
-    return compare_in_pieces(Piecewise(path), light, PARAMS, box=box, signed=(mesh, SIGNED))
+    return compare_in_pieces(Piecewise(Pieces(path)), light, PARAMS, box=box, signed=(mesh, SIGNED))
 
 
 def is_near(found: Any, expected: Any) -> None:

@@ -13,6 +13,7 @@ from stages.picturing.render import Model, Shading
 from stages.picturing.viewpoints import looking_at, viewpoints
 from stages.scans.read import read_scan
 from stages.surface.formats.ply import read_ply
+from stages.surface.pieces import Pieces
 from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Surface
 
@@ -25,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("few_at_a_time")
 def test_pictures_are_those_of_the_whole(
     large: Path, shading: Shading, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, pieced = read_ply(large), Piecewise(large)
+    whole, pieced = read_ply(large), Piecewise(Pieces(large))
     middle = pieced.box.mean(axis=0)
     around = (
         # From above, without what looks away; as a frame saw it; and in the midst of the pieces.

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.surface import piecewise
+from stages.surface import piecewise, runs
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
+from stages.surface.pieces import Pieces
 from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Surface, bounding_box
+from stages.surface.runs import Runs
 from stages.surface.topology import areas
 from stages.surface.vertex_normals import vertex_normals
 
@@ -21,14 +23,23 @@ def whole(large: Path) -> Mesh:
     return read_ply(large)
 
 
+@pytest.fixture(params=["file", "memory"])
+def cut(
+    large: Path, whole: Mesh, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Pieces | Runs:
+    """The same mesh in a file in pieces, and in memory."""
+    monkeypatch.setattr(runs, "_LENGTH", 700)
+    return Pieces(large) if request.param == "file" else Runs(whole)
+
+
 @pytest.mark.parametrize("at_once", [300, 500_000])
 def test_vertices_of_pieces_face_as_in_the_whole(
-    large: Path, whole: Mesh, at_once: int, monkeypatch: pytest.MonkeyPatch
+    cut: Pieces | Runs, whole: Mesh, at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(piecewise, "AT_ONCE", at_once)
     expected = vertex_normals(whole)
     met = count = done = 0
-    for piece in Piecewise(large).pieces(facing=True):
+    for piece in Piecewise(cut).pieces(facing=True):
         count += 1
         own = piece.mesh.triangles
         rows = whole.triangles[done : done + len(own)]
@@ -48,14 +59,34 @@ def test_vertices_of_pieces_face_as_in_the_whole(
     assert count > (60 if at_once == 300 else 30)
 
 
-def test_areas_and_boxes_are_those_of_the_whole(large: Path, whole: Mesh) -> None:
-    found = Piecewise(large)
+def test_areas_and_boxes_are_those_of_the_whole(cut: Pieces | Runs, whole: Mesh) -> None:
+    found = Piecewise(cut)
     assert found.area_ends[-1] == np.cumsum(areas(whole.vertices, whole.triangles))[-1]
     assert (found.box == bounding_box(whole)).all()
-    assert (found.some_vertices(1000) == whole.vertices[:: 1 + len(whole.vertices) // 1000]).all()
+    assert found.vertex_count == len(whole.vertices)
+    some = found.some_vertices(1000)
+    assert len(some) == len(whole.vertices[:: 1 + len(whole.vertices) // 1000])
+    assert {tuple(place) for place in some} <= {tuple(place) for place in whole.vertices}
 
 
-def test_no_point_is_farther_than_it_is_said_to_be_at_most(large: Path, whole: Mesh) -> None:
+def test_each_vertex_is_one_pieces_own_and_they_follow_each_other(cut: Pieces | Runs, whole: Mesh) -> None:
+    end = done = 0
+    places = np.full((len(whole.vertices), 3), np.nan)
+    for part in Piecewise(cut).parts():
+        own = part.numbers[: part.own]
+        assert (own == np.arange(end, end + part.own)).all()
+        # Others are known from pieces before, or come with one after.
+        places[own] = part.mesh.vertices[: part.own]
+        end += part.own
+        rows = whole.triangles[done : done + len(part.mesh.triangles)]
+        assert (part.mesh.vertices[part.mesh.triangles] == whole.vertices[rows]).all()
+        done += len(part.mesh.triangles)
+    assert end == len(whole.vertices)
+    for part in Piecewise(cut).parts():
+        assert (places[part.numbers] == part.mesh.vertices).all()
+
+
+def test_no_point_is_farther_than_it_is_said_to_be_at_most(cut: Pieces | Runs, whole: Mesh) -> None:
     low, high = bounding_box(whole)
     points = np.random.default_rng(0).uniform(low - 1, high + 1, (500, 3))
-    assert (Surface(whole).closest(points).distances <= Piecewise(large).at_most(points) + 1e-12).all()
+    assert (Surface(whole).closest(points).distances <= Piecewise(cut).at_most(points) + 1e-12).all()

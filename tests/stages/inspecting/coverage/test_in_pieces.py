@@ -17,6 +17,7 @@ from stages.inspecting.coverage.sight import Sight
 from stages.scans.scan import Frame
 from stages.surface import piecewise
 from stages.surface.formats.ply import read_ply
+from stages.surface.pieces import Pieces
 from stages.surface.piecewise import OnePiece, Piecewise
 from stages.surface.raycasting import Surface
 
@@ -39,7 +40,7 @@ def pieced(large: Path, frames: list[Frame]) -> Coverage:
     with pytest.MonkeyPatch.context() as patch:
         # Of some pieces not all triangles are worked on at a time.
         patch.setattr(piecewise, "AT_ONCE", 300)
-        surface = Piecewise(large)
+        surface = Piecewise(Pieces(large))
         assert len(surface) > 5
         assert len(list(surface.pieces())) > len(surface)
         found = coverage(surface, frames, few_frames=2, spacing=0.03)
@@ -78,7 +79,7 @@ def test_colours_and_what_is_known_of_vertices_are_those_of_the_whole(
 
 
 def test_the_border_is_that_of_the_whole_though_loops_run_through_many_pieces(large: Path) -> None:
-    one, many = border_of(OnePiece(read_ply(large))), border_of(Piecewise(large))
+    one, many = border_of(OnePiece(read_ply(large))), border_of(Piecewise(Pieces(large)))
     assert len(one.tails) > 100
     for name in ("tails", "heads", "starts", "ends"):
         np.testing.assert_array_equal(getattr(many, name), getattr(one, name))
@@ -106,7 +107,7 @@ def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is
     large: Path, frames: list[Frame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(probes, "_POINTS", 10)
-    for mesh in (read_ply(large), Piecewise(large)):
+    for mesh in (read_ply(large), Piecewise(Pieces(large))):
         found = coverage(mesh, frames).covered
         vertices = read_ply(large).vertices - found.surface.box.mean(axis=0)
         stands = np.concatenate([part.probes for part in found.painted()])[: len(vertices)]
@@ -117,7 +118,7 @@ def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is
 
 
 def test_rays_meet_pieces_as_they_meet_the_whole(large: Path) -> None:
-    mesh, pieced = read_ply(large), Piecewise(large)
+    mesh, pieced = read_ply(large), Piecewise(Pieces(large))
     rng = np.random.default_rng(3)
     low, high = pieced.box
     origins = rng.uniform(low - 0.2, high + 0.2, (3000, 3))

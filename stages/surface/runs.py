@@ -1,0 +1,73 @@
+"""A mesh that memory holds, in runs of triangles that follow each other.
+
+To search a mesh takes twenty times the memory of the mesh itself. In meshes of scans triangles that follow
+each other are near each other, so that each run is a piece of the surface.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.surface.mesh import Mesh
+from stages.surface.pieces import Part
+
+# Triangles in a run.
+_LENGTH = 500_000
+
+
+class Runs:
+    """The runs of a mesh, as `Pieces` are those of a file.
+
+    Vertices are counted anew, so that those that a run has first follow each other; others name none.
+
+    Parameters
+    ----------
+    mesh : its vertices, triangles and vertex colours are what counts.
+
+    Attributes
+    ----------
+    vertex_count, triangle_count : of all runs.
+    has_colors : whether vertices have colours.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.triangle_count, self.has_colors = len(mesh.triangles), mesh.colors is not None
+        first = np.full(len(mesh.vertices), len(self), np.int32)
+        for number in reversed(range(len(self))):
+            first[mesh.triangles[_rows(number)]] = number
+        order = np.argsort(first, kind="stable")
+        # Where the vertices end that each run has first.
+        self._ends = np.searchsorted(first[order], np.arange(len(self)), "right")
+        self.vertex_count = int(self._ends[-1]) if len(self) else 0
+        rank = np.empty(len(order), np.int32)
+        rank[order] = np.arange(len(order), dtype=np.int32)
+        used = order[: self.vertex_count]
+        self._vertices, self._triangles = mesh.vertices[used], rank[mesh.triangles]
+        self._colors = None if mesh.colors is None else mesh.colors[used]
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return -(-self.triangle_count // _LENGTH)
+
+    def part(self, number: int) -> Part:
+        """Return a run."""
+        # What was done with the last one has left holes, which would grow from run to run.
+        _kernels.give_back()
+        triangles = self._triangles[_rows(number)]
+        first, end = (0 if number == 0 else int(self._ends[number - 1])), int(self._ends[number])
+        foreign = np.unique(triangles[triangles < first]).astype(np.int64)
+        numbers = np.concatenate([np.arange(first, end), foreign])
+        place = np.empty(end, np.int32)
+        place[numbers] = np.arange(len(numbers), dtype=np.int32)
+        colors = None if self._colors is None else self._colors[numbers]
+        return Part(Mesh(self._vertices[numbers], place[triangles], colors), numbers, end - first)
+
+    def places(self, step: int) -> NDArray[np.float64]:
+        """Return every `step`-th vertex (k, 3), metres."""
+        return self._vertices[::step]
+
+
+def _rows(number: int) -> slice:
+    return slice(number * _LENGTH, (number + 1) * _LENGTH)
