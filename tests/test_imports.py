@@ -103,6 +103,13 @@ def test_rust_has_no_circle_of_files_or_rooms():
     assert not found, "\n".join(["a circle of imports", *found])
 
 
+def test_what_rust_s_comments_draw_is_no_program():
+    """It would be a test, and `make test` runs none of those."""
+    for path in sorted((ROOT / "kernels" / "src").rglob("*.rs")):
+        fences = re.findall(r"^\s*//[/!]\s*```(.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+        assert set(fences[::2]) <= {"text"}, path
+
+
 def test_stages_alone_knows_the_kernels(graph: Graph):
     using = {module.split(".")[0] for module, imported in graph.items() if "stages._kernels" in imported}
     assert using == {"stages"}

@@ -46,3 +46,11 @@ pub mod texture;
 
 #[cfg(feature = "python")]
 mod python;
+
+// What tests/ holds the rooms to, by their public names alone. It is compiled with the tests within the rooms, as one
+// program: beside it, as a program of its own, it would have the whole crate compiled and optimised twice.
+#[cfg(test)]
+extern crate self as scanloom_kernels;
+#[cfg(test)]
+#[path = "../tests/main.rs"]
+mod promises;

@@ -31,7 +31,16 @@ def larger(clean_ball: Path, tmp_path: Path) -> Path:
 
 def test_signs_tolerance_and_pictures(scanloom: Run, clean_ball: Path, larger: Path, tmp_path: Path) -> None:
     target = tmp_path / "new"
-    words = ("--tolerance", 1e-9, "--save-ply", target / "d.ply", "--picture", target / "d.png")
+    words = (
+        "--tolerance",
+        1e-9,
+        "--save-ply",
+        target / "d.ply",
+        "--picture",
+        target / "d.png",
+        "--samples",
+        20_000,
+    )
     ran = scanloom("compare", clean_ball, larger, *words, "--json")
     assert ran.exit_code == 0, ran.stderr
     told = ran.json["deviation"]
@@ -87,7 +96,7 @@ def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) 
     )
     write_mesh(tmp_path / "a.ply", body)
     write_mesh(tmp_path / "b.ply", both)
-    pair = (tmp_path / "a.ply", tmp_path / "b.ply")
+    pair = (tmp_path / "a.ply", tmp_path / "b.ply", "--samples", 20_000)
     ran = scanloom("compare", *pair, "--change", "--save-change", tmp_path / "c.ply", "--json")
     assert ran.exit_code == 0, ran.stderr
     told = ran.json["change"]

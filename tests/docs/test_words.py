@@ -8,9 +8,9 @@ import shlex
 import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from small_sample import write_small_sample
 from typer.main import get_command
 
 from cli.app import app, run_command
@@ -50,21 +50,8 @@ def run_all(lines: list[str]) -> None:
 
 @pytest.fixture
 def small_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Stand where the pages stand; of the sample, every fourth frame is there, at half its size."""
-    folder = tmp_path / "samples" / "rgbd"
-    scan = json.loads((ROOT / "samples" / "rgbd" / "scan.json").read_text())
-    camera = scan["camera"]
-    scan["camera"] = {name: value / 2 if name in ("fx", "fy") else value for name, value in camera.items()}
-    # Of every two pixels the first is kept, whose middle stays where it is.
-    scan["camera"] |= {"width": 160, "height": 120, "cx": camera["cx"] / 2, "cy": camera["cy"] / 2}
-    scan["frames"] = scan["frames"][::4]
-    for frame in scan["frames"]:
-        for kind in ("color", "depth"):
-            image = cv2.imread(str(ROOT / "samples" / "rgbd" / frame[kind]), cv2.IMREAD_UNCHANGED)
-            assert image is not None
-            (folder / kind).mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(folder / frame[kind]), image[::2, ::2])
-    (folder / "scan.json").write_text(json.dumps(scan))
+    """Stand where the pages stand, with little of the sample."""
+    write_small_sample(tmp_path / "samples" / "rgbd")
     shutil.copy(ROOT / "samples" / "truth.ply", tmp_path / "samples")
     monkeypatch.chdir(tmp_path)
     return tmp_path

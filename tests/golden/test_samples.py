@@ -75,7 +75,7 @@ def truth() -> Mesh:
 
 @pytest.mark.parametrize("sample", ["rgbd", "stereo"])
 def test_a_sample_scan_gives_the_golden_meshes(sample, truth, tmp_path, update_golden):
-    config = Config(compare=COMPARED, report=ReportParams(viewpoints=2, width=160))
+    config = Config(compare=COMPARED, report=ReportParams(viewpoints=2, width=160, page=False))
     report = json.loads(json.dumps(run(SAMPLES / sample, tmp_path, config).report))
     final = read_ply(tmp_path / "simplified.ply")
     figures = {name: mesh_figures(read_ply(tmp_path / f"{name}.ply"), truth) for name in ("fused", "clean")}

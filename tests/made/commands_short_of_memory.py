@@ -1,16 +1,19 @@
-"""Commands with less and less memory, each time in a process of its own.
+"""Commands with more and more memory until it is enough, each time in a process of its own.
 
 `python -m tests.made.commands_short_of_memory` reads command lines, and answers each with a line of JSON: the
-exit code and the output of each run, by how much the process was allowed to grow. Libraries are imported
-before, once. "{}" in a word stands for the number of the run, whose results then are no other's.
+exit code and the output of each run, by how much the process was allowed to grow. The first that is enough is
+the last: with more, nothing is lacking either. Libraries are imported before, once. "{}" in a word stands for
+the number of the run, whose results then are no other's.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
 import zlib
+from contextlib import redirect_stdout
 
 import numpy as np
 
@@ -18,7 +21,7 @@ from cli.app import run_command
 from stages._open3d import imported
 from tests.made.short_of_memory import limit
 
-_MEGABYTES = (400, 200, 150, 120, 100, 80, 60, 40, 20, 10, 5, 4, 3, 2)
+_MEGABYTES = (2, 3, 4, 5, 10, 20, 40, 60, 80, 100, 120, 150, 200, 400)
 # Commands that take longer than all others meet every other limit; which ones differs between them.
 _LONG = ("bake", "compare", "depth", "fuse", "inspect", "register", "render", "run")
 # Large enough for all threads to be at it.
@@ -57,10 +60,17 @@ def main() -> None:
     import trimesh  # noqa: F401
 
     imported()
+    # And what the words of any command bring.
+    with redirect_stdout(io.StringIO()):
+        run_command(["--version"])
+        run_command(["clean", "--help"])
     for line in sys.stdin:
         is_long = line.split()[0] in _LONG
-        limits = (*(_MEGABYTES[zlib.crc32(line.encode()) % 2 :: 2] if is_long else _MEGABYTES), 0)
-        ends = {f"{m} MiB": ran([word.format(m) for word in line.split()], m << 20) for m in limits}
+        ends = {}
+        for m in (0, *(_MEGABYTES[zlib.crc32(line.encode()) % 2 :: 2] if is_long else _MEGABYTES)):
+            ends[f"{m} MiB"] = code, _ = ran([word.format(m) for word in line.split()], m << 20)
+            if code == 0:
+                break
         sys.stdout.write(f"{json.dumps(ends)}\n")
         sys.stdout.flush()
 

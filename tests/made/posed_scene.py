@@ -54,12 +54,16 @@ def seen(world_from_camera: np.ndarray, camera: Camera = CAMERA) -> tuple[np.nda
     return np.repeat(image[..., None], 3, axis=2), depth
 
 
-def scan() -> tuple[Scan, list[np.ndarray]]:
-    """Return seven views, 7 degrees apart and each turned another way, with their true depth."""
+@cache
+def scan() -> tuple[Scan, tuple[np.ndarray, ...]]:
+    """Return seven views, 7 degrees apart and each turned another way, with their true depth.
+
+    They are the same for all who ask, and left as they are.
+    """
     frames, depths = [], []
     for number, roll in enumerate(ROLLS):
         where = pose(7.0 * (number - 3), roll)
         image, depth = seen(where)
         frames.append(Frame(f"{number:04d}", CAMERA, color=image, world_from_camera=where))
         depths.append(depth)
-    return Scan("made", frames), depths
+    return Scan("made", tuple(frames)), tuple(depths)

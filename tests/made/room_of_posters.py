@@ -13,7 +13,7 @@ CAMERA = Camera(320, 240, 270.0, 270.0, 159.5, 119.5)
 _HALF, _UP, _FINE = 2.0, 1.5, 160
 _POSTER = 1.2
 # Degrees from frame to frame.
-_STEP = 6.0
+STEP = 12.0
 
 
 def turning(first: float, last: float) -> list[Frame]:
@@ -24,7 +24,7 @@ def turning(first: float, last: float) -> list[Frame]:
     """
     walls = _walls()
     rng = np.random.default_rng(5)
-    return [_frame(number, turn, walls, rng) for number, turn in enumerate(np.arange(first, last, _STEP))]
+    return [_frame(number, turn, walls, rng) for number, turn in enumerate(np.arange(first, last, STEP))]
 
 
 def _walls() -> list[NDArray[np.float64]]:

@@ -1,8 +1,8 @@
 """Each kernel with too little memory, each time in a process of its own.
 
-`python -m tests.made.short_of_memory KERNEL SIDE` runs a kernel on a sheet of 2 SIDE² triangles with less and
-less address space, and with none that is left after a while. It writes how each run ended: "done", "memory"
-for a MemoryError, else what was wrong.
+`python -m tests.made.short_of_memory` reads lines of KERNEL SIDE, and runs each kernel on a sheet of 2 SIDE²
+triangles with more and more address space until that is enough, and with none that is left after a while. It
+answers with a line of JSON, how each run ended: "done", "memory" for a MemoryError, else what was wrong.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -360,6 +360,16 @@ def _end(call: Call, spare: int, after: float) -> None:
         os._exit(code)
 
 
+def until_done(runs: Mapping[str, Callable[[], str]]) -> dict[str, str]:
+    """Return how runs end, up to the second that lacks nothing: the first may have been quick by chance."""
+    ends: dict[str, str] = {}
+    for name, run in runs.items():
+        ends[name] = run()
+        if list(ends.values())[-2:] == [DONE, DONE]:
+            break
+    return ends
+
+
 def limit(spare: int, after: float = 0.0) -> None:
     """Let this process grow by no more than `spare` bytes from `after` seconds on."""
     time.sleep(after)
@@ -369,10 +379,31 @@ def limit(spare: int, after: float = 0.0) -> None:
 
 
 def main() -> None:
-    call = call_of(sys.argv[1], int(sys.argv[2]))
-    falling = {f"{m} MiB": ended(call, spare=m << 20) for m in (1500, *range(240, 0, -20), 0)}
-    late = {f"{ms} ms": ended(call, after=ms / 1000) for ms in (1, 2, 4, 8, 15, 30, 60, 120, 240)}
-    sys.stdout.write(json.dumps({"falling": falling, "late": late}))
+    for line in sys.stdin:
+        kernel, side = line.split()
+        # Each begins with what imports have left, not with what another kernel's arrays have.
+        child = os.fork()
+        if child == 0:
+            code = 1
+            try:
+                _answer(kernel, int(side))
+                code = 0
+            finally:
+                os._exit(code)
+        _, status = os.waitpid(child, 0)
+        if status != 0:
+            sys.stdout.write(f"{json.dumps({'all': {'all': f'status {status}'}})}\n")
+            sys.stdout.flush()
+
+
+def _answer(kernel: str, side: int) -> None:
+    call = call_of(kernel, side)
+    rising = until_done({f"{m} MiB": partial(ended, call, spare=m << 20) for m in (*range(0, 260, 20), 1500)})
+    late = until_done(
+        {f"{ms} ms": partial(ended, call, after=ms / 1000) for ms in (1, 2, 4, 8, 15, 30, 60, 120, 240)}
+    )
+    sys.stdout.write(f"{json.dumps({'rising': rising, 'late': late})}\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

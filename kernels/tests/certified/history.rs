@@ -1,6 +1,6 @@
 //! Collapses taken back: what is left is a mesh that there was, and taking back all of them leads to the input.
 
-use crate::common::{Noise, Triangles, coloured, gallery, torus};
+use crate::promises::common::{Noise, Triangles, coloured, gallery, torus};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::certified::history::History;
 use scanloom_kernels::certified::original::Original;

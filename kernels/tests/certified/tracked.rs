@@ -1,6 +1,6 @@
 //! Bounded simplification: samples stay within their limits after every collapse, and the proof at the end holds.
 
-use crate::common::{Noise, coloured, gallery, sheet, torus};
+use crate::promises::common::{Noise, coloured, gallery, sheet, torus};
 use scanloom_kernels::base::geometry::{Vec3, nearest_on_triangle, position};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::certified::ledger::Apart;

@@ -1,6 +1,6 @@
 //! Bounds between two surfaces: never below what brute force finds, whatever the triangles.
 
-use crate::common::{Noise, coloured, gallery, sheet};
+use crate::promises::common::{Noise, coloured, gallery, sheet};
 use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::geometry::{nearest_on_triangle, position, triangle_distance2};
 use scanloom_kernels::base::progress::{Control, Progress};

@@ -1,6 +1,6 @@
 //! The engine carries other measures than JIA01: here the shortest edge first, half-edge, with locked vertices.
 
-use crate::common::{Noise, coloured, gallery, sheet};
+use crate::promises::common::{Noise, coloured, gallery, sheet};
 use scanloom_kernels::base::geometry::{cross, distance2, sub};
 use scanloom_kernels::base::ids::{EdgeId, TriangleId, VertexId};
 use scanloom_kernels::collapse::engine::{Collapsed, Engine, Measure, Proposal, Refusal, Step};

@@ -1,6 +1,6 @@
 //! Simplification region by region: sound for any cut, the same bits for any number of threads, as far as asked.
 
-use crate::common::{Noise, Triangles, coloured, gallery, sheet, sheet_with_hole, torus};
+use crate::promises::common::{Noise, Triangles, coloured, gallery, sheet, sheet_with_hole, torus};
 use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::geometry::{Vec3, cross, dot, position, sub};
 use scanloom_kernels::base::progress::{Control, Progress};

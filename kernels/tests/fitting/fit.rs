@@ -1,6 +1,6 @@
 //! Fitting a result to its input: what is exact stays, what is off comes closer, what is locked does not move.
 
-use crate::common::{coloured, sheet, torus};
+use crate::promises::common::{coloured, sheet, torus};
 use scanloom_kernels::base::geometry::{nearest_on_triangle, norm2, sub};
 use scanloom_kernels::base::ids::VertexId;
 use scanloom_kernels::base::progress::{Control, Progress};
@@ -90,7 +90,7 @@ fn fixed_vertices_and_the_boundary_stay_where_they_are() {
 #[test]
 fn the_nearest_point_of_a_triangle_is_the_nearest() {
     let corners = [[0.0, 0.0, 0.0], [2.0, 0.1, 0.3], [0.4, 1.5, -0.2]];
-    let mut noise = crate::common::Noise(5);
+    let mut noise = crate::promises::common::Noise(5);
     for _ in 0..200 {
         let p: [f64; 3] = std::array::from_fn(|_| 4.0 * noise.next() - 2.0);
         let (at, distance2) = nearest_on_triangle(&p, corners.each_ref());

@@ -1,6 +1,6 @@
 //! The measure of JIA01 on its engine: bounds after every collapse, splits, stops, degenerate input.
 
-use crate::common::{Noise, coloured, gallery, sheet, tetrahedron, torus};
+use crate::promises::common::{Noise, coloured, gallery, sheet, tetrahedron, torus};
 use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::geometry::{distance2, norm2, position, sub};
 use scanloom_kernels::base::progress::{Control, Progress};

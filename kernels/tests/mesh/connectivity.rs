@@ -1,6 +1,6 @@
 //! Building, splitting and collapsing: every invariant holds after every edit.
 
-use crate::common::{Noise, gallery, octahedron, sheet, tetrahedron, torus};
+use crate::promises::common::{Noise, gallery, octahedron, sheet, tetrahedron, torus};
 use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::ids::{EdgeId, VertexId};
 use scanloom_kernels::mesh::connectivity::Connectivity;
@@ -27,14 +27,14 @@ fn verdict(mesh: &Connectivity, a: u32, b: u32) -> Result<(), Illegal> {
 
 #[test]
 fn known_topology() {
-    let topology = |(points, triangles): (Vec<[f64; 3]>, crate::common::Triangles)| {
+    let topology = |(points, triangles): (Vec<[f64; 3]>, crate::promises::common::Triangles)| {
         connect(points.len(), &triangles).topology()
     };
     let expect = |euler, boundary_loops| Topology { euler, boundary_loops, components: 1 };
     assert_eq!(topology(octahedron()), expect(2, 0));
     assert_eq!(topology(torus(5, 4)), expect(0, 0));
     assert_eq!(topology(sheet(3, 2)), expect(1, 1));
-    assert_eq!(topology(crate::common::sheet_with_hole(2)), expect(0, 2));
+    assert_eq!(topology(crate::promises::common::sheet_with_hole(2)), expect(0, 2));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Near-planar patches: what they promise on any mesh.
 
-use crate::common::{Noise, Triangles, octahedron, sheet, sheet_with_hole, tetrahedron, torus};
+use crate::promises::common::{Noise, Triangles, octahedron, sheet, sheet_with_hole, tetrahedron, torus};
 use scanloom_kernels::base::geometry::{Vec3, triangle_distance2};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::mesh::connectivity::Connectivity;

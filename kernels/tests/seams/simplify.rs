@@ -1,6 +1,6 @@
 //! Surfaces with seams: what is one in space stays one, and charts keep their triangles' side up.
 
-use crate::common::{Noise, torus};
+use crate::promises::common::{Noise, torus};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::collapse::engine::Stop;
 use scanloom_kernels::collapse::rounds::{self, REGION_TRIANGLES};

@@ -1,6 +1,6 @@
 //! The `.snm` container: what is written is read, part by part; what is damaged is refused.
 
-use crate::common::{Noise, Triangles, gallery, sheet, torus};
+use crate::promises::common::{Noise, Triangles, gallery, sheet, torus};
 use scanloom_kernels::base::ids::{EdgeId, VertexId};
 use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::mesh::legality::{Marks, can_collapse};

@@ -24,6 +24,12 @@ def frames() -> Sequence[Frame]:
     return read_scan(SAMPLE).frames
 
 
+@pytest.fixture(scope="module")
+def half(frames: Sequence[Frame]) -> Sequence[Frame]:
+    """Every other frame: the same way in steps twice as long, for a third of the time."""
+    return frames[::2]
+
+
 def jittered(frames: Sequence[Frame], metres: float, degrees: float, zoom: float = 1.0) -> list[Frame]:
     """Return frames with poses off by so much, and a colour camera of another focal length."""
     rng = np.random.default_rng(1)
@@ -53,8 +59,8 @@ def test_exact_poses_are_left_as_they_are(frames):
 
 
 @pytest.mark.slow
-def test_disturbed_poses_come_back(frames):
-    disturbed = jittered(frames, 0.01, 0.5)
+def test_disturbed_poses_come_back(half):
+    disturbed = jittered(half, 0.01, 0.5)
     told: list[tuple[int, int]] = []
     found = adjust(disturbed, progress=lambda done, total: told.append((done, total)))
     assert found.accepted
@@ -62,31 +68,31 @@ def test_disturbed_poses_come_back(frames):
     assert [done for done, _ in told] == sorted(done for done, _ in told)
     assert {total for _, total in told} == {told[-1][0]}
     assert found.after.median < 0.3 < 2 < found.before.median
-    was, is_now = (np.median(apart(frames, some), axis=0) for some in (disturbed, found.frames))
+    was, is_now = (np.median(apart(half, some), axis=0) for some in (disturbed, found.frames))
     assert is_now[0] < 0.2 * was[0]
     assert is_now[1] < 0.15 * was[1]
     assert all(frame.color_camera is None for frame in found.frames)
 
 
 @pytest.mark.slow
-def test_a_wrong_focal_length_comes_back_with_the_poses(frames):
-    disturbed = jittered(frames, 0.01, 0.5, zoom=1.05)
+def test_a_wrong_focal_length_comes_back_with_the_poses(half):
+    disturbed = jittered(half, 0.01, 0.5, zoom=1.05)
     found = adjust(disturbed)
     assert found.accepted
     assert found.has_camera
     assert found.after.median < 0.3
     camera = found.frames[0].color_camera
-    assert camera.fx == pytest.approx(frames[0].camera.fx, rel=0.005)
+    assert camera.fx == pytest.approx(half[0].camera.fx, rel=0.005)
     assert camera.distortion[1:] == (0, 0, 0) or camera.distortion == ()
     assert (camera.width, camera.height) == (320, 240)
     assert np.linalg.norm(found.frames[0].color_from_depth[:3, 3]) < 0.004
-    assert np.median(apart(frames, found.frames), axis=0)[0] < 0.002
-    assert found.camera_before.fx == pytest.approx(1.05 * frames[0].camera.fx)
+    assert np.median(apart(half, found.frames), axis=0)[0] < 0.002
+    assert found.camera_before.fx == pytest.approx(1.05 * half[0].camera.fx)
 
 
 @pytest.mark.slow
 def test_it_finds_the_same_every_time(frames):
-    disturbed = jittered(frames[:9], 0.01, 0.5, zoom=1.05)
+    disturbed = jittered(frames[:6], 0.01, 0.5, zoom=1.05)
     once, again = adjust(disturbed), adjust(disturbed)
     assert once.accepted
     for one, other in zip(once.frames, again.frames, strict=True):
@@ -96,26 +102,27 @@ def test_it_finds_the_same_every_time(frames):
 
 @pytest.mark.slow
 def test_frames_between_key_frames_are_placed_too(frames, monkeypatch):
-    monkeypatch.setattr("stages.adjusting.adjust._MOST_KEYS", 14)
-    disturbed = jittered(frames, 0.006, 0.3)
+    monkeypatch.setattr("stages.adjusting.adjust._MOST_KEYS", 8)
+    some = frames[:14]
+    disturbed = jittered(some, 0.006, 0.3)
     found = adjust(disturbed)
-    assert found.key_frames == 14
+    assert found.key_frames == 8
     assert found.unplaced == 0
-    assert len(found.places) == len(frames)
-    was, is_now = (np.median(apart(frames, some), axis=0) for some in (disturbed, found.frames))
+    assert len(found.places) == len(some)
+    was, is_now = (np.median(apart(some, those), axis=0) for those in (disturbed, found.frames))
     assert is_now[0] < 0.4 * was[0]
     assert is_now[1] < 0.3 * was[1]
 
 
 @pytest.mark.slow
-def test_frames_that_cannot_be_used_keep_their_poses(frames):
-    disturbed = jittered(frames, 0.01, 0.5)
+def test_frames_that_cannot_be_used_keep_their_poses(half):
+    disturbed = jittered(half, 0.01, 0.5)
     dark = np.zeros((240, 320, 3), np.uint8)
     disturbed[5] = replace(disturbed[5], color=dark)
     disturbed[9] = replace(disturbed[9], world_from_camera=None)
     found = adjust(disturbed)
     assert found.accepted
-    assert [(one.name, one.reason) for one in found.skipped] == [("0005", "its colour image is black")]
+    assert [(one.name, one.reason) for one in found.skipped] == [("0010", "its colour image is black")]
     assert found.frames[5].world_from_camera is disturbed[5].world_from_camera
     assert found.frames[9].world_from_camera is None
     assert found.unplaced == 2
@@ -160,8 +167,8 @@ def test_colour_of_another_scene_is_told_with_numbers(frames):
 
 
 @pytest.mark.slow
-def test_poses_of_another_frame_are_told_with_numbers(frames):
-    other = [replace(one, world_from_camera=np.linalg.inv(one.world_from_camera)) for one in frames]
+def test_poses_of_another_frame_are_told_with_numbers(half):
+    other = [replace(one, world_from_camera=np.linalg.inv(one.world_from_camera)) for one in half]
     found = adjust(other)
     assert not found.accepted
     assert found.warnings

@@ -263,7 +263,7 @@ def test_what_is_said_to_stay_within_a_limit_does(seed, max_shape, max_color):
 )
 def test_a_million_samples_of_a_real_mesh_do_not_pass_the_bounds(shared_data, name, ratio, excess):
     original = read_mesh(shared_data / "meshes" / name)
-    original = clean(quarter(original) if "kitchen" in name else original).mesh
+    original = clean(original if name == "cow.obj" else quarter(original)).mesh
     result = simplify(original, ratio=ratio).mesh
     found = certify(result, original)
     rng = np.random.default_rng(7)

@@ -164,9 +164,9 @@ def test_colour_is_none_unless_both_meshes_have_it():
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_figures_and_another_does_not():
     a, b = sphere(1.0), sphere(1.02)
-    first = compare(a, b, samples=300_000, seed=4).figures()
-    assert compare(a, b, samples=300_000, seed=4).figures() == first
-    assert compare(a, b, samples=300_000, seed=5).figures() != first
+    first = compare(a, b, samples=50_000, seed=4).figures()
+    assert compare(a, b, samples=50_000, seed=4).figures() == first
+    assert compare(a, b, samples=50_000, seed=5).figures() != first
 
 
 def test_swapping_the_meshes_swaps_the_directions():

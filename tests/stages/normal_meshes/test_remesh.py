@@ -421,7 +421,7 @@ def test_a_base_that_cannot_get_small_enough_is_told() -> None:
 
 
 # Triangles of a real mesh: more take longer, and have nothing that these have not.
-MANY = 40_000
+MANY = 15_000
 
 # -- real meshes -----------------------------------------------------------------------------------------
 

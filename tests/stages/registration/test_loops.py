@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from stages.registration.odometry import one_thread_each
 from stages.registration.register import register
 from stages.scans.formats.trajectories import inverted
 from stages.scans.scan import Frame, Pose
-from tests.made.room_of_posters import turning
+from tests.made.room_of_posters import STEP, turning
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +57,11 @@ def test_a_false_loop_is_dropped_and_a_true_one_kept() -> None:
     truth = turning(0, 390)
     with_loops, without = register(hidden(truth)), register(hidden(truth), loops=False)
     assert len(with_loops.frames) == len(without.frames) == len(truth)
-    back = [edge for edge in with_loops.edges if edge["is_loop"] and edge["source"] - edge["target"] > 20]
+
+    def apart(edge: Mapping[str, Any]) -> float:
+        return STEP * (edge["source"] - edge["target"])
+
+    back = [edge for edge in with_loops.edges if edge["is_loop"] and apart(edge) > 120]
     false = [edge for edge in back if turn_between(truth, edge["source"], edge["target"]) > 90]
     true = [edge for edge in back if edge not in false]
     # The poster is recognised, and its wall meets the other to the last point.

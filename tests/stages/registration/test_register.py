@@ -128,7 +128,7 @@ def test_surfaces_alone_are_enough_eighteen_degrees_apart() -> None:
 
 
 def test_shuffled_frames_are_joined_by_what_they_show() -> None:
-    truth = sample()
+    truth = sample(2)
     order = np.random.default_rng(3).permutation(len(truth))
     shuffled = [truth[i] for i in order]
     found = register(hidden(shuffled))
@@ -314,8 +314,8 @@ def test_a_camera_that_stands_still_is_named() -> None:
 # -- files and pieces ------------------------------------------------------------------------------------
 
 
-def test_a_trajectory_is_read_back_as_written(tmp_path: Path, whole: Registration) -> None:
-    poses = [frame.world_from_camera for frame in whole.frames]
+def test_a_trajectory_is_read_back_as_written(tmp_path: Path) -> None:
+    poses = [frame.world_from_camera for frame in sample()]
     write_tum(tmp_path / "t.tum", list(range(len(poses))), poses)
     back = read_tum(tmp_path / "t.tum")
     np.testing.assert_allclose(np.array(back.poses), np.array(poses), atol=2e-9)
@@ -349,14 +349,14 @@ def test_a_real_street_of_stereo_pairs(shared_data: Path) -> None:
 
 
 def test_a_real_desk_that_a_camera_turns_before(shared_data: Path) -> None:
-    frames = list(read_scan(shared_data / "real" / "rgbd_dataset_freiburg1_rpy").frames)
+    frames = list(read_scan(shared_data / "real" / "rgbd_dataset_freiburg1_rpy").frames[::2])
     found = register(hidden(frames))
     assert len(found.frames) == len(frames)
     assert trajectory_error(found, frames) < 0.015
 
 
 def test_a_real_kitchen_with_its_poses_hidden(shared_data: Path) -> None:
-    truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:30])
+    truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:30:2])
     found = register(hidden(truth))
     assert len(found.frames) == len(truth)
     assert trajectory_error(found, truth) < 0.03
@@ -370,7 +370,7 @@ def test_a_real_kitchen_without_colours(shared_data: Path) -> None:
 
 
 def test_a_real_table_top_whose_depth_has_a_grid_of_holes(shared_data: Path) -> None:
-    truth = list(read_scan(shared_data / "rgbd" / "tabletop_box_realsense").frames)
+    truth = list(read_scan(shared_data / "rgbd" / "tabletop_box_realsense").frames[::2])
     found = register(hidden(truth))
     assert len(found.frames) == len(truth)
     assert trajectory_error(found, truth) < 0.02 * path_length(truth)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -35,6 +36,12 @@ def view(pose: np.ndarray, near: float = 0.8, far: float = 1.6) -> PosedView:
 
 def ring(*angles: float) -> list[PosedView]:
     return [view(posed_scene.pose(angle, 0)) for angle in angles]
+
+
+@cache
+def measured() -> list[DepthMap]:
+    """Return what is found of the made scene as it is: several tests look at it."""
+    return [result for _, result in views_depth(posed_scene.scan()[0])]
 
 
 def dot(where: tuple[float, float], camera: Camera) -> np.ndarray:
@@ -236,7 +243,7 @@ def test_nothing_is_kept_where_a_mask_says_so() -> None:
     # The image of the third is upside down, and its mask with it.
     frames[2] = upside_down(replace(frames[2], mask=mask))
     frames[3] = replace(frames[3], mask=mask)
-    sound = [result.depth > 0 for _, result in views_depth(scan)]
+    sound = [result.depth > 0 for result in measured()]
     found = [result.depth > 0 for _, result in views_depth(replace(scan, frames=frames))]
     for at in (2, 3):
         assert not found[at][:, 130:].any()
@@ -271,7 +278,7 @@ def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
 
 def test_poses_that_do_not_fit_the_images_are_told() -> None:
     scan, _ = posed_scene.scan()
-    assert not any(result.warnings for _, result in views_depth(scan))
+    assert not any(result.warnings for result in measured())
     # The principal point is 3 px off; the views are turned about their axes, each another way.
     camera = replace(posed_scene.CAMERA, cy=posed_scene.CAMERA.cy + 3)
     wrong = replace(scan, frames=[replace(frame, camera=camera) for frame in scan.frames])
@@ -382,18 +389,11 @@ def upside_down(frame: Frame) -> Frame:
     return replace(frame, color=np.ascontiguousarray(frame.color[::-1, ::-1]), mask=mask)
 
 
-@pytest.fixture(scope="module")
-def upright() -> tuple[Scan, list[DepthMap | SkippedFrame]]:
-    """The made scene, and what is found of it as it is."""
-    scan, _ = posed_scene.scan()
-    return scan, [result for _, result in views_depth(scan)]
-
-
 @pytest.mark.parametrize("places", [[], [5], [0, 1, 2, 3], [1, 3, 6]])
 def test_images_turned_against_their_poses_are_turned_back(
-    upright: tuple[Scan, list[DepthMap | SkippedFrame]], places: list[int]
+    places: list[int],
 ) -> None:
-    scan, expected = upright
+    (scan, _), expected = posed_scene.scan(), measured()
     frames = [upside_down(frame) if at in places else frame for at, frame in enumerate(scan.frames)]
 
     results = [result for _, result in views_depth(replace(scan, frames=frames))]
