@@ -40,9 +40,15 @@ there, counted by what is held: points, triangles and the triangles around each 
 46, collapses and where they led 38, what is known of each triangle 9; the rest is short-lived. Between rounds
 free pages are given back to the system: without that the peak was 50 higher.
 
-On a scan it is the proof that counts. Of the kitchen fused at 2 cm, within 1 cm and 30 levels, it takes seven
-eighths of the time: three fifths of all for the first look at each triangle, one fifth for the second at
-those left open. The collapses take a tenth: with a proof that cost nothing it would go ten times as fast.
+On a scan it is the proof that counts. Of 150,547 triangles of the kitchen within 5 mm and 20 levels, on
+a busy machine, 6.6 s: collapses and what is taken back take 1.2 s, the first look at all triangles 2.6
+s, and later looks, at half of the input's triangles and a third of the result's after the first
+failures, at fewer then, 2.8 s. Without colours the same takes 2.0 s: it is the colours that keep the
+proof from 60,000 triangles a second. Of the first look, most is for the result's triangles: half of
+them have to be halved some seven times, 200 µs each, as the input has borders under them, or rises
+beyond the bound beside them. One of the input takes 1 µs where one triangle is near all of it and has
+the right colours, and 8 µs where it is cut into cells. Before there were cells, and before what failed
+at one place was cut there, it was 9.8 s.
 
 How far that is from the floor, for "count", by perf's counters:
 

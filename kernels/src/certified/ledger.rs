@@ -79,6 +79,8 @@ pub struct Ledger<'a, const D: usize> {
     result: Vec<Known<D>>,
     /// The greatest deviation seen in each triangle of the input.
     attained: Vec<[f32; 2]>,
+    /// How far from each triangle of the input the mesh counts at most, where that is less than the bound on shape.
+    reach: Vec<f32>,
     /// In order.
     failing: Vec<Failing>,
     /// Triangles of the input that not even the input is within the bounds of, in order.
@@ -118,6 +120,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
             bounds: decision.limit.unwrap_or_default(),
             result: vec![],
             attained: vec![],
+            reach: vec![],
             failing: vec![],
             hopeless: vec![],
         })
@@ -135,8 +138,8 @@ impl<'a, const D: usize> Ledger<'a, D> {
     /// Look at what has changed since the last time. Returns how many triangles of the mesh and of the input have no
     /// proof now.
     ///
-    /// What is found of a triangle of the mesh stays as long as it does. For one of the input nothing counts but what is
-    /// within the bound on shape of it, and what is found stays as long as all of that does.
+    /// What is found of a triangle of the mesh stays as long as it does. For one of the input nothing counts but what may be
+    /// nearest to it, and what is found stays as long as all of that does.
     pub fn look(
         &mut self,
         mesh: &Whole<D, Bound>,
@@ -170,6 +173,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         }
         before.for_each(|gone| self.mark_within_reach(&gone, &mut near));
         self.attained.resize(self.place.len(), [0.0; 2]);
+        self.reach.resize(self.place.len(), f32::INFINITY);
         self.failing.retain(|failing| !near[failing.triangle as usize]);
         let left = self.left_of_parts(&mesh.triangle_source);
         for (part, (asked, left)) in asked.iter().zip(&left).enumerate() {
@@ -232,12 +236,14 @@ impl<'a, const D: usize> Ledger<'a, D> {
                 certify::decide_within(&target, surface, &decision, lists, at_corners, progress)?;
             limit = Some(within);
             found.extend(asked.iter().map(|a| a.1).zip(of_mesh));
-            for (&t, Verdict { bound, attained }) in now[1].iter().zip(of_input) {
+            for (&t, Verdict { bound, attained, reach }) in now[1].iter().zip(of_input) {
                 let t = triangles[t as usize];
                 // Never more than what is attained.
                 let single = |x: f64| (x as f32).next_down().max(0.0);
                 self.attained[t as usize] = [single(attained.shape), single(attained.color)];
+                self.reach[t as usize] = (reach as f32).next_up();
                 if !bound.within(within) {
+                    self.reach[t as usize] = f32::INFINITY;
                     let within_reach = if bound.within(self.bounds) {
                         vec![]
                     } else {
@@ -281,7 +287,8 @@ impl<'a, const D: usize> Ledger<'a, D> {
         self.failing.iter().filter(|failing| !failing.bound.within(self.bounds))
     }
 
-    /// Mark the triangles of the input that a triangle of the mesh may be nearest to a point of, within the bounds.
+    /// Mark the triangles of the input that a triangle of the mesh may be nearest to a point of, given how far these are from
+    /// the mesh at most: others need not be looked at again when it comes or goes.
     fn mark_within_reach(&self, known: &Known<D>, near: &mut [bool]) {
         let Known { source, corners, .. } = known;
         let Part { triangles, surface, .. } = &self.parts[self.part_of(*source)];
@@ -293,7 +300,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
             let [a, b, c] = self.original.triangles[t].map(|v| position(&self.original.points[v as usize]));
             let centre = [0, 1, 2].map(|i| (a[i] + b[i] + c[i]) / 3.0);
             let radius2 = [a, b, c].iter().map(|p| norm2(&sub(p, &centre))).fold(0.0, f64::max);
-            let far = (1.0 + 1e-9) * (reach + radius2.sqrt());
+            let far = (1.0 + 1e-9) * (reach.min(self.reach[t].into()) + radius2.sqrt());
             near[t] |= triangle_distance2(&centre, places.each_ref()) <= far * far;
         });
     }
@@ -430,10 +437,11 @@ impl<'a, const D: usize> Ledger<'a, D> {
             limit.color = 0.0;
         }
         if own.is_empty() && failing.is_empty() {
-            return Ok(Verdict { bound: limit, attained });
+            return Ok(Verdict { bound: limit, attained, reach: limit.shape });
         }
         let instead = certify::certify_some(&target()?, surface, close, [&own, failing], &mut progress)?;
-        Ok(Verdict { bound: limit.max(instead.bound), attained: attained.max(instead.attained) })
+        let bound = limit.max(instead.bound);
+        Ok(Verdict { bound, attained: attained.max(instead.attained), reach: bound.shape })
     }
 
     fn with_color(&self) -> bool {

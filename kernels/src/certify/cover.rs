@@ -9,6 +9,10 @@
 //! the plane, the colour of T at the foot of y is linear on the other triangle, and so is the difference there;
 //! between foot and x it changes by no more than its gradient. Where the other triangle is the larger one,
 //! it is the other way round. Either way the slack comes to what the gradient is multiplied by.
+//!
+//! Where that is not enough, T is cut into what each triangle over it hides: no point of such a cell is farther from the
+//! surface than from that triangle, and so fewer others can be nearest to it. What remains is cut on, where a colour may
+//! differ too much: by the plane beyond which another triangle is nearer, or in two.
 
 use super::facet::Facet;
 use super::piece::{Against, Deviation};
@@ -18,6 +22,12 @@ use crate::base::geometry::{Vec3, add_scaled, around, cross, dot, norm2, sub};
 
 /// Share of the lengths in it that the position in a view may be wrong by: far more than rounding makes it.
 const ROUNDING: f64 = 1e-12;
+
+/// Times that a part is cut to find what of it a triangle is nearest to.
+const CUTS: usize = 16;
+
+/// Times the distance from one triangle that several may be above the plane.
+const HIGHER: f64 = 2.0;
 
 /// What of T is looked at to count the layers over it: a point where few meshes have a side or a corner.
 const PLACE: Vec3 = [0.381_966_011_250_105, 0.351_407_320_124_931, 0.266_626_668_624_964];
@@ -44,12 +54,35 @@ struct Seen {
     at: [Vec3; 3],
 }
 
+/// Lowest and highest coordinates on the plane.
+type Box = [[f64; 2]; 2];
+
+/// A triangle of the other surface that hides some of the one viewed, and its greatest height over that.
+struct Hiding {
+    seen: Seen,
+    around: Box,
+    height: f64,
+}
+
+/// A part of the triangle viewed, and the box around it.
+struct Cell {
+    polygon: Polygon,
+    around: Box,
+}
+
 /// Memory that the next triangle can use again.
 #[derive(Default)]
 pub struct Cover {
     seen: Vec<Seen>,
     /// Sides that may cross the triangle: their vertices in order, and in which direction they are run through.
     sides: Vec<([u32; 2], bool)>,
+    /// What hides all of the triangle.
+    hiding: Vec<Hiding>,
+    /// Parts of the triangle that cover it, each with how far one triangle of the other surface is.
+    cells: Vec<Cell>,
+    parts: Vec<Polygon>,
+    /// How far the other surface is at most from what was proven last.
+    pub reach: f64,
     /// Where a colour differs too much, as far as the proof can tell.
     pub doubt: Option<Corner>,
 }
@@ -66,27 +99,37 @@ impl Cover {
     ) -> bool {
         let most = limit.shape - against.slack;
         let by_one = one_triangle(against, triangle, near, most);
-        if by_one.is_some() && !against.with_color {
+        if let Some((_, reach)) = by_one
+            && !against.with_color
+        {
+            self.reach = reach;
             return true;
         }
         self.seen.clear();
         self.doubt = None;
         let Some(view) = View::new(triangle) else { return false };
-        let color_within =
-            |cover: &mut Self, reach| cover.color_within(against, triangle, &view, reach, limit.color);
-        if let Some(reach) = by_one {
+        if let Some((_, reach)) = by_one {
             let colors = around(triangle.iter().map(|c| c.color));
             let close = |node, branch| against.target.colors_apart(node, branch, &colors) <= limit.color;
             self.look(against, triangle, &view, reach + against.slack, close);
-            if color_within(self, reach) {
+            if self.color_soon_within(against, triangle, &view, reach, limit.color) {
+                self.reach = reach;
                 return true;
             }
         }
-        // Several triangles may be nearer than one is: fewer then have a colour that matters.
-        let most = by_one.unwrap_or(most);
+        // Several triangles may be nearer than one is, though higher up along the normal: fewer then have a colour that
+        // matters.
+        let most = by_one.map_or(most, |(_, reach)| most.min(HIGHER * reach));
         self.look(against, triangle, &view, most + against.slack, |_, _| false);
-        let reach = self.hidden(against, &view, most);
-        reach.is_some_and(|reach| !against.with_color || color_within(self, reach))
+        let hidden = self.hidden(against, &view, most);
+        if hidden.is_none() {
+            self.hiding.clear();
+        }
+        let found = [hidden, by_one.map(|(_, reach)| reach)].into_iter().flatten();
+        let Some(reach) = found.reduce(f64::min) else { return false };
+        self.reach = reach;
+        !against.with_color
+            || self.color_within(against, triangle, &view, by_one.map(|(slot, _)| slot), reach, limit.color)
     }
 
     /// How many triangles were near the one looked at last.
@@ -125,6 +168,7 @@ impl Cover {
     /// The greatest height of what hides all of the triangle, if that is at most `most`.
     fn hidden(&mut self, against: &Against<'_>, view: &View, most: f64) -> Option<f64> {
         self.sides.clear();
+        self.hiding.clear();
         let place = [0, 1].map(|i| (0..3).map(|k| PLACE[k] * view.corners[k][i]).sum());
         let (mut layers, mut highest) = (0, 0.0f64);
         for seen in &self.seen {
@@ -143,6 +187,7 @@ impl Cover {
                 continue;
             }
             highest = highest.max(height);
+            self.hiding.push(Hiding { seen: *seen, around: box_around(&seen.at), height });
             layers += turns(&seen.at, &place)?;
             let vertices = against.target.vertices[seen.slot as usize];
             for (i, j) in [(0, 1), (1, 2), (2, 0)] {
@@ -173,41 +218,163 @@ impl Cover {
         against: &Against<'_>,
         triangle: &[Corner; 3],
         view: &View,
+        one: Option<u32>,
         reach: f64,
         level: f64,
     ) -> bool {
-        let polygon = Polygon::new(triangle.map(|c| Corner { reach, ..c }));
         let around = reach + against.slack;
+        self.cells.clear();
         for seen in self.seen.iter().filter(|seen| !view.apart(&seen.at, around)) {
-            let quick = if extent(&seen.at) < view.size {
-                Some(view.smaller_differs(against, seen, around))
-            } else {
-                larger_differs(against, triangle, seen.slot, around)
+            if soon_within(against, triangle, view, seen, around, level) {
+                continue;
+            }
+            // Not all of the triangle is as far from what hides it as the farthest part.
+            let Some(around) = self.around(seen, around, against.slack) else { continue };
+            if view.apart(&seen.at, around) || soon_within(against, triangle, view, seen, around, level) {
+                continue;
+            }
+            let facet = Facet::new(&against.target.corners(seen.slot));
+            let all = Polygon::new(triangle.map(|c| Corner { reach: around - against.slack, ..c }));
+            let within = |polygon, cuts, parts: &mut Vec<Polygon>| {
+                against.share_within(polygon, seen.slot, facet.as_ref(), level, cuts, parts)
             };
-            if quick.is_none_or(|most| most > level)
-                && let Some((most, worst)) = against.share(&polygon, seen.slot)
-                && most.color > level
-            {
-                self.doubt = Some(worst);
-                return false;
+            if within(&all, 0, &mut self.parts).is_ok() {
+                continue;
+            }
+            // Soon found for most: only what is left is worth the cells.
+            if self.cells.is_empty() {
+                cut(&mut self.cells, against, triangle, view, one, &self.hiding);
+            }
+            let here = box_around(&seen.at);
+            debug_assert!(!self.cells.is_empty(), "cells cover the triangle");
+            for cell in self.cells.iter().filter(|cell| meet(&here, &cell.around, around)) {
+                if let Err(worst) = within(&cell.polygon, CUTS, &mut self.parts) {
+                    self.doubt = Some(worst);
+                    return false;
+                }
             }
         }
         true
     }
+
+    /// How far what was seen, or another triangle no more than the slack nearer, can be from points it is nearest to; no
+    /// farther than `around`. None if there are no such points.
+    fn around(&self, seen: &Seen, around: f64, slack: f64) -> Option<f64> {
+        if self.hiding.is_empty() {
+            return Some(around);
+        }
+        let here = box_around(&seen.at);
+        let mut around = around;
+        for _ in 0..2 {
+            let over = self.hiding.iter().filter(|hiding| meet(&here, &hiding.around, around));
+            around = around.min(over.map(|hiding| hiding.height).reduce(f64::max)? + slack);
+        }
+        Some(around)
+    }
+
+    /// The same by what is found at once.
+    fn color_soon_within(
+        &self,
+        against: &Against<'_>,
+        triangle: &[Corner; 3],
+        view: &View,
+        reach: f64,
+        level: f64,
+    ) -> bool {
+        let around = reach + against.slack;
+        let mut near = self.seen.iter().filter(|seen| !view.apart(&seen.at, around));
+        near.all(|seen| soon_within(against, triangle, view, seen, around, level))
+    }
 }
 
-/// The greatest distance of the corners from one triangle, which no point between them passes.
-fn one_triangle(against: &Against<'_>, triangle: &[Corner; 3], near: [u32; 3], most: f64) -> Option<f64> {
+/// Whether the colour of what was seen is soon found to be within `level`.
+#[inline]
+fn soon_within(
+    against: &Against<'_>,
+    triangle: &[Corner; 3],
+    view: &View,
+    seen: &Seen,
+    around: f64,
+    level: f64,
+) -> bool {
+    let most = if extent(&seen.at) < view.size {
+        Some(view.smaller_differs(against, seen, around))
+    } else {
+        larger_differs(against, triangle, seen.slot, around)
+    };
+    most.is_some_and(|most| most <= level)
+}
+
+/// Parts that cover the triangle: what each of those that hide it does, or all of it where `one` triangle is near all.
+fn cut(
+    cells: &mut Vec<Cell>,
+    against: &Against<'_>,
+    triangle: &[Corner; 3],
+    view: &View,
+    one: Option<u32>,
+    hiding: &[Hiding],
+) {
+    let mut cell = |mut polygon: Polygon, slot: u32| {
+        polygon.set_reach(against.target.reach(slot));
+        if !polygon.is_empty() {
+            cells.push(Cell { around: box_around_places(polygon.iter().map(|c| view.at(&c.at))), polygon });
+        }
+    };
+    if hiding.is_empty() {
+        one.into_iter().for_each(|slot| cell(Polygon::new(*triangle), slot));
+    }
+    for Hiding { seen: Seen { slot, at }, .. } in hiding {
+        let turn = ((at[1][0] - at[0][0]) * (at[2][1] - at[0][1])
+            - (at[1][1] - at[0][1]) * (at[2][0] - at[0][0]))
+            .signum();
+        let inside = |polygon: Polygon, (i, j): (usize, usize)| {
+            let (from, to) = (&at[i], &at[j]);
+            let (x, y) = (turn * (from[1] - to[1]), turn * (to[0] - from[0]));
+            let length = x.abs() + y.abs();
+            polygon.clipped(|p| {
+                let p = view.at(p);
+                x * (p[0] - from[0])
+                    + y * (p[1] - from[1])
+                    + length * (view.rounding(&p) + view.rounding(from))
+            })
+        };
+        cell([(0, 1), (1, 2), (2, 0)].into_iter().fold(Polygon::new(*triangle), inside), *slot);
+    }
+}
+
+fn box_around(at: &[Vec3; 3]) -> Box {
+    box_around_places(at.iter().copied())
+}
+
+fn box_around_places(places: impl Iterator<Item = Vec3>) -> Box {
+    around(places).map(|[x, y, _]| [x, y])
+}
+
+/// Whether two boxes are no farther apart than `margin` along both axes.
+#[inline]
+fn meet(a: &Box, b: &Box, margin: f64) -> bool {
+    (0..2).all(|i| a[0][i] <= b[1][i] + margin && b[0][i] <= a[1][i] + margin)
+}
+
+/// A triangle and the greatest distance of the corners from it, which no point between them passes.
+fn one_triangle(
+    against: &Against<'_>,
+    triangle: &[Corner; 3],
+    near: [u32; 3],
+    most: f64,
+) -> Option<(u32, f64)> {
     (0..3).filter(|&i| !near[..i].contains(&near[i])).find_map(|i| {
         if near == [near[0]; 3] && !is_needle(area_and_length(&against.target.corners(near[0]))) {
-            return Some(triangle.iter().map(|c| c.reach).fold(0.0, f64::max)).filter(|&far| far <= most);
+            let far = triangle.iter().map(|c| c.reach).fold(0.0, f64::max);
+            return (far <= most).then_some((near[0], far));
         }
         let reach = against.target.reach(near[i]);
         // The corner this triangle is nearest to is the last one to be too far from it.
-        [(i + 1) % 3, (i + 2) % 3, i].into_iter().try_fold(0.0f64, |far, k| {
+        let far = [(i + 1) % 3, (i + 2) % 3, i].into_iter().try_fold(0.0f64, |far, k| {
             let far = far.max(reach(&triangle[k].at));
             (far <= most).then_some(far)
-        })
+        });
+        far.map(|far| (near[i], far))
     })
 }
 
@@ -266,6 +433,12 @@ impl View {
         [0, 1, 2].map(|i| dot(&self.axes[i], &to_p))
     }
 
+    /// The colour at a place in the plane, continued beyond the triangle.
+    #[inline]
+    fn color_at(&self, [x, y]: &[f64; 2]) -> Vec3 {
+        add_scaled(&add_scaled(&self.color[0], *x, &self.color[1]), *y, &self.color[2])
+    }
+
     /// How far inside a side; negative outside.
     #[inline]
     fn depth(&self, side: usize, p: &Vec3) -> f64 {
@@ -301,11 +474,30 @@ impl View {
     /// The greatest height that another triangle has over this one.
     fn height_over(&self, other: &[Vec3; 3]) -> f64 {
         let margin = other.iter().map(|p| self.rounding(p)).fold(0.0, f64::max);
-        let corner = |at: Vec3| Corner { at, color: [0.0; 3], reach: 0.0 };
-        let part = (0..3).fold(Polygon::new(other.map(corner)), |part, side| {
-            part.clipped(|p| self.depth(side, p) + margin)
-        });
-        part.iter().map(|c| c.at[2].abs()).fold(0.0, f64::max)
+        // Convex: three cuts add a corner each.
+        let (mut part, mut count) = ([other[0]; 6], 3);
+        part[..3].copy_from_slice(other);
+        for side in 0..3 {
+            let (before, last) = (part, std::mem::take(&mut count));
+            let levels = before.map(|p| self.depth(side, &p) + margin);
+            for i in 0..last {
+                let j = if i + 1 < last { i + 1 } else { 0 };
+                let t = levels[i] / (levels[i] - levels[j]);
+                let crossing = || [0, 1, 2].map(|k| before[i][k] + t * (before[j][k] - before[i][k]));
+                let both = [
+                    (levels[i] >= 0.0).then_some(before[i]),
+                    ((levels[i] < 0.0) != (levels[j] < 0.0)).then(crossing),
+                ];
+                for place in both.into_iter().flatten() {
+                    if count == part.len() {
+                        return other.iter().map(|p| p[2].abs()).fold(0.0, f64::max);
+                    }
+                    part[count] = place;
+                    count += 1;
+                }
+            }
+        }
+        part[..count].iter().map(|p| p[2].abs()).fold(0.0, f64::max)
     }
 
     /// Whether a side passes beside this triangle.
@@ -323,8 +515,7 @@ impl View {
         let colors = against.target.corner_colors(seen.slot);
         let most2 = [0, 1, 2].map(|k| {
             let [x, y, _] = seen.at[k];
-            let here = add_scaled(&add_scaled(&self.color[0], x, &self.color[1]), y, &self.color[2]);
-            norm2(&sub(&here, &colors[k]))
+            norm2(&sub(&self.color_at(&[x, y]), &colors[k]))
         });
         // Where heights are above zero all over the triangle, less is left for the way along the plane.
         let [low, high] =

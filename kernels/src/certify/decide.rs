@@ -46,7 +46,7 @@ pub fn decide(
     scratch: &mut Scratch,
     progress: &mut Progress,
 ) -> Result<Outcome, KernelError> {
-    let mut seen = Outcome { bound: Deviation::default(), attained, pieces: 0, shares: vec![] };
+    let mut seen = Outcome::new(attained);
     if attained.within(goal.at_most)
         && parts_proven(against, Part { corners, near }, goal, &mut seen, scratch, progress)?
     {
@@ -74,6 +74,7 @@ fn parts_proven(
         progress.check_now_and_then()?;
         seen.pieces += 1;
         if cover.proves(against, &part.corners, part.near, goal.at_most) {
+            seen.reach = seen.reach.max(cover.reach + against.slack);
             continue;
         }
         if let Some(doubt) = cover.doubt {
@@ -91,6 +92,7 @@ fn parts_proven(
             let outcome = refine(against, part.corners, &mut hint, seen.attained, goal, workspace, progress)?;
             seen.pieces += outcome.pieces;
             seen.attained = outcome.attained;
+            seen.reach = seen.reach.max(outcome.reach);
             if !outcome.bound.within(goal.at_most) {
                 return Ok(false);
             }

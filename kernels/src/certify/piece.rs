@@ -6,7 +6,7 @@
 use super::facet::{Facet, nearest};
 use super::polygon::{Corner, Polygon};
 use super::surface::{Found, Surface, blend, combine, difference};
-use crate::base::geometry::{Vec3, around, norm2, sub};
+use crate::base::geometry::{Vec3, around, dot, norm2, sub};
 
 /// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at,
 /// unless it is small already, beside the distance.
@@ -202,14 +202,8 @@ impl Against<'_> {
     pub fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
         let corners = &self.target.corners(slot);
         let facet = Facet::new(corners);
-        let (part, outside) = match &facet {
-            Some(facet) => facet.part(polygon, self.slack)?,
-            None => (*polygon, f64::INFINITY),
-        };
-        // Beside a sharp corner, inside of both outlines moved out, the triangle can still be too far.
-        let (centre, radius) = part.centre();
-        let distance = nearest(&centre.at, corners).distance2.sqrt();
-        if distance - radius > farthest(&part).reach + self.slack {
+        let (part, outside) = self.part(polygon, facet.as_ref())?;
+        if self.is_beyond(&part, corners) {
             return None;
         }
         let shape = farthest(&part).reach + self.slack;
@@ -218,6 +212,77 @@ impl Against<'_> {
         }
         let (color, worst) = self.color(&part, corners, facet.as_ref(), outside, slot);
         Some((Deviation { shape, color }, worst))
+    }
+
+    /// Whether the share of `polygon` differs in colour by no more than `level`; if not, a corner where it may. Up to so many
+    /// `cuts` are made: where another triangle is nearer, and in two where none is.
+    pub fn share_within(
+        &self,
+        polygon: &Polygon,
+        slot: u32,
+        facet: Option<&Facet>,
+        level: f64,
+        cuts: usize,
+        parts: &mut Vec<Polygon>,
+    ) -> Result<(), Corner> {
+        let corners = &self.target.corners(slot);
+        let colors = &self.target.corner_colors(slot);
+        parts.clear();
+        parts.push(*polygon);
+        let mut made = 0;
+        while let Some(part) = parts.pop() {
+            let Some((part, outside)) = self.part(&part, facet) else { continue };
+            let soon = facet.is_some_and(|facet| {
+                let beside = facet.slope(colors) * (outside + self.slack);
+                let differs = |c: &Corner| difference(&c.color, &combine(&facet.weights(&c.at), colors));
+                part.iter().all(|c| differs(c) + beside <= level)
+            });
+            if soon || self.is_beyond(&part, corners) {
+                continue;
+            }
+            let (most, worst) = self.color(&part, corners, facet, outside, slot);
+            if most <= level {
+                continue;
+            }
+            if made == cuts {
+                return Err(worst);
+            }
+            made += 1;
+            let here = nearest(&worst.at, corners);
+            let distance = here.distance2.sqrt();
+            let away = sub(&worst.at, &combine(&here.weights, corners)).map(|x| x / distance);
+            // The distance to a triangle is convex: nowhere less than it is by its gradient, and nowhere more than it is by
+            // corners around.
+            let at_least = |p: &Vec3| distance + dot(&away, &sub(p, &worst.at)) - self.slack;
+            if distance > worst.reach + self.slack {
+                parts.push(part.kept(|c| c.reach - at_least(&c.at)));
+                continue;
+            }
+            let nearer = self.target.nearest(&worst.at, slot);
+            let reach = self.target.reach(nearer.slot);
+            if distance > reach(&worst.at) + self.slack {
+                parts.push(part.kept(|c| reach(&c.at) - at_least(&c.at)));
+            } else if self.deviation(&worst, nearer.slot, nearer.distance).color > level {
+                return Err(worst);
+            } else {
+                parts.extend(part.halves());
+            }
+        }
+        Ok(())
+    }
+
+    /// Where in `polygon` the nearest point may be on a triangle, and how far outside of that its foot can be there.
+    fn part(&self, polygon: &Polygon, facet: Option<&Facet>) -> Option<(Polygon, f64)> {
+        match facet {
+            Some(facet) => facet.part(polygon, self.slack),
+            None => (!polygon.is_empty()).then_some((*polygon, f64::INFINITY)),
+        }
+    }
+
+    /// Beside a sharp corner, inside of both outlines moved out, a triangle can still be too far.
+    fn is_beyond(&self, part: &Polygon, corners: &[Vec3; 3]) -> bool {
+        let (centre, radius) = part.centre();
+        nearest(&centre.at, corners).distance2.sqrt() - radius > farthest(part).reach + self.slack
     }
 
     /// The greatest colour difference between `part` and the nearest points of one triangle, or points of it within

@@ -5,7 +5,7 @@
 
 use std::ops::Deref;
 
-use crate::base::geometry::{Vec3, norm2, sub};
+use crate::base::geometry::{Vec3, dot, norm2, sub};
 
 /// Corners a polygon may have. Every cut of a convex one adds one at most.
 pub const MOST: usize = 16;
@@ -62,6 +62,14 @@ impl Polygon {
         farthest.0
     }
 
+    /// Both sides of the plane across the middle of the longest way through it.
+    pub fn halves(&self) -> [Self; 2] {
+        let [a, b] = self.diameter();
+        let (along, middle) = (sub(&b, &a), self.centre().0.at);
+        let level = |p: &Vec3| dot(&along, &sub(p, &middle));
+        [self.clipped(level), self.clipped(|p| -level(p))]
+    }
+
     pub fn set_reach(&mut self, reach: impl Fn(&Vec3) -> f64) {
         for corner in &mut self.corners[..self.count] {
             corner.reach = reach(&corner.at);
@@ -79,11 +87,16 @@ impl Polygon {
     ///
     /// Never less than that part: where rounding would make too many corners, the polygon comes back whole.
     pub fn clipped(&self, level: impl Fn(&Vec3) -> f64) -> Self {
+        self.kept(|corner| level(&corner.at))
+    }
+
+    /// The same for a function that is convex, and between two corners at most what it is by theirs.
+    pub fn kept(&self, level: impl Fn(&Corner) -> f64) -> Self {
         let Some(last) = self.last() else { return *self };
         let mut out = Self { corners: [*last; MOST], count: 0 };
-        let (mut before, mut level_before) = (last, level(&last.at));
+        let (mut before, mut level_before) = (last, level(last));
         for corner in self.iter() {
-            let here = level(&corner.at);
+            let here = level(corner);
             if (here < 0.0) != (level_before < 0.0) && here != 0.0 && level_before != 0.0 {
                 let t = level_before / (level_before - here);
                 if !out.push(between(before, corner, t)) {

@@ -173,7 +173,7 @@ pub fn greatest(
     if surfaces.iter().any(|surface| surface.is_empty()) {
         let none = surfaces.iter().all(|surface| surface.is_empty());
         let all = if none { Deviation::default() } else { EVERYTHING };
-        return Ok(Verdict { bound: all, attained: all });
+        return Ok(Verdict { bound: all, attained: all, reach: all.shape });
     }
     // A bound contains the slack, and what is attained does not.
     let least = Deviation { shape: 2.0 * slack_of(surfaces, options), color: 0.0 };
@@ -196,7 +196,7 @@ pub fn greatest(
     let found = sides.iter().flat_map(|side| &side.found);
     let mut bound = found.fold(Deviation::default(), |most, found| most.max(found.bound));
     bound.color = if sides[0].against.with_color { bound.color + COLOR_SLACK } else { 0.0 };
-    Ok(Verdict { bound, attained: attained(&sides) })
+    Ok(Verdict { bound, attained: attained(&sides), reach: bound.shape })
 }
 
 /// Which of the triangles `asked` (of the result, of the original; numbers in the order of the input) stay within
@@ -231,7 +231,7 @@ pub fn decide_within(
 ) -> Result<(Deviation, [Vec<Verdict>; 2]), KernelError> {
     if result.is_empty() || original.is_empty() {
         let verdicts =
-            asked.map(|asked| vec![Verdict { bound: EVERYTHING, attained: EVERYTHING }; asked.len()]);
+            asked.map(|asked| vec![Verdict { attained: EVERYTHING, ..Verdict::UNKNOWN }; asked.len()]);
         return Ok((limit(EVERYTHING), verdicts));
     }
     let slots = slots_of([result, original], asked);
@@ -256,10 +256,10 @@ pub fn decide_within(
         false => 0.0,
     };
     let verdict = |side: &Side<'_>, t: u32| {
-        let Verdict { bound, attained } =
+        let Verdict { bound, attained, reach } =
             side.found_in(side.mesh.slots[t as usize]).unwrap_or(Verdict::UNKNOWN);
         let bound = Deviation { shape: bound.shape.max(within.shape), color: color(bound.color) };
-        Verdict { bound, attained }
+        Verdict { bound, attained, reach }
     };
     Ok((within, [0, 1].map(|i| asked[i].iter().map(|&t| verdict(&sides[i], t)).collect())))
 }

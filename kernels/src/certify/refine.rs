@@ -10,7 +10,7 @@ use super::facet::Facet;
 use super::piece::{Against, Deviation, Piece, Share, Wanted};
 use super::polygon::{Corner, MOST, Polygon};
 use crate::base::errors::KernelError;
-use crate::base::geometry::{Vec3, dot, sub};
+use crate::base::geometry::Vec3;
 use crate::base::progress::Progress;
 
 /// A polygon with more corners is halved, not cut along an outline: three cuts may add three.
@@ -55,10 +55,19 @@ impl Goal {
 #[derive(Clone, Debug)]
 pub struct Outcome {
     pub bound: Deviation,
+    /// No point is farther from the other surface, with the slack: the bound on shape, or less where that was not asked for.
+    pub reach: f64,
     pub attained: Deviation,
     pub pieces: usize,
     /// Slots the nearest points may be on, each once, in order; the bound of what falls on them.
     pub shares: Vec<Share>,
+}
+
+impl Outcome {
+    /// Of no points so far, of which some are known to attain so much.
+    pub fn new(attained: Deviation) -> Self {
+        Self { bound: Deviation::default(), reach: 0.0, attained, pieces: 0, shares: vec![] }
+    }
 }
 
 /// Pieces still to be looked at, and memory that the next triangle can use again.
@@ -92,7 +101,7 @@ pub fn refine(
     shares.clear();
     let color = if against.with_color { against.color_range } else { 0.0 };
     let everything = Deviation { shape: f64::INFINITY, color };
-    let mut outcome = Outcome { bound: Deviation::default(), attained, pieces: 0, shares: vec![] };
+    let mut outcome = Outcome::new(attained);
     let mut parts = vec![(Polygon::new(triangle), *hint)];
     let mut parent = everything;
     loop {
@@ -135,6 +144,7 @@ pub fn refine(
         finish(against, &piece, shares, &mut outcome);
     }
     merge(&mut outcome.shares);
+    outcome.reach = outcome.bound.shape;
     Ok(outcome)
 }
 
@@ -184,7 +194,7 @@ fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
             return parts;
         }
     }
-    halves(polygon)
+    polygon.halves().into()
 }
 
 /// The part inside the outline moved out by `margin`, then those outside; one if the outline cuts nothing. A cut leaves
@@ -205,13 +215,6 @@ fn cut_along(polygon: &Polygon, facet: &Facet, margin: f64, least: f64) -> Vec<P
     }
     parts.insert(0, inside);
     parts
-}
-
-fn halves(polygon: &Polygon) -> Vec<Polygon> {
-    let [a, b] = polygon.diameter();
-    let (along, middle) = (sub(&b, &a), polygon.centre().0.at);
-    let level = |p: &Vec3| dot(&along, &sub(p, &middle));
-    vec![polygon.clipped(level), polygon.clipped(|p| -level(p))]
 }
 
 impl Ord for Waiting {

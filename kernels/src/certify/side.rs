@@ -25,6 +25,8 @@ pub struct Verdict {
     pub bound: Deviation,
     /// The greatest deviation at a point that was looked at.
     pub attained: Deviation,
+    /// Nothing of the other surface counts that is farther away, metres: no point is, by more than the slack.
+    pub reach: f64,
 }
 
 impl Verdict {
@@ -32,7 +34,14 @@ impl Verdict {
     pub const UNKNOWN: Self = Self {
         bound: Deviation { shape: f64::INFINITY, color: f64::INFINITY },
         attained: Deviation { shape: 0.0, color: 0.0 },
+        reach: f64::INFINITY,
     };
+}
+
+impl Outcome {
+    fn verdict(&self) -> Verdict {
+        Verdict { bound: self.bound, attained: self.attained, reach: self.reach }
+    }
 }
 
 /// One direction: triangles of `mesh` against the other surface.
@@ -151,7 +160,7 @@ impl<'a> Side<'a> {
             for &place in &places[range] {
                 let outcome = this.look_at(this.slots[place as usize], goal, scratch, progress)?;
                 pieces += outcome.pieces as u64;
-                found.push(Verdict { bound: outcome.bound, attained: outcome.attained });
+                found.push(outcome.verdict());
                 if outcome.bound.within(keep) {
                     this.on_target.receive(&outcome.shares);
                 } else {
@@ -203,8 +212,9 @@ impl<'a> Side<'a> {
         for ((place, now), (_, before)) in self.pending.iter_mut().zip(&mut before) {
             now.bound = now.bound.min(before.bound);
             now.attained = now.attained.max(before.attained);
+            now.reach = now.reach.min(before.reach);
             now.shares = common(&now.shares, &before.shares);
-            self.found[*place as usize] = Verdict { bound: now.bound, attained: now.attained };
+            self.found[*place as usize] = now.verdict();
         }
         Ok(())
     }

@@ -125,7 +125,7 @@ pub fn build<const D: usize, const K: usize>(
         let is_missed = made.iter().any(|&(group, _)| proven[group].bound.shape > ledger.bounds().shape);
         unproven += if is_missed { left } else { 0 };
         for (group, node) in made {
-            let Verdict { bound, attained } = proven[group];
+            let Verdict { bound, attained, .. } = proven[group];
             // Never less than what it replaces.
             let below = nodes.iter().filter(|n| n.parent == node);
             let bound = below.fold(bound, |most, child| most.max(child.bound));
