@@ -22,8 +22,8 @@ from pipeline.reasons import reason
 from pipeline.results import Results
 from pipeline.sections import Sections
 from pipeline.system import peak_bytes, reset_peak
-from stages.memory import give_back
 from stages.progress import Progress
+from stages.surface.memory import give_back
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from stages.errors import InputError
 from stages.files.documents import read_document
 from stages.files.opening import opened
 from stages.files.replacing import replacing
-from stages.memory import give_back
+from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 
 Point = tuple[float, float, float]

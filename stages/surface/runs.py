@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.memory import give_back
+from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Part
 

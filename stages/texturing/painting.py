@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.memory import give_back
 from stages.scans.prefetch import read_ahead, workers
+from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.texturing.alignment import Shifts, shifts_of
 from stages.texturing.exposure import Exposure

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError, UsageError
 from stages.files.image_bytes import encoded_image
-from stages.memory import give_back
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
@@ -28,6 +27,7 @@ from stages.scans.prefetch import both
 from stages.scans.scan import Frame, Scan, SkippedFrame
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.formats.gltf_materials import shown_as_it_is
+from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import require_area

@@ -16,6 +16,7 @@ from pipeline.config import Config
 from pipeline.engine import Stage
 from pipeline.graph import STAGES
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
+from stages.surface.pieces import table_of
 
 ROOT = Path(stages.__file__).parents[1]
 MODULES = modules_of(pipeline, stages)
@@ -42,18 +43,28 @@ def config(words: str) -> Config:
     return Config().set(words.split())
 
 
-def versions(stage: Stage, scan: Scan, words: str = "") -> Mapping[str, int]:
-    return stage.versions(dict.fromkeys(stage.reads, scan), config(words))
+def versions(stage: Stage, scan: Scan, words: str = "", clean: Path = ROOT) -> Mapping[str, int]:
+    return stage.versions({**dict.fromkeys(stage.reads, scan), "clean": clean}, config(words))
 
 
-def all_versions() -> dict[tuple[Any, ...], Mapping[str, int]]:
-    """Return what every stage has in its keys, for all kinds of scans and methods."""
+def all_versions(large: Path) -> dict[tuple[Any, ...], Mapping[str, int]]:
+    """Return what every stage has in its keys, for all kinds of scans and methods.
+
+    `large` holds a mesh that is worked on in pieces.
+    """
     return {
-        (stage.name, (scan.is_views, scan.is_stereo), words): versions(stage, scan, words)
+        (stage.name, (scan.is_views, scan.is_stereo), words, clean): versions(stage, scan, words, clean)
         for stage in STAGES
         for scan in (VIEWS, PAIRS, MEASURED)
         for words in METHODS
+        for clean in (ROOT, large)
     }
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Path:
+    table_of(tmp_path / "clean.ply").touch()
+    return tmp_path
 
 
 def stage_named(name: str) -> Stage:
@@ -67,15 +78,15 @@ def test_they_are_found():
 
 
 @pytest.mark.parametrize("module", STATING, ids=lambda module: module.__name__)
-def test_every_version_of_a_result_is_in_the_key_of_a_stage(module, monkeypatch):
-    before = all_versions()
+def test_every_version_of_a_result_is_in_the_key_of_a_stage(module, large, monkeypatch):
+    before = all_versions(large)
     monkeypatch.setattr(module, "RESULT_VERSION", module.RESULT_VERSION + 1)
-    after = all_versions()
+    after = all_versions(large)
     assert [key for key in before if before[key] != after[key]], "bumping it changes no key"
 
 
-def test_every_stage_has_a_version():
-    assert all(all_versions().values())
+def test_every_stage_has_a_version(large):
+    assert all(all_versions(large).values())
 
 
 def test_versions_are_called_what_they_are_of():
@@ -124,11 +135,11 @@ def imports(module: ModuleType) -> Iterator[str]:
                 yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def test_what_a_stage_runs_is_in_its_key_too():
+def test_what_a_stage_runs_is_in_its_key_too(large):
     # Whose code is imported by what a stage runs may decide its result: bake measures colours with compare.
     by_name = {module.__name__: module for module in MODULES}
     stating = {name_in_keys(module): module.__name__ for module in STATING}
-    in_keys = all_versions()
+    in_keys = all_versions(large)
     for stage in STAGES:
         named = {name for key, found in in_keys.items() if key[0] == stage.name for name in found}
         reached, waiting = set(), {stating[name] for name in named}
