@@ -18,6 +18,9 @@ from stages.simplification.result import Simplified
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Part
 
+# Where a part may be divided, as shares of its triangles.
+_SHARES = np.linspace(0.2, 0.8, 13)
+
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -92,14 +95,16 @@ def joined_cuts(cuts: Sequence[Cut]) -> Cut:
 
 
 def split(cut: Cut, most: int) -> Iterator[Cut]:
-    """Yield a cut in parts of at most so many triangles, halved where it is longest, one after the other."""
+    """Yield a cut in parts of at most so many triangles, one by one, divided where few of them are."""
     mesh = cut.mesh
     if len(mesh.triangles) <= most:
         yield cut
         return
-    middles = mesh.vertices[mesh.triangles].mean(axis=1).astype(np.float32)
-    blocks = list(_halved(middles, np.arange(len(middles), dtype=np.int32), most))
-    del middles
+    corners = mesh.vertices.astype(np.float32)[mesh.triangles]
+    lows, highs = corners.min(axis=1), corners.max(axis=1)
+    del corners
+    blocks = list(_halved(lows, highs, np.arange(len(lows), dtype=np.int32), most))
+    del lows, highs
     yield from cuts_of(cut, blocks)
 
 
@@ -118,15 +123,29 @@ def cuts_of(cut: Cut, groups: Sequence[NDArray[np.integer[Any]]]) -> Iterator[Cu
         yield Cut(some, cut.numbers[used], is_of_both[used])
 
 
-def _halved(middles: NDArray[np.float32], rows: NDArray[np.int32], most: int) -> Iterator[NDArray[np.int32]]:
+def _halved(
+    lows: NDArray[np.float32], highs: NDArray[np.float32], rows: NDArray[np.int32], most: int
+) -> Iterator[NDArray[np.int32]]:
+    """Yield the rows of some triangles, (m, 3) lows to highs, divided by planes that few of them cross.
+
+    What is divided along a floor, through its noise, would have nothing but borders there.
+    """
     if len(rows) <= most:
-        # In the order of the mesh, whose neighbours are near in memory.
-        yield np.sort(rows)
+        yield rows
         return
-    axis = int(np.ptp(middles[rows], axis=0).argmax())
-    order, half = np.argsort(middles[rows, axis], kind="stable"), len(rows) // 2
-    yield from _halved(middles, rows[order[:half]], most)
-    yield from _halved(middles, rows[order[half:]], most)
+    low, high = lows[rows], highs[rows]
+    middles = (low + high) / 2
+    planes = [(axis, at) for axis in range(3) for at in np.quantile(middles[:, axis], _SHARES)]
+    crossed = np.array([np.count_nonzero((low[:, i] < at) & (high[:, i] > at)) for i, at in planes])
+    # A plane beside all of them divides nothing.
+    crossed[[not 0 < np.count_nonzero(middles[:, i] < at) < len(rows) for i, at in planes]] = len(rows)
+    axis, at = planes[int(crossed.argmin())]
+    # Of many in one place by their numbers.
+    is_first = np.arange(len(rows)) < len(rows) // 2
+    before = is_first if crossed.min() == len(rows) else middles[:, axis] < at
+    del low, high, middles
+    yield from _halved(lows, highs, rows[before], most)
+    yield from _halved(lows, highs, rows[~before], most)
 
 
 def numbers_of(cut: Cut, light: Simplified[Any]) -> Numbers:

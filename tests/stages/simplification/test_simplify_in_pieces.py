@@ -12,6 +12,7 @@ from stages.cleaning.clean import CleanParams
 from stages.cleaning.clean_in_pieces import clean_in_pieces
 from stages.comparing.certify import certify
 from stages.simplification import simplify_in_pieces as simplify_in_pieces_module
+from stages.simplification.cuts import split, whole_cut
 from stages.simplification.params import SimplifyParams
 from stages.simplification.simplify import simplify
 from stages.simplification.simplify_in_pieces import simplify_in_pieces
@@ -104,6 +105,26 @@ def test_without_a_wish_no_more_are_left_than_others_hold(
     asked = simplify_in_pieces(path, SimplifyParams(ratio=0.2))
     assert len(asked.mesh.triangles) > 1_200
     assert asked.figures()["warnings"] == []
+
+
+def test_a_floor_is_not_divided_along_itself() -> None:
+    # Most of a hall's triangles are those of its floor, whose noise is higher than they are wide.
+    x, y = np.meshgrid(np.linspace(0, 4, 120), np.linspace(0, 3, 90))
+    height = np.random.default_rng(0).normal(0, 0.05, x.shape)
+    # And a wall, which makes the hall higher than it is wide.
+    height[:, 60] += 40
+    at = (np.arange(119) + 120 * np.arange(89)[:, None]).ravel()
+    sides = [np.stack([at, at + 1, at + 121], -1), np.stack([at, at + 121, at + 120], -1)]
+    mesh = Mesh(np.stack([x, y, height], -1).reshape(-1, 3), np.concatenate(sides).astype(np.int32))
+    parts = list(split(whole_cut(mesh), 6_000))
+    assert max(len(part.mesh.triangles) for part in parts) <= 6_000
+    assert sum(len(part.mesh.triangles) for part in parts) == len(mesh.triangles)
+    assert np.mean(np.concatenate([part.is_of_both for part in parts])) < 0.12
+
+
+def test_what_lies_in_one_place_is_divided_too() -> None:
+    mesh = Mesh(np.zeros((300, 3)), np.arange(300, dtype=np.int32).reshape(-1, 3))
+    assert sorted(len(part.mesh.triangles) for part in split(whole_cut(mesh), 30)) == [25] * 4
 
 
 def test_colours_are_kept(path: Path) -> None:
