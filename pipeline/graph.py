@@ -47,7 +47,16 @@ from pipeline.bricks import KeptBricks
 from pipeline.depth_maps import measure_of, write_depth_maps
 from pipeline.engine import Job, Stage
 from pipeline.expectation import Cost
-from pipeline.large import is_clean_large, is_large, read_proof, some_of, surface_of, whole, write_proof
+from pipeline.large import (
+    is_clean_large,
+    is_large,
+    pieces_of,
+    read_proof,
+    some_of,
+    surface_of,
+    whole,
+    write_proof,
+)
 from pipeline.own_paths import from_folder
 from pipeline.skipped import said_of_skipped
 from pipeline.standing import Up, read_up
@@ -214,7 +223,7 @@ def _coverage(job: Job) -> Mapping[str, Any]:
 
 def _report(job: Job) -> Mapping[str, Any]:
     # Neither of these has to have room in memory.
-    origins = {name: surface_of(job.inputs[name] / f"{name}.ply") for name in report.ORIGINS}
+    origins = {name: pieces_of(job.inputs[name] / f"{name}.ply") for name in ("fused", "clean")}
     meshes = {"simplified": read_ply(job.inputs["simplified"] / "simplified.ply")}
     by_photo = None
     if "textured" in job.inputs:

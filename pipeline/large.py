@@ -16,7 +16,7 @@ from stages.simplification.methods import METHODS
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of
-from stages.surface.piecewise import Piecewise
+from stages.surface.piecewise import Piecewise, piecewise
 
 _PROOF = "proven.json"
 
@@ -50,6 +50,11 @@ def whole(path: Path, stage: str) -> Mesh:
 def surface_of(path: Path) -> Mesh | Piecewise:
     """Return a mesh for a stage that takes it in pieces, too."""
     return Piecewise(Pieces(path)) if is_large(path) else read_ply(path)
+
+
+def pieces_of(path: Path) -> Mesh | Piecewise:
+    """Return a mesh for a stage that takes it in pieces wherever that saves memory."""
+    return Piecewise(Pieces(path)) if is_large(path) else piecewise(read_ply(path))
 
 
 @dataclass(frozen=True)

@@ -35,15 +35,13 @@ from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Scan
 from stages.surface.mesh import Mesh
-from stages.surface.piecewise import Piecewise, piecewise
+from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
 RESULT_VERSION = 7
 
 _LIBRARIES = ("numpy", "open3d", "opencv", "scipy", "scikit-image")
-# The meshes that the result comes from.
-ORIGINS = ("fused", "clean")
 # The folder of what the report leaves.
 PICTURES = "pictures"
 # Points on the result that are measured with signs.
@@ -112,16 +110,10 @@ def make(
     MeshError
         If a mesh has no surface to measure and draw.
     """
-    for name, mesh in meshes.items():
-        if isinstance(mesh, Mesh):
-            require_area(mesh, f"{name}.ply")
-    # What the result is measured against needs no more than its pieces at a time.
-    parted = {
-        name: piecewise(mesh) if name in ORIGINS and isinstance(mesh, Mesh) else mesh
-        for name, mesh in meshes.items()
-    }
-    large = {name: mesh for name, mesh in parted.items() if isinstance(mesh, Piecewise)}
-    small = {name: mesh for name, mesh in parted.items() if isinstance(mesh, Mesh)}
+    large = {name: mesh for name, mesh in meshes.items() if isinstance(mesh, Piecewise)}
+    small = {name: mesh for name, mesh in meshes.items() if isinstance(mesh, Mesh)}
+    for name, mesh in small.items():
+        require_area(mesh, f"{name}.ply")
     # Distances and pictures ask the same surfaces: to make one takes longer than to draw it.
     box = _around(bounding_box(*small.values()), *(one.box for one in large.values()))
     made = _side_by_side([partial(_model, mesh, box) for mesh in small.values()])

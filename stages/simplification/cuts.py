@@ -59,20 +59,11 @@ def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
     low, high = np.array(extent.low) + rim, np.array(extent.high) - rim
     near = np.asarray(((mesh.vertices < low) | (mesh.vertices > high)).any(axis=1), np.bool_)
     is_strip = np.asarray(near[mesh.triangles].all(axis=1))
-    of_strip, of_inside = np.zeros(len(near), np.bool_), np.zeros(len(near), np.bool_)
-    of_strip[mesh.triangles[is_strip]] = True
-    of_inside[mesh.triangles[~is_strip]] = True
-    if of_inside[part.own :].any():
+    if (mesh.triangles[~is_strip] >= part.own).any():
         raise StageError("pieces of the mesh meet farther inside than their voxels tell; fuse again.")
-    both = of_strip & of_inside
-    return _cut(part, of_inside, ~is_strip, both), _cut(part, of_strip, is_strip, both)
-
-
-def _cut(part: Part, used: NDArray[np.bool_], chosen: NDArray[np.bool_], both: NDArray[np.bool_]) -> Cut:
-    mesh, index = part.mesh, np.cumsum(used) - 1
-    colors = None if mesh.colors is None else mesh.colors[used]
-    triangles = index[mesh.triangles[chosen]].astype(np.int32)
-    return Cut(Mesh(mesh.vertices[used], triangles, colors), part.numbers[used], both[used])
+    all_of_it = Cut(mesh, part.numbers, np.zeros(len(near), np.bool_))
+    inside, strip = cuts_of(all_of_it, [np.flatnonzero(~is_strip), np.flatnonzero(is_strip)])
+    return inside, strip
 
 
 def joined_cuts(cuts: Sequence[Cut]) -> Cut:
@@ -113,14 +104,22 @@ def cuts_of(cut: Cut, groups: Sequence[NDArray[np.integer[Any]]]) -> Iterator[Cu
     mesh = cut.mesh
     seen, is_of_both = np.zeros(len(mesh.vertices), np.bool_), cut.is_of_both.copy()
     for rows in groups:
-        named = np.unique(mesh.triangles[rows])
-        is_of_both[named[seen[named]]] = True
-        seen[named] = True
+        used = _used(mesh, rows)
+        is_of_both |= used & seen
+        seen |= used
     for rows in groups:
-        used, triangles = np.unique(mesh.triangles[rows], return_inverse=True)
+        used = _used(mesh, rows)
+        place = np.cumsum(used, dtype=np.int32) - np.int32(1)
         colors = None if mesh.colors is None else mesh.colors[used]
-        some = Mesh(mesh.vertices[used], triangles.reshape(-1, 3).astype(np.int32), colors)
+        some = Mesh(mesh.vertices[used], place[mesh.triangles[rows]], colors)
         yield Cut(some, cut.numbers[used], is_of_both[used])
+
+
+def _used(mesh: Mesh, rows: NDArray[np.integer[Any]]) -> Mask:
+    """Return which vertices (n,) some triangles have."""
+    used = np.zeros(len(mesh.vertices), np.bool_)
+    used[mesh.triangles[rows]] = True
+    return used
 
 
 def _halved(

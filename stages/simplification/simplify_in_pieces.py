@@ -49,6 +49,8 @@ _FOR_PARTS = 0.6
 _SPARE = 1.5
 # Triangles that are simplified at a time, which takes up to about 400 bytes for each.
 AT_ONCE = 1_500_000
+# Of its share of a number of triangles, what a part is asked for at least, however much others have kept.
+_LEAST_SHARE = 0.5
 # Figures of bounds, which add up.
 _BOUNDS = ("max_shape", "max_color")
 _ADD_UP = (
@@ -190,17 +192,21 @@ def _simplified(
     ----------
     total : triangles of all of them.
     progress : called with the triangles that are done.
-    is_last : what one part cannot do without, its border perhaps, those after it do, so that a number of
-        triangles is kept to; and what a bound is too little for stays as it is.
+    is_last : what one part cannot do without, its border perhaps, those after it do, as far as that leaves
+        them half of their share, so that a number of triangles is kept to; and what a bound is too little for
+        stays as it is.
     """
-    made, passed, wanted = _Round([], []), 0, params.target(total) if is_last else None
+    made, passed = _Round([], []), 0
+    target = params.target(total) if is_last else None
+    left = target or 0
     for cut in (some for one in cuts for some in split(one, AT_ONCE)):
         count = len(cut.mesh.triangles)
         if not count:
             continue
         share = params
-        if wanted is not None:
-            share = replace(params, triangles=max(wanted * count // (total - passed), 1))
+        if target is not None:
+            least = max(_LEAST_SHARE * target * count // total, 1)
+            share = replace(params, triangles=int(max(left * count // (total - passed), least)))
         light = _light(cut, share, passed, progress)
         if is_last and light.stopped_by == "unproven":
             made.meshes.append((cut.mesh, np.where(cut.is_of_both, cut.numbers, -1)))
@@ -208,8 +214,7 @@ def _simplified(
             made.meshes.append((light.mesh, numbers_of(cut, light)))
             made.figures.append(light.figures())
         passed += count
-        if wanted is not None:
-            wanted = max(wanted - len(made.meshes[-1][0].triangles), 0)
+        left = max(left - len(made.meshes[-1][0].triangles), 0)
         progress(passed)
     return made
 

@@ -33,7 +33,9 @@ class Strips:
         self._folder = folder
         sizes = [np.subtract(one.high, one.low).max() for one in extents]
         self._size = float(max(sizes, default=1.0))
-        self._cells: dict[tuple[int, ...], list[Path]] = {}
+        # By their places, in the order in which they are met; and the files of each.
+        self._cells: dict[tuple[int, ...], int] = {}
+        self._files: list[list[Path]] = []
         # The first cell that each vertex is in, and whether it is in others, too.
         self._cell = np.full(vertex_count, _NONE, np.uint16)
         self._in_several = np.zeros(vertex_count, np.bool_)
@@ -48,17 +50,19 @@ class Strips:
         cells, of_cell = np.unique(places, axis=0, return_inverse=True)
         groups = [np.flatnonzero(of_cell.ravel() == number) for number in range(len(cells))]
         for place, cut in zip(cells.tolist(), cuts_of(strip, groups), strict=True):
-            files = self._cells.setdefault(tuple(place), [])
-            cell = list(self._cells).index(tuple(place))
+            cell = self._cells.setdefault(tuple(place), len(self._cells))
+            if cell == len(self._files):
+                self._files.append([])
             known = self._cell[cut.numbers]
             self._in_several[cut.numbers[(known != _NONE) & (known != cell)]] = True
             self._cell[cut.numbers[known == _NONE]] = cell
-            files.append(self._folder / f"{cell}-{len(files)}.npz")
-            _write(files[-1], cut)
+            path = self._folder / f"{cell}-{len(self._files[cell])}.npz"
+            self._files[cell].append(path)
+            _write(path, cut)
 
     def cells(self) -> Iterator[Cut]:
         """Yield what is in each cell, as one mesh."""
-        for files in self._cells.values():
+        for files in self._files:
             cut = joined_cuts([_read(file) for file in files])
             yield Cut(cut.mesh, cut.numbers, cut.is_of_both | self._in_several[cut.numbers])
 

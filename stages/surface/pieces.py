@@ -154,20 +154,33 @@ class Pieces:
         if triangles.size and (triangles.min() < 0 or triangles.max() >= self.vertex_count):
             raise InputError("the file is damaged: a triangle names a vertex that is not there.", self.path)
         first, end = extent.vertices
-        is_foreign = (triangles < first) | (triangles >= end)
-        foreign = np.unique(triangles[is_foreign])
-        numbers = np.concatenate([np.arange(first, end), foreign])
-        local = triangles - first
-        local[is_foreign] = end - first + np.searchsorted(foreign, triangles[is_foreign])
-        rows = np.concatenate([vertices[first:end], vertices[foreign]])
+        numbers, local = counted_from(first, end, triangles)
+        rows = np.concatenate([vertices[first:end], vertices[numbers[end - first :]]])
         places = np.stack([rows[axis] for axis in "xyz"], axis=1)
         colors = np.stack([rows[c] for c in _COLORS], axis=1) if self.has_colors else None
-        return Part(Mesh(places, local.astype(np.int32), colors), numbers, end - first)
+        return Part(Mesh(places, local, colors), numbers, end - first)
 
     def places(self, step: int) -> NDArray[np.float64]:
         """Read every `step`-th vertex (k, 3), metres."""
         rows = self._rows()[0][::step]
         return np.stack([rows[axis] for axis in "xyz"], axis=1)
+
+
+def counted_from(
+    first: int, end: int, triangles: NDArray[np.integer[Any]]
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Return the numbers of a piece's vertices, its own first, and its triangles by places among these.
+
+    Parameters
+    ----------
+    first, end : of its own vertices.
+    triangles : (m, 3), by numbers in all.
+    """
+    is_foreign = (triangles < first) | (triangles >= end)
+    foreign = np.unique(triangles[is_foreign])
+    local = (triangles - first).astype(np.int32)
+    local[is_foreign] = end - first + np.searchsorted(foreign, triangles[is_foreign])
+    return np.concatenate([np.arange(first, end), foreign.astype(np.int64)]), local
 
 
 @dataclass(frozen=True, eq=False)

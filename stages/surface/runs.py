@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
-from stages.surface.pieces import Part
+from stages.surface.pieces import Part, counted_from
 
 # Triangles in a run.
 _LENGTH = 500_000
@@ -55,14 +55,10 @@ class Runs:
         """Return a run."""
         # What was done with the last one has left holes, which would grow from run to run.
         give_back()
-        triangles = self._triangles[_rows(number)]
         first, end = (0 if number == 0 else int(self._ends[number - 1])), int(self._ends[number])
-        foreign = np.unique(triangles[triangles < first]).astype(np.int64)
-        numbers = np.concatenate([np.arange(first, end), foreign])
-        place = np.empty(end, np.int32)
-        place[numbers] = np.arange(len(numbers), dtype=np.int32)
+        numbers, local = counted_from(first, end, self._triangles[_rows(number)])
         colors = None if self._colors is None else self._colors[numbers]
-        return Part(Mesh(self._vertices[numbers], place[triangles], colors), numbers, end - first)
+        return Part(Mesh(self._vertices[numbers], local, colors), numbers, end - first)
 
     def places(self, step: int) -> NDArray[np.float64]:
         """Return every `step`-th vertex (k, 3), metres."""

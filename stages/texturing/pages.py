@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -257,21 +257,23 @@ class Texels:
         """Return them in parts of at most so many."""
         return [self._some(slice(start, start + count)) for start in range(0, len(self.pixels), count)]
 
-    def parts_of(self, places: NDArray[np.uint32], count: int) -> list[Texels]:
-        """Return them in parts of at most so many, each of triangles whose places are near each other.
+    def parts_of(self, places: NDArray[np.uint32], count: int) -> Iterator[Texels]:
+        """Yield them in parts of at most so many, each of triangles whose places are near each other.
 
         Parameters
         ----------
         places : (m,) of the triangles of the mesh, along a curve through space.
         """
         if len(self.pixels) <= count:
-            return [self]
+            yield self
+            return
         of_each = places[self.triangles]
-        before = np.cumsum(np.bincount(of_each)) - 1
-        # As many at a place as there are: those with more than `count` are cut after that.
-        groups = (before // math.ceil(len(self.pixels) / math.ceil(len(self.pixels) / count)))[of_each]
-        chosen = (np.flatnonzero(groups == group) for group in np.unique(groups).tolist())
-        return [part for rows in chosen for part in self._some(rows).parts(count)]
+        in_part = math.ceil(len(self.pixels) / math.ceil(len(self.pixels) / count))
+        part_of_place = (np.cumsum(np.bincount(of_each)) - 1) // in_part
+        part = part_of_place[of_each]
+        for number in np.unique(part).tolist():
+            # A place with more than `count` is cut once more.
+            yield from self._some(np.flatnonzero(part == number)).parts(count)
 
     def _some(self, rows: slice | NDArray[np.intp]) -> Texels:
         return Texels(self.pixels[rows], self.triangles[rows], self.shares[rows])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from stages import _kernels
 from stages.scans.prefetch import read_ahead, workers
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
+from stages.surface.texture import signed_areas
 from stages.texturing.alignment import Shifts, shifts_of
 from stages.texturing.exposure import Exposure
 from stages.texturing.pages import Pages, Texels, texels_of
@@ -84,7 +86,7 @@ class Painter:
         self._remembered: _kernels.SurfacePoints | None = None
         # Found once where there is one image; all of many may not fit into memory.
         self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
-        self.parts = sum(len(self._parts(page)) for page in range(len(pages.sizes)))
+        self.parts = _parts(pages) if self._only is None else math.ceil(len(self._only.pixels) / _AT_ONCE)
 
     def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Iterator[Painted]:
         """Yield one image after the other; `progress` is called for each photo and part of the texels."""
@@ -112,8 +114,8 @@ class Painter:
             progress()
         return found
 
-    def _parts(self, page: int) -> list[Texels]:
-        """Return what is painted at a time of an image: what few photos show."""
+    def _texels(self, page: int) -> Iterator[Texels]:
+        """Yield what is painted at a time of an image: what few photos show."""
         texels = texels_of(self._pages, page) if self._only is None else self._only
         return texels.parts_of(self._drawn.parts, _AT_ONCE)
 
@@ -123,7 +125,7 @@ class Painter:
         filled = np.zeros(height * width, np.bool_)
         labels = np.full(height * width, -1, np.int32)
         views = np.zeros(height * width, np.uint8)
-        for texels in self._parts(number):
+        for texels in self._texels(number):
             at = texels.pixels
             colors[at], labels[at], views[at] = self._part(texels, shifts, progress)
             # What nothing is known of takes on the colours around it.
@@ -161,6 +163,13 @@ class Painter:
         )
         _fill_unseen(colors, labels < 0, texels, mesh)
         return colors, labels, views
+
+
+def _parts(pages: Pages) -> int:
+    """Return in how many parts several images are painted, about."""
+    has_image = pages.pages >= 0
+    texels = np.bincount(pages.pages[has_image], np.abs(signed_areas(pages.corners[has_image])))
+    return int(np.ceil(texels / _AT_ONCE).sum())
 
 
 def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels: Texels, mesh: Mesh) -> None:

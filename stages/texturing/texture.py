@@ -40,12 +40,12 @@ from stages.texturing.painting import Painted, Painter, Shown, levels_of
 from stages.texturing.photos import Photos, photos_of
 from stages.texturing.seams import SeamSums
 from stages.texturing.survey import judged, survey
-from stages.texturing.views import drawn_mesh
+from stages.texturing.views import DrawnMesh, drawn_mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 7
+RESULT_VERSION = 8
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
@@ -255,21 +255,8 @@ def texture(
         )
     normals = vertex_normals(given)
     drawn = drawn_mesh(given)
-    surveyed = survey(given, drawn, normals, photos, params.views, far.photo(0.25))
-    # The one is a kernel on one core, the other NumPy.
-    (used, exposures, parts), pages = both(
-        lambda: judged(surveyed, photos, params.exposure),
-        lambda: laid_out(
-            given,
-            surveyed.pixels_per_m * np.float32(params.texels_per_pixel),
-            max_side=params.max_size,
-            max_texels=params.max_texels * 1e6,
-            padding=params.padding,
-            progress=far.nothing,
-        ),
-    )
-    seen = Shown(used, exposures.photos, parts)
-    painter = Painter(given, drawn, normals, pages, seen, params.views)
+    used, exposures, parts, pages, seen = _looked_over(given, drawn, normals, photos, params, far)
+    painter = Painter(given, drawn, normals, pages, Shown(used, exposures.photos, parts), params.views)
     part = 0.7 / (1 + params.rounds)
     painted: Iterable[Painted] = painter.paint(None, far.photo(0.25 + part, painter.parts))
     shift = 0.0
@@ -287,7 +274,7 @@ def texture(
     seams = SeamSums()
     made = list(map(partial(_finished, padding=pages.padding, params=params, seams=seams), painted))
     progress(1000, 1000)
-    found = _Found(used, exposures, surveyed.seen, shift, seams.ratio())
+    found = _Found(used, exposures, seen, shift, seams.ratio())
     return _result(given, found, pages, made)
 
 
@@ -334,6 +321,34 @@ class _Far:
 def _typical(shifts: Sequence[Shifts], photos: Photos) -> float:
     widths = np.array([camera.width for camera in photos.cameras])
     return float(np.median(np.array([np.linalg.norm(one, axis=2).mean() for one in shifts]) / widths))
+
+
+def _looked_over(
+    mesh: Mesh,
+    drawn: DrawnMesh,
+    normals: NDArray[np.float64],
+    photos: Photos,
+    params: TextureParams,
+    far: _Far,
+) -> tuple[Photos, Exposures, list[NDArray[np.uint32]], Pages, float]:
+    """Return the photos that agree, how bright each is, what parts it may show, images, and what is seen.
+
+    What they were told by is gone then: it is as large as what is painted at a time.
+    """
+    surveyed = survey(mesh, drawn, normals, photos, params.views, far.photo(0.25))
+    # The one is a kernel on one core, the other NumPy.
+    (used, exposures, parts), pages = both(
+        lambda: judged(surveyed, photos, params.exposure),
+        lambda: laid_out(
+            mesh,
+            surveyed.pixels_per_m * np.float32(params.texels_per_pixel),
+            max_side=params.max_size,
+            max_texels=params.max_texels * 1e6,
+            padding=params.padding,
+            progress=far.nothing,
+        ),
+    )
+    return used, exposures, parts, pages, surveyed.seen
 
 
 def _levels(painted: Iterable[Painted], *, keep: bool) -> tuple[list[NDArray[np.uint8]], list[Painted]]:

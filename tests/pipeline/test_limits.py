@@ -126,7 +126,7 @@ def test_a_draft_that_grows_too_large_is_stopped(tmp_path: Path):
 
 def test_the_volume_keeps_to_the_limit_too():
     assert within(Config(), Limits()).fuse.memory == 4000
-    # What is read and made beside it takes as much.
+    # What is read and made beside it takes twice as much.
     assert within(Config(), Limits(memory=BASE_BYTES + 75 * MB)).fuse.memory == 25
     assert within(Config(), Limits(memory=90 * 10**9)).fuse.memory == 4000
 
