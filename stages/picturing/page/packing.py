@@ -38,8 +38,9 @@ _LAST = 2
 _AT_ONCE = 0.5
 # More is left out than must be, so that it fits at once: the fewer triangles, the more bytes each takes.
 _SPARE = 1.4
-# Of the page: what is too large by less is made lighter as if it were by this, so that it fits the next time.
-_LEAST_EXCESS = 0.02
+# A model that loses less than this share of what it was to lose gets no lighter: holes and loose pieces each
+# keep a few triangles.
+_LEAST_LOSS = 0.3
 # Of the page, photos may take one part of so many.
 _PHOTOS_SHARE = 4
 # Bytes in a page for one of a file in it, by base64.
@@ -102,6 +103,9 @@ def packed_page(
     first, *others = (_Plan.of(name, shown) for name, shown in models.items())
     plans = [first, *(one.lighter(_MOST_BESIDE / max(one.triangles, 1)) for one in others)]
     done: dict[_Plan, tuple[Shown, PageModel]] = {}
+    # Bytes that models that were made lighter may take; and those that take more.
+    limits: dict[str, float] = {}
+    stuck: set[str] = set()
     for attempt in range(_ATTEMPTS):
         changed = [plan for plan in plans if plan not in done]
         made = read_ahead(_packed, changed, threads=workers(), ahead=len(changed))
@@ -109,10 +113,18 @@ def packed_page(
         page = one_file(title, [done[plan][1] for plan in plans], told, cameras)
         if len(page) <= most_bytes:
             return page
+        bytes_of = {plan.name: len(done[plan][1].glb) for plan in plans}
+        stuck |= {name for name, most in limits.items() if bytes_of[name] > most}
         # Of what cannot be made lighter, nothing can be left out.
-        sizes = [0.0 if plan.is_least else _GROWN * len(done[plan][1].glb) for plan in plans]
-        excess = max(len(page) - most_bytes, _LEAST_EXCESS * most_bytes)
-        shares = _shares(sizes, _SPARE * excess, is_first_kept=attempt < _LAST)
+        sizes = [
+            0.0 if plan.is_least or plan.name in stuck else _GROWN * bytes_of[plan.name] for plan in plans
+        ]
+        shares = _shares(sizes, _SPARE * (len(page) - most_bytes), is_first_kept=attempt < _LAST)
+        limits = {
+            name: (1 - _LEAST_LOSS * (1 - share)) * had
+            for (name, had), share in zip(bytes_of.items(), shares, strict=True)
+            if share < 1
+        }
         # From what is light already: that takes less time than from all of it.
         plans = [
             plan if share == 1 else replace(plan, shown=done[plan][0]).lighter(share)

@@ -9,6 +9,7 @@ from page_content import shown
 
 from stages.picturing.page.one_file import PageScale
 from stages.picturing.page.packing import Paint, Shown, packed_page
+from stages.surface.mesh import Mesh
 
 SCALE = PageScale("mm", -1.0, 1.0, 0.1, ["rgb(0, 0, 0)", "rgb(9, 9, 9)"], [0.5, 0.5])
 
@@ -50,6 +51,20 @@ def test_models_are_made_lighter_until_it_fits_the_first_last() -> None:
     assert told["main"]["note"] == "first, of 7,200, for this page"
     assert told["look"]["note"] == "of it, of 7,200, for this page"
     assert smaller == packed_page("t", models(), complete - 40_000, silent)
+
+
+def test_what_gets_no_lighter_leaves_it_to_the_first() -> None:
+    # Of loose tetrahedra none has a triangle to spare.
+    rng = np.random.default_rng(0)
+    corners = (rng.uniform(-1, 1, (1500, 1, 3)) + rng.normal(0, 0.01, (1500, 4, 3))).reshape(-1, 3)
+    sides = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
+    loose = Mesh(corners, (sides + 4 * np.arange(1500)[:, None, None]).reshape(-1, 3).astype(np.int32))
+    both = {"main": Shown(sheet(120)), "loose": Shown(loose)}
+    most = len(packed_page("t", both, 5_000_000, silent)) - 10_000
+    page = packed_page("t", both, most, silent)
+    assert len(page) <= most
+    assert triangles(page)["loose"] == 6000
+    assert 2_000 < triangles(page)["main"] < 28_800
 
 
 def test_a_page_that_cannot_be_small_enough_says_so() -> None:
