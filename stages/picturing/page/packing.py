@@ -38,9 +38,6 @@ _LAST = 2
 _AT_ONCE = 0.5
 # More is left out than must be, so that it fits at once: the fewer triangles, the more bytes each takes.
 _SPARE = 1.4
-# A model that loses less than this share of what it was to lose gets no lighter: holes and loose pieces each
-# keep a few triangles.
-_LEAST_LOSS = 0.3
 # Of the page, photos may take one part of so many.
 _PHOTOS_SHARE = 4
 # Bytes in a page for one of a file in it, by base64.
@@ -103,28 +100,20 @@ def packed_page(
     first, *others = (_Plan.of(name, shown) for name, shown in models.items())
     plans = [first, *(one.lighter(_MOST_BESIDE / max(one.triangles, 1)) for one in others)]
     done: dict[_Plan, tuple[Shown, PageModel]] = {}
-    # Bytes that models that were made lighter may take; and those that take more.
-    limits: dict[str, float] = {}
-    stuck: set[str] = set()
     for attempt in range(_ATTEMPTS):
         changed = [plan for plan in plans if plan not in done]
         made = read_ahead(_packed, changed, threads=workers(), ahead=len(changed))
         done |= zip(changed, made, strict=True)
-        page = one_file(title, [done[plan][1] for plan in plans], told, cameras)
+        packed = [done[plan][1] for plan in plans]
+        page = one_file(title, packed, told, cameras)
         if len(page) <= most_bytes:
             return page
-        bytes_of = {plan.name: len(done[plan][1].glb) for plan in plans}
-        stuck |= {name for name, most in limits.items() if bytes_of[name] > most}
         # Of what cannot be made lighter, nothing can be left out.
         sizes = [
-            0.0 if plan.is_least or plan.name in stuck else _GROWN * bytes_of[plan.name] for plan in plans
+            0.0 if plan.is_least(one.triangles) else _GROWN * len(one.glb)
+            for plan, one in zip(plans, packed, strict=True)
         ]
         shares = _shares(sizes, _SPARE * (len(page) - most_bytes), is_first_kept=attempt < _LAST)
-        limits = {
-            name: (1 - _LEAST_LOSS * (1 - share)) * had
-            for (name, had), share in zip(bytes_of.items(), shares, strict=True)
-            if share < 1
-        }
         # From what is light already: that takes less time than from all of it.
         plans = [
             plan if share == 1 else replace(plan, shown=done[plan][0]).lighter(share)
@@ -190,11 +179,13 @@ class _Plan:
         count = len(shown.mesh.triangles)
         return cls(name, shown, count, count, preset("web").image_size)
 
-    @property
-    def is_least(self) -> bool:
-        """Whether it is made no lighter."""
+    def is_least(self, made: int) -> bool:
+        """Whether it is made no lighter than with so many triangles, which may be more than it may have.
+
+        Each hole and each loose piece keeps a few.
+        """
         has_image = self.shown.mesh.texture is not None and self.image_size > _LEAST_IMAGE
-        return self.triangles <= _LEAST_TRIANGLES and not has_image
+        return (self.triangles <= _LEAST_TRIANGLES or made > self.triangles) and not has_image
 
     def lighter(self, share: float) -> _Plan:
         """Return the plan with this share of the triangles and of the texels, if it is one."""
