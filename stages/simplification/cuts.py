@@ -72,17 +72,7 @@ def joined_cuts(cuts: Sequence[Cut]) -> Cut:
     numbers, first, place = np.unique(all_numbers, return_index=True, return_inverse=True)
     both = np.zeros(len(numbers), bool)
     np.logical_or.at(both, place, np.concatenate([cut.is_of_both for cut in cuts]))
-    offsets = np.cumsum([0, *(len(cut.numbers) for cut in cuts[:-1])])
-    triangles = np.concatenate(
-        [place[cut.mesh.triangles + start] for cut, start in zip(cuts, offsets, strict=True)]
-    )
-    colors = [cut.mesh.colors for cut in cuts if cut.mesh.colors is not None]
-    mesh = Mesh(
-        np.concatenate([cut.mesh.vertices for cut in cuts])[first],
-        triangles.astype(np.int32),
-        np.concatenate(colors)[first] if colors else None,
-    )
-    return Cut(mesh, numbers, both)
+    return Cut(_merged([cut.mesh for cut in cuts], first, place), numbers, both)
 
 
 def split(cut: Cut, most: int) -> Iterator[Cut]:
@@ -169,12 +159,23 @@ def joined(found: Sequence[tuple[Mesh, Numbers]], count: int) -> Mesh:
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
     place, first = rank[place], first[order]
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in found[:-1])])
-    triangles = [place[mesh.triangles + start] for (mesh, _), start in zip(found, offsets, strict=True)]
-    colors = [mesh.colors for mesh, _ in found if mesh.colors is not None]
+    mesh = _merged([mesh for mesh, _ in found], first, place)
+    return mesh.with_(notes=tuple(dict.fromkeys(note for one, _ in found for note in one.notes)))
+
+
+def _merged(meshes: Sequence[Mesh], first: NDArray[np.intp], place: NDArray[np.intp]) -> Mesh:
+    """Make one of some meshes.
+
+    Parameters
+    ----------
+    first : of each of its vertices, where it is first among those of all meshes, one mesh after the other.
+    place : of each of these, which vertex it is.
+    """
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    triangles = [place[mesh.triangles + start] for mesh, start in zip(meshes, offsets, strict=True)]
+    colors = [mesh.colors for mesh in meshes if mesh.colors is not None]
     return Mesh(
-        np.concatenate([mesh.vertices for mesh, _ in found])[first],
+        np.concatenate([mesh.vertices for mesh in meshes])[first],
         np.concatenate(triangles).astype(np.int32),
         np.concatenate(colors)[first] if colors else None,
-        notes=tuple(dict.fromkeys(note for mesh, _ in found for note in mesh.notes)),
     )

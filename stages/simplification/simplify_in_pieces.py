@@ -116,7 +116,7 @@ def simplify_in_pieces(
 ) -> InPieces:
     """Make a PLY file in pieces light.
 
-    Memory holds some 80 bytes for each triangle of 1.5 times the result, and what simplifies a few of them.
+    Memory holds 1.5 times the result, and what AT_ONCE triangles take to be simplified.
 
     Parameters
     ----------
