@@ -44,7 +44,7 @@ class Facts:
     frames : how many frames were fused.
     skipped : which were not, and why.
     pixels_valid : share of the fused frames' pixels that had a depth.
-    pixels_used : share of them that went into the volume.
+    pixels_used : share of all their pixels that went into the mesh, with gaps of one pixel that were closed.
     volume_bytes : memory of the volume at its end; of the largest, where space was cut in bricks.
     device : "CPU:0" or "CUDA:0".
     crop : what was fused of the scan.

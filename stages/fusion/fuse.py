@@ -39,7 +39,7 @@ from stages.surface.mesh import Mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 6
+RESULT_VERSION = 7
 
 R = TypeVar("R")
 
@@ -224,7 +224,7 @@ def _alone(work: Work) -> Fused:
         frames=1,
         skipped=(),
         pixels_valid=view.valid / view.surface.depth.size,
-        pixels_used=int(here.sum()) / view.valid,
+        pixels_used=int(here.sum()) / view.surface.depth.size,
         volume_bytes=0,
         device="CPU:0",
         crop=plan.crop,

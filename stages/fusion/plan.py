@@ -18,7 +18,7 @@ from stages.fusion.params import FuseParams
 from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.scene import Scene, scene_of
 from stages.fusion.support import Support
-from stages.fusion.survey import Noise, measured_noise, survey
+from stages.fusion.survey import Noise, Survey, measured_noise, survey
 from stages.fusion.voxels import BLOCK, Weighing, touched_blocks
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Pose
@@ -35,6 +35,8 @@ _ORIGINS = 1024
 # Of so many pixels one tells the median depth. Noise that is a smaller share of voxels than this does not
 # show.
 _EVERY, _SHOWN = 16, 1 / 6
+# The share of the depth that may be too far to be fused without a word.
+_BEYOND = 0.05
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
 # Degrees. What is seen more obliquely, other frames see better, if there are any.
@@ -109,7 +111,8 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     noise = measured_noise(pairs)
     # How exact depth is, all tells that is seen; how large voxels are, what is kept.
     kept = what_is_kept(frames, looked_at, scene, noise, params, limits, threads)
-    found = survey([cropped(view, kept.crop) for view in kept.views], noise)
+    wanted = [cropped(view, kept.crop) for view in kept.views]
+    found = survey(wanted, noise)
     voxel_size = params.voxel_size or _two_digits(
         params.voxel_factor
         * max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
@@ -121,6 +124,9 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     )
     # Another frame may see farther than those looked at, hence the half more.
     max_depth = params.max_depth or min(noise.reach(truncation / 3), 1.5 * found.farthest)
+    warnings = kept.warnings
+    if params.max_depth is None:
+        warnings += tuple(_warnings(params, wanted, found, voxel_size=voxel_size, max_depth=max_depth))
     # Depth is kept in 65535 steps, which a limit far beyond the scene would make coarse.
     max_depth = min(max_depth, 10 * found.farthest)
     crop = kept.crop
@@ -141,7 +147,7 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         crop=crop,
         reach=truncation + voxel_size,
         support=kept.support,
-        warnings=kept.warnings,
+        warnings=warnings,
         weighing=_weighing(noise, looked_at, voxel_size),
     )
     # Two triangles for each voxel that the surface passes through.
@@ -152,6 +158,27 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         spread=_spread(frames, centers, found.median),
         triangles=triangles,
     )
+
+
+def _warnings(
+    params: FuseParams, views: Sequence[PosedDepth], found: Survey, *, voxel_size: float, max_depth: float
+) -> list[str]:
+    """Return what is to be said of depth that is too far to be fused."""
+    depth = np.concatenate([view.surface.depth[view.surface.depth > 0][::_EVERY] for view in views])
+    share = float(np.mean(depth > max_depth)) if len(depth) else 0.0
+    if share <= _BEYOND:
+        return []
+    # Either makes the field as wide as the noise of all but the farthest depth wants it.
+    truncation = 3 * found.noise.at(found.far)
+    length = (
+        f"voxel_size={_two_digits(truncation / 5):g}"
+        if params.truncation is None
+        else f"truncation={_two_digits(truncation):g}"
+    )
+    return [
+        f"{share:.0%} of the depth is beyond {max_depth:.2f} m and not fused: its noise there is more than "
+        f"voxels of {voxel_size:g} m can take. fuse.{length} takes in what is up to {found.far:.2f} m away"
+    ]
 
 
 def _weighing(noise: Noise, views: Sequence[PosedDepth], voxel_size: float) -> Weighing:

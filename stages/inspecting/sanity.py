@@ -17,9 +17,10 @@ from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 _DECLARED = "as given"
+_BACKWARDS = "in the order of the frames backwards"
 _COUPLES = 8
 # Of the points of one frame, the share that must fall on depth of the other for the two to be compared.
 _LEAST_OVERLAP = 0.1
@@ -37,7 +38,8 @@ _SOUND_SCALE_SHARE = 0.015
 _FITTING_SCALE_SHARE = 0.012
 _CLEARLY = 1.25
 
-_Couple: TypeAlias = tuple[tuple[Frame, DepthImage], tuple[Frame, DepthImage]]
+# The places of two frames among those compared, and the depth of both.
+_Couple: TypeAlias = tuple[tuple[int, DepthImage], tuple[int, DepthImage]]
 
 
 def require_poses(scan: Scan) -> list[str]:
@@ -54,8 +56,8 @@ def require_poses(scan: Scan) -> list[str]:
         compared = "; ".join(f"{error * 1000:.0f} mm {name}" for name, error in errors.items())
         raise InputError(
             f"{warnings[0]} (compared: {compared}). Give camera-to-world poses with x right, y down, "
-            "z forward, or use these as they are with --no-check-poses (in a config file: check_poses = "
-            "false under [scan]).",
+            "z forward, in the frames' order, or use these as they are with --no-check-poses (in a config "
+            "file: check_poses = false under [scan]).",
             scan.folder,
         )
     return warnings
@@ -64,23 +66,28 @@ def require_poses(scan: Scan) -> list[str]:
 def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
     """Reproject depth from frame to frame with the poses as given, inverted, with flipped axes, and both.
 
+    And with the last pose for the first frame, and so on: files that list frames the other way round.
+
     Parameters
     ----------
-    frames : with depth and poses.
+    frames : with depth and poses; those without a pose are left out.
 
     Returns
     -------
     The median depth error in metres of each way (those that overlap enough), and a warning when another way
-    fits, with less than half the error of the declared one, and that one does not.
+    fits, with less than half the error of the declared one, and that one does not. It names all ways that
+    fit as well: of a camera that moves evenly, poses inverted and poses backwards are the same.
     """
+    frames, poses = _posed(frames)
     errors: dict[str, list[NDArray[np.float64]]] = {}
     distances = []
-    for first, second in _couples(frames):
-        points = _points(first[1], first[0].camera)
+    for (i, first), (k, second) in _couples(frames):
+        points = _points(first, frames[i].camera)
         distances.append(points[:, 2])
-        ways = _ways(_pose(first[0]), _pose(second[0]))
+        ways = _ways(poses[i], poses[k])
+        ways[_BACKWARDS] = inverted(poses[-1 - k]) @ poses[-1 - i]
         for name, second_from_first in ways.items():
-            found = _depth_errors(points, second_from_first, second[1], second[0].camera)
+            found = _depth_errors(points, second_from_first, second, frames[k].camera)
             if found.size > _LEAST_OVERLAP * len(points):
                 errors.setdefault(name, []).append(found)
     medians = {name: float(np.median(np.concatenate(found))) for name, found in errors.items()}
@@ -93,8 +100,9 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
     if is_sound or medians[best] > _FITTING_SHARE * distance:
         return medians, []
     was = "no overlap" if declared is None else f"{declared * 1000:.0f} mm"
+    alike = [name for name, error in medians.items() if error < _CLEARLY * medians[best]]
     return medians, [
-        f"the poses are probably {best}: so taken, the depth of one frame meets another's to "
+        f"the poses are probably {', or '.join(alike)}: so taken, the depth of one frame meets another's to "
         f"{medians[best] * 1000:.0f} mm, as given to {was}"
     ]
 
@@ -104,20 +112,25 @@ def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> list[str]:
 
     Parameters
     ----------
-    frames : with depth and metric poses between which the camera moves.
+    frames : with depth and metric poses between which the camera moves; those without a pose are left out.
     scales : units a metre that depth files use.
     """
+    frames, poses = _posed(frames)
     couples = _couples(frames)
     if not couples:
         return []
     declared = frames[0].depth_scale
-    given = _misfit_share(couples, 1.0)
+
+    def misfit(units: float) -> float | None:
+        return _misfit_share(frames, poses, couples, units)
+
+    given = misfit(1.0)
     if given is not None and given < _SOUND_SCALE_SHARE:
         return []
     found = {
         other: share
         for other in scales
-        if other != declared and (share := _misfit_share(couples, other / declared)) is not None
+        if other != declared and (share := misfit(other / declared)) is not None
     }
     best = min(found, key=lambda other: found[other], default=declared)
     if best == declared or found[best] > min(_FITTING_SCALE_SHARE, (given or 1) / 2):
@@ -132,18 +145,20 @@ def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> list[str]:
     return [said]
 
 
-def _misfit_share(couples: Sequence[_Couple], units: float) -> float | None:
+def _misfit_share(
+    frames: Sequence[Frame], poses: Sequence[Pose], couples: Sequence[_Couple], units: float
+) -> float | None:
     """Return the median depth error as a share of the depth if a metre were so many times the units it is.
 
     None where the frames do not overlap.
     """
     shares = []
-    for first, second in couples:
-        points = _points(first[1], first[0].camera)
-        given = inverted(_pose(second[0])) @ _pose(first[0])
+    for (i, first), (k, second) in couples:
+        points = _points(first, frames[i].camera)
+        given = inverted(poses[k]) @ poses[i]
         # As if the camera had moved farther, instead of depth being less.
         given[:3, 3] *= units
-        errors = _depth_errors(points, given, second[1], second[0].camera)
+        errors = _depth_errors(points, given, second, frames[k].camera)
         if errors.size > _LEAST_OVERLAP * len(points):
             shares.append(float(np.median(errors)) / float(np.median(points[:, 2])))
     return float(np.median(shares)) if len(shares) > len(couples) / 2 else None
@@ -208,10 +223,9 @@ def _couples(frames: Sequence[Frame]) -> list[_Couple]:
     starts = np.unique(np.linspace(0, last, _COUPLES).round().astype(int))
     couples = []
     for i in starts:
-        first, second = frames[i], frames[i + step]
-        depths = [_depth_or_none(frame) for frame in (first, second)]
-        if depths[0] is not None and depths[1] is not None:
-            couples.append(((first, depths[0]), (second, depths[1])))
+        first, second = (_depth_or_none(frames[place]) for place in (i, i + step))
+        if first is not None and second is not None:
+            couples.append(((i, first), (i + step, second)))
     return couples
 
 
@@ -222,8 +236,10 @@ def _depth_or_none(frame: Frame) -> DepthImage | None:
         return None
 
 
-def _pose(frame: Frame) -> Pose:
-    return np.eye(4) if frame.world_from_camera is None else frame.world_from_camera
+def _posed(frames: Sequence[Frame]) -> tuple[Sequence[Frame], list[Pose]]:
+    """Return the frames that have a pose, and their poses."""
+    posed = [frame for frame in frames if frame.world_from_camera is not None]
+    return posed, [frame.world_from_camera for frame in posed if frame.world_from_camera is not None]
 
 
 def _ways(first: Pose, second: Pose) -> dict[str, Pose]:

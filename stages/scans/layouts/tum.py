@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -13,6 +14,7 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.associations import read_associations
+from stages.scans.reading.depth_units import MILLIMETRES, told_units
 from stages.scans.reading.files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
@@ -76,7 +78,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
     color_stream, depth_stream, warnings = _streams(folder)
     colors, depths = color_stream.files, depth_stream.files
-    camera, scale, about_camera = _camera(folder, options, *common_size(depths))
+    camera, scale, about_camera = _camera(folder, options, depths)
     warnings += about_camera
 
     frames: list[Frame] = []
@@ -206,8 +208,9 @@ def _data_set_camera(folder: Path) -> tuple[str | None, str]:
     return (None if named is None else f"freiburg{named[1]}"), source
 
 
-def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
+def _camera(folder: Path, options: ReadingParams, depths: Sequence[Path]) -> tuple[Camera, float, list[str]]:
     """Return the camera, the depth scale, and what is to be said about them."""
+    width, height = common_size(depths)
     own, source = _data_set_camera(folder)
     path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
     camera = options.camera(width, height)
@@ -226,12 +229,29 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
                 "lens is not taken from the name"
             )
     stated = path and calibration.read_depth_scale(path)
-    if own is None and stated is None and options.depth_scale is None:
-        warnings.append(
+    scale = options.depth_scale or stated or (None if own is None else _UNITS_PER_METRE)
+    if scale is None:
+        scale, about_scale = _scale(depths)
+        warnings += about_scale
+    return camera, scale, warnings
+
+
+def _scale(depths: Sequence[Path]) -> tuple[float, list[str]]:
+    """Return the units a metre of depth that nothing states, and what is to be said about them."""
+    told = told_units(depths)
+    if told == MILLIMETRES:
+        said = (
+            f"depth is taken as millimetres: in TUM's {_UNITS_PER_METRE:g} units a metre half of it would be "
+            f"nearer than a Kinect sees; where it is, set scan.depth_scale={_UNITS_PER_METRE:g}"
+        )
+        return told, [said]
+    if told is None:
+        said = (
             f"depth is taken as TUM's {_UNITS_PER_METRE:g} units a metre; where it is in millimetres set "
             "scan.depth_scale=1000"
         )
-    return camera, options.depth_scale or stated or _UNITS_PER_METRE, warnings
+        return _UNITS_PER_METRE, [said]
+    return told, []
 
 
 LAYOUT = Layout(

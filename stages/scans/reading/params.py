@@ -75,7 +75,7 @@ class ReadingParams:
     check_poses: bool = param(
         True,
         "Stop when the depth of the frames fits together clearly better under another reading of the poses: "
-        "world-to-camera, or of a camera with y up.",
+        "world-to-camera, of a camera with y up, or the last pose first.",
         invalidates=False,
     )
     first: int = param(0, "Position of the first frame to use, counted from 0.", unit="frames", low=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -225,6 +226,35 @@ def test_noise_is_measured_and_sets_the_scale() -> None:
     fused = fuse(frames, max_jump=0.2)
     assert fused.noise.at(1.5) == pytest.approx(0.02, rel=0.25)
     assert fused.voxel_size == pytest.approx(2 * fused.noise.at(1.5), rel=0.15)
+
+
+def before_a_wall(noise: float) -> list[Frame]:
+    """A wall at 1 m, and beside it one at 4 m, by a camera that moves aside; noise grows as z²."""
+    rng = np.random.default_rng(8)
+    frames = []
+    for k in range(6):
+        pose = np.eye(4)
+        pose[0, 3] = 0.01 * k
+        depth = np.full((CAMERA.height, CAMERA.width), 1.0)
+        depth[:, : CAMERA.width // 4] = 4.0
+        depth += rng.normal(0, noise * depth**2)
+        frames.append(Frame(str(k), CAMERA, depth=depth.astype(np.float32), world_from_camera=pose))
+    return frames
+
+
+def test_depth_that_is_too_far_for_the_voxels_is_told() -> None:
+    frames = before_a_wall(0.01)
+    fused = fuse(frames, max_jump=0.3)
+    assert fused.max_depth < 3
+    (said,) = fused.warnings
+    assert re.fullmatch(r"2[0-9]% of the depth is beyond 2\.\d\d m and not fused: .*", said)
+    advised = re.search(r"fuse\.voxel_size=([\d.]+) takes in what is up to 4\.", said)
+    assert advised is not None
+    taken = fuse(frames, max_jump=0.3, voxel_size=float(advised[1]))
+    assert taken.warnings == ()
+    assert taken.mesh.vertices[:, 2].max() > 3.5
+    # Whoever states a limit knows.
+    assert fuse(frames, max_jump=0.3, max_depth=2).warnings == ()
 
 
 def test_one_frame_is_enough() -> None:

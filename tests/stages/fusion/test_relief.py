@@ -72,7 +72,8 @@ def test_a_lone_frame_shows_what_has_depth_and_nothing_else() -> None:
     # Rays end at the outermost pixels' middles, which lie on the rim.
     assert np.mean(np.isfinite(z)[has]) > 0.95
     assert not np.isfinite(z[~has]).any()
-    assert fused.pixels_used <= 1
+    # Of all pixels, as of many frames; the gaps are too wide to be closed.
+    assert fused.pixels_used == fused.pixels_valid == np.mean(has)
     np.testing.assert_array_equal(fused.mesh.colors, 90)
     assert clean(fused.mesh).mesh.triangles.shape == fused.mesh.triangles.shape
 

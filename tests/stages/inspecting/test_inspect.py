@@ -11,7 +11,7 @@ from stages.errors import InputError
 from stages.fusion.fuse import fuse
 from stages.inspecting.inspect import inspect
 from stages.inspecting.inspection import Inspection
-from stages.inspecting.sanity import require_poses
+from stages.inspecting.sanity import check_poses, require_poses
 from stages.scans.images import read_color
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
@@ -69,6 +69,38 @@ def test_poses_of_another_convention_stop_what_is_built_on_them():
     assert require_poses(room_scan()) == []
     with pytest.raises(InputError, match=r"probably world-to-camera.*mm as given; \d+ mm world-to-camera"):
         require_poses(room_scan(np.linalg.inv))
+
+
+def test_poses_backwards_are_named():
+    # Faster and faster, or else they are as good as inverted ones.
+    poses = [pose_at(0.02 * i**2, 0.05 * i, 4 * i + i**2 / 4) for i in range(8)]
+    frames = [
+        Frame(str(i), CAMERA, depth=room_depth(pose), world_from_camera=given)
+        for i, (pose, given) in enumerate(zip(poses, reversed(poses), strict=True))
+    ]
+    with pytest.raises(InputError, match=r"in the order of the frames backwards: so taken"):
+        require_poses(Scan("plain-rgbd", frames))
+
+
+def test_poses_that_fit_two_ways_are_called_by_both():
+    """A camera that moves evenly, as about a turntable."""
+    poses = [np.linalg.matrix_power(pose_at(0.1, 0.0, 5.0), i) for i in range(8)]
+    frames = [
+        Frame(str(i), CAMERA, depth=room_depth(pose), world_from_camera=np.linalg.inv(pose))
+        for i, pose in enumerate(poses)
+    ]
+    errors, (said,) = check_poses(frames)
+    assert "probably world-to-camera, or in the order of the frames backwards: so taken" in said
+    assert errors["as given"] > 0.05
+
+
+def test_frames_without_a_pose_say_nothing_of_the_others():
+    scan = room_scan()
+    lost = [replace(frame, world_from_camera=None) for frame in scan.frames[::2]]
+    frames = [lost[i // 2] if i % 2 == 0 else frame for i, frame in enumerate(scan.frames)]
+    errors, said = check_poses(frames)
+    assert errors["as given"] < 0.01
+    assert said == []
 
 
 def test_poses_that_fit_no_way_are_not_called_another_convention():

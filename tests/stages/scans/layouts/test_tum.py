@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,6 +8,7 @@ from stages.errors import InputError
 from stages.scans.images import read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
+from stages.scans.reading.depth_units import told_units
 from stages.scans.world import WorldUp
 
 
@@ -163,6 +165,38 @@ def test_an_unknown_camera_is_said(scan_folder):
     assert any("scan.depth_scale=1000" in text for text in scan.warnings)
     stated = read_scan(moved, ScanParams(depth_scale=1000, intrinsics="100,100,16,12"))
     assert not stated.warnings
+
+
+def test_depth_that_nothing_sees_so_near_is_in_millimetres(scan_folder):
+    # 0.5 to 1.5 m in millimetres: 0.1 to 0.3 m in TUM's units.
+    moved = scan_folder.rename(scan_folder.with_name("desk"))
+    ramp = np.linspace(500, 1500, 32 * 24).reshape(24, 32).astype(np.uint16)
+    for image in (moved / "depth").iterdir():
+        cv2.imwrite(str(image), ramp)
+    scan = read_scan(moved, ScanParams(intrinsics="100,100,16,12"))
+    assert scan.frames[0].depth_scale == 1000
+    (said,) = scan.warnings
+    assert "scan.depth_scale=5000" in said
+    stated = read_scan(moved, ScanParams(depth_scale=5000, intrinsics="100,100,16,12"))
+    assert (stated.frames[0].depth_scale, stated.warnings) == (5000, ())
+
+
+def test_whole_millimetres_times_five_are_known(scan_folder):
+    moved = scan_folder.rename(scan_folder.with_name("desk"))
+    ramp = 5 * np.linspace(500, 1500, 32 * 24).reshape(24, 32).astype(np.uint16)
+    for image in (moved / "depth").iterdir():
+        cv2.imwrite(str(image), ramp)
+    scan = read_scan(moved, ScanParams(intrinsics="100,100,16,12"))
+    assert (scan.frames[0].depth_scale, scan.warnings) == (5000, ())
+
+
+def test_real_depth_tells_its_unit(shared_data):
+    desk = read_scan(shared_data / "rgbd" / "realsense_desk_tum_layout", complete=False)
+    assert desk.frames[0].depth_scale == 1000
+    rpy = sorted((shared_data / "real" / "rgbd_dataset_freiburg1_rpy" / "depth").iterdir())
+    assert told_units(rpy) is None
+    cabinet = sorted((shared_data / "real" / "freiburg3_cabinet_keyframes" / "depth_imgs").iterdir())
+    assert told_units(cabinet) == 5000
 
 
 def test_scale_can_be_stated(scan_folder):
