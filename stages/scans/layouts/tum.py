@@ -14,6 +14,7 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.associations import read_associations
+from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.depth_units import MILLIMETRES, told_units
 from stages.scans.reading.files import (
     COLOR_FOLDERS,
@@ -36,6 +37,7 @@ from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
 # The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
 _TOLERANCE = 20_000_000
+_SECOND = 1_000_000_000
 _UNITS_PER_METRE = 5000.0
 # The folder holds no intrinsics; which recording it is of tells the camera: fx fy cx cy, then k1 k2 p1 p2 k3.
 _CAMERAS = {
@@ -89,11 +91,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         if partner < 0
     ]
     paired = [number for number, partner in enumerate(partners) if partner >= 0]
+    # The surface is where the depth camera saw it from, so its moment decides.
+    moments = [int(depth_stream.times[partners[number]]) for number in paired]
+    names = [colors[number].stem for number in paired]
     poses: list[Pose | None] = [None] * len(paired)
     if path is not None:
-        # The surface is where the depth camera saw it from, so its moment decides.
-        moments = [int(depth_stream.times[partners[number]]) for number in paired]
-        poses = poses_at(path, moments, [colors[number].stem for number in paired], _TOLERANCE, options)
+        poses = poses_at(path, moments, names, _TOLERANCE, options)
+    elif (found := _poses_beside(folder, moments, names, options)) is not None:
+        path, poses, said = found
+        warnings.append(said)
     for number, pose in zip(paired, poses, strict=True):
         color, partner, time = colors[number], partners[number], int(color_stream.times[number])
         if pose is None and path is not None:
@@ -114,6 +120,26 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     missing = (lacking,) if path is None else ()
     up = None if path is None else _up(folder, path)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
+
+
+def _poses_beside(
+    folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
+) -> tuple[Path, list[Pose | None], str] | None:
+    """Return the only file that holds as many poses as frames, the poses, and what is to be said of them.
+
+    None without one, and where its times are others than those of the frames, unless these only count them.
+    """
+    path = trajectory_beside(folder, len(names))
+    if path is None:
+        return None
+    said = f"the poses are read from {path.name}, which lies beside the images"
+    if set(np.diff(moments)) == {_SECOND}:
+        said = f"{said}; the images' times only count them, so poses are taken in their order"
+        options = replace(options, poses_by_order=True)
+    try:
+        return path, poses_at(path, moments, names, _TOLERANCE, options), said
+    except InputError:
+        return None
 
 
 def _up(folder: Path, trajectory: Path) -> WorldUp | None:

@@ -190,6 +190,33 @@ def test_whole_millimetres_times_five_are_known(scan_folder):
     assert (scan.frames[0].depth_scale, scan.warnings) == (5000, ())
 
 
+def test_poses_beside_images_that_are_only_counted(scan_folder, tiny):
+    """Key frames as they are packed: the lists count them, and the poses have the times of the recording."""
+    (scan_folder / "groundtruth.txt").rename(scan_folder / "truth_cam_poses.txt")
+    poses = (scan_folder / "truth_cam_poses.txt").read_text().splitlines()
+    (scan_folder / "truth_cam_poses.txt").write_text(
+        "\n".join([poses[1], poses[3].replace(" 2 2 ", " 2 3 ")])
+    )
+    for name in ("rgb", "depth"):
+        images = sorted((scan_folder / name).iterdir())[:2]
+        listed = "".join(f"{k} {name}/{image.name}\n" for k, image in enumerate(images))
+        (scan_folder / f"{name}.txt").write_text(listed)
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    (said,) = (text for text in scan.warnings if "truth_cam_poses.txt" in text)
+    assert "which lies beside the images; the images' times only count them" in said
+    assert scan.missing == ()
+
+
+def test_poses_beside_images_of_another_time_are_left(scan_folder):
+    text = (scan_folder / "groundtruth.txt").read_text().splitlines()
+    (scan_folder / "groundtruth.txt").unlink()
+    (scan_folder / "other.txt").write_text("\n".join(line.replace("10.", "500.") for line in text[1:3]))
+    scan = read_scan(scan_folder, complete=False)
+    assert [frame.world_from_camera for frame in scan.frames] == [None, None]
+    assert any("groundtruth.txt is missing" in lacking for lacking in scan.missing)
+
+
 def test_real_depth_tells_its_unit(shared_data):
     desk = read_scan(shared_data / "rgbd" / "realsense_desk_tum_layout", complete=False)
     assert desk.frames[0].depth_scale == 1000
