@@ -6,12 +6,14 @@ Small recordings often hold the same in one folder, side by side: rgb_0.png, dep
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from stages.errors import InputError
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.confidence_folder import confidence_of
+from stages.scans.reading.depth_units import FIFTHS, told_units
 from stages.scans.reading.files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
@@ -80,7 +82,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     else:
         missing = ("poses: trajectory.log (or .json) is missing; name a trajectory with scan.poses=FILE",)
-    camera, scale, warnings = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
+    camera, scale, warnings = _camera(folder, options, [depth for depth, _ in pairs])
     trusts, least, about_trust = confidence_of(folder, [depth for depth, _ in pairs], options)
     frames = [
         Frame(
@@ -112,8 +114,9 @@ def _trajectory(folder: Path) -> Path | None:
     return None
 
 
-def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
+def _camera(folder: Path, options: ReadingParams, depths: Sequence[Path]) -> tuple[Camera, float, list[str]]:
     """Return the camera, the depth scale and what is to be said about them."""
+    width, height = common_size(depths)
     # Open3D's own examples keep one camera file beside several scans.
     path = options.file("calibration", folder) or first_existing(
         folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
@@ -127,7 +130,16 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
             camera = calibration.read_camera(path, width, height)
             if not path.parent.samefile(folder):
                 warnings = [f"the intrinsics come from {path.name} in the folder above"]
-    scale = options.depth_scale or (path and calibration.read_depth_scale(path)) or _UNITS_PER_METRE
+    scale = options.depth_scale or (path and calibration.read_depth_scale(path))
+    if scale is None:
+        scale = _UNITS_PER_METRE
+        if told_units(depths) == FIFTHS:
+            scale = FIFTHS
+            said = (
+                f"depth holds multiples of five alone: it is taken as TUM's {FIFTHS:g} units a metre; "
+                f"where it is in millimetres set scan.depth_scale={_UNITS_PER_METRE:g}"
+            )
+            warnings = [*warnings, said]
     return camera, scale, warnings
 
 

@@ -57,6 +57,17 @@ def test_depth_scale_of_the_intrinsic_file_is_used(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
+def test_depth_in_fifths_of_millimetres_is_told(scan_folder):
+    ramp = 5 * np.linspace(500, 1500, 32 * 24).reshape(24, 32).astype(np.uint16)
+    for image in (scan_folder / "depth").iterdir():
+        cv2.imwrite(str(image), ramp)
+    scan = read_scan(scan_folder)
+    assert scan.frames[0].depth_scale == 5000
+    assert any("multiples of five" in text and "scan.depth_scale=1000" in text for text in scan.warnings)
+    stated = read_scan(scan_folder, ScanParams(depth_scale=1000))
+    assert (stated.frames[0].depth_scale, stated.warnings) == (1000, ())
+
+
 def test_camera_of_another_size_is_refused(scan_folder):
     document = json.loads((scan_folder / "intrinsic.json").read_text())
     (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"width": 640, "height": 400}))
