@@ -17,7 +17,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.upright import PlaceUp, direction_of, up_of_place
 
 # Raised by hand when the same clean mesh and frames come to another up.
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # It is known to a degree; files need not say more.
 _DIGITS = 7

@@ -15,7 +15,7 @@ from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, is_used
 from stages.surface.topology import require_measurable
-from stages.surface.upright import turn_along_y, up_of_cameras
+from stages.surface.upright import turn_along_y, up_of_held
 
 # Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
 _STRAY = 0.001
@@ -115,7 +115,7 @@ def viewpoints_around(
             for i, heading in enumerate(headings)
         )
     poses = np.array([frame.world_from_camera for frame in posed])
-    upward = up_of_cameras(poses)
+    upward = up_of_held(poses)
     overview = _looking("overview", points, _downward(poses, upward), upward, width, height, cull=True)
     chosen = np.unique(np.linspace(0, len(posed) - 1, 2 * count - 1).round().astype(int)[1::2])
     return (overview, *(_as_seen(posed[i], width) for i in chosen))

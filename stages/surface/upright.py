@@ -29,6 +29,10 @@ _SAME = 1.0
 _DOUBTFUL = 30.0
 # The mean of a camera's side that is up is at least so long where cameras were held alike.
 _HELD_ALIKE = 0.5
+# Cameras on their side go around what they show: their upper sides look all about, and the mean of them is
+# no longer than the first, and this share of their x axes' squares lies along one axis, of 30° above it, too.
+# A camera that is only tilted comes near that by more than 200°.
+_UPPER_SIDES, _ALONG = 0.6, 0.7
 _AXES = {
     "+x": (1.0, 0.0, 0.0),
     "-x": (-1.0, 0.0, 0.0),
@@ -128,7 +132,7 @@ def up_of_place(
     plane : up (3,), of length 1, from a table or floor that was left out of the mesh; says what else the
         surface would.
     """
-    held = up_of_cameras(poses)
+    held = up_of_held(poses)
     found = up_of_surface(mesh, held) if plane is None else np.asarray(plane, np.float64)
     if known is None:
         told = "surface" if plane is None else "plane"
@@ -189,6 +193,25 @@ def up_of_cameras(poses: Floats) -> Floats:
     spread = sideways.T @ sideways / len(poses) - 0.1 * np.outer(upward, upward)
     up = np.linalg.eigh(spread)[1][:, 0]
     return np.asarray(up if up @ upward >= 0 else -up)
+
+
+def up_of_held(poses: Floats) -> Floats:
+    """Return the direction (3,) that is up as `up_of_cameras`, also of cameras on their side around a thing.
+
+    Telephones are held so, and arms that go around. Which end of their axis is up no side tells then, for
+    they may have been turned either way; but they rather look down.
+
+    Parameters
+    ----------
+    poses : (n, 4, 4) camera-to-world, one or more.
+    """
+    sideways = poses[:, :3, 0]
+    along, axes = np.linalg.eigh(sideways.T @ sideways / len(poses))
+    upper = np.linalg.norm(poses[:, :3, 1].mean(axis=0))
+    if along[2] < _ALONG or upper > _UPPER_SIDES:
+        return up_of_cameras(poses)
+    axis = axes[:, 2]
+    return np.asarray(-axis if axis @ poses[:, :3, 2].mean(axis=0) > 0 else axis)
 
 
 def up_of_surface(mesh: Mesh, guess: Floats) -> Floats | None:

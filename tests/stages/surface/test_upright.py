@@ -96,3 +96,22 @@ def test_a_phone_held_in_portrait_is_no_doubt(roll: float) -> None:
     assert found.warnings == ()
     # Without that knowledge its side is up.
     assert up_of_place(room(0.8), looking(roll=roll)).direction @ (0, 0, 1) < 0.5
+
+
+@pytest.mark.parametrize("turned", [(0,), (0, 5, 6, 11)])
+def test_cameras_on_their_side_around_a_thing_stand_on_its_axis(turned: tuple[int, ...]) -> None:
+    """Some of them on the other side, as of an arm that turns over."""
+    poses = looking(roll=90, across=330, count=12)
+    for k in turned:
+        poses[k, :3, :2] *= -1
+    place = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
+    found = up_of_place(place, poses)
+    assert found.source == "cameras"
+    assert found.direction @ (0, 0, 1) > 0.99
+
+
+def test_cameras_on_their_feet_stay_so() -> None:
+    place = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
+    for level in (-40.0, 0.0, 60.0):
+        found = up_of_place(place, looking(level=level, across=330, count=12))
+        assert found.direction @ (0, 0, 1) > 0.99
