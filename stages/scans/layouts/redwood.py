@@ -130,7 +130,7 @@ def _camera(folder: Path, options: ReadingParams, depths: Sequence[Path]) -> tup
             camera = calibration.read_camera(path, width, height)
             if not path.parent.samefile(folder):
                 warnings = [f"the intrinsics come from {path.name} in the folder above"]
-    scale = options.depth_scale or (path and calibration.read_depth_scale(path))
+    scale = options.depth_scale or (None if path is None else calibration.read_depth_scale(path))
     if scale is None:
         scale = _UNITS_PER_METRE
         if told_units(depths) == FIFTHS:
