@@ -68,7 +68,7 @@ from stages.comparing.left_out import left_out as left_out_of_all
 from stages.exporting.export import export
 from stages.inspecting.coverage.coverage import coverage
 from stages.inspecting.libraries import installed
-from stages.inspecting.sanity import require_poses
+from stages.inspecting.sanity import pose_doubts, require_poses
 from stages.lod.slod import read_slod
 from stages.lod.tiles import write_tiles
 from stages.normal_meshes.unmet import unmet as not_close
@@ -123,7 +123,12 @@ def _adjust(job: Job) -> Mapping[str, Any]:
         beside = job.folder / _ADJUSTED
         beside.mkdir()
         adjusting.write(beside, found)
-    return from_folder(found.figures(), scan.folder)
+    figures = found.figures()
+    # Depth of a sensor alone tells: what is computed from pairs or views is off by patches of its own.
+    are_given = "posed" not in job.inputs and isinstance(job.inputs["frames"], Scan)
+    if job.config.scan.check_poses and are_given and not found.accepted:
+        figures = {**figures, "warnings": [*figures["warnings"], *pose_doubts(scan.frames)]}
+    return from_folder(figures, scan.folder)
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:

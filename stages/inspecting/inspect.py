@@ -74,6 +74,8 @@ def inspect(scan: Scan) -> Inspection:
         # Poses that only seem to be meant another way, because depth is of another unit.
         about_poses = about_scale or about_poses
         misfit, about_misfit = _misfit(scan.frames)
+        if path is not None and misfit is None and not about_poses:
+            about_poses = sanity.pose_doubts(scan.frames)
         pairs = [(_matching(one), one.depth) for one in samples]
         warnings += (
             said

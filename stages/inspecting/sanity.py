@@ -32,6 +32,12 @@ _LEAST_CORRELATION = 0.08
 # Depth of one frame meets another's to half a per cent with sound poses; beyond 3 % nothing fits.
 _SOUND_SHARE = 0.005
 _FITTING_SHARE = 0.03
+# Noise of depth differs from pixel to pixel, poses move whole patches: so many pixels wide, each with so many
+# points that meet another frame's depth within this share of the distance.
+_PATCH, _LEAST_POINTS, _NEAR_SHARE = 64, 16, 0.05
+# Recordings with sound poses come to 0.1 to 0.3 %; those with poses of another moment, or half a degree off,
+# to 0.6 to 1 %.
+_INEXACT_SHARE = 0.005
 _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 # The same for the unit of depth: below the first the declared one is right, below the second another is.
 _SOUND_SCALE_SHARE = 0.015
@@ -104,6 +110,42 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
     return medians, [
         f"the poses are probably {', or '.join(alike)}: so taken, the depth of one frame meets another's to "
         f"{medians[best] * 1000:.0f} mm, as given to {was}"
+    ]
+
+
+def pose_doubts(frames: Sequence[Frame]) -> list[str]:
+    """Carry surfaces from frame to frame by the poses as given; warn when patches lie off as a whole.
+
+    Parameters
+    ----------
+    frames : with depth and poses; those without a pose are left out.
+    """
+    frames, poses = _posed(frames)
+    shares = []
+    for (i, first), (k, second) in _couples(frames):
+        points = _points(first, frames[i].camera)
+        meets = _meeting(points, inverted(poses[k]) @ poses[i], second, frames[k].camera)
+        if len(meets) > _LEAST_OVERLAP * len(points):
+            shares += _off_in_patches(meets)
+    usual = float(np.median(shares)) if shares else 0.0
+    if usual <= _INEXACT_SHARE:
+        return []
+    return [
+        f"by the poses, surfaces of one frame lie {usual:.1%} of their distance off another's (median): they "
+        "are inexact; register.enabled=true with register.refine=true brings them nearer by the surfaces"
+    ]
+
+
+def _off_in_patches(meets: NDArray[np.float64]) -> list[float]:
+    """Return how far patches lie off, as shares of their distance, from points as `_meeting` returns them."""
+    column, row, distance, off = meets.T
+    near = np.abs(off) < _NEAR_SHARE * distance
+    patch = (row // _PATCH) * 10_000 + column // _PATCH
+    each = [near & (patch == one) for one in np.unique(patch[near])]
+    return [
+        abs(float(np.median(off[here] / distance[here])))
+        for here in each
+        if np.count_nonzero(here) >= _LEAST_POINTS
     ]
 
 
@@ -268,14 +310,22 @@ def _depth_errors(
     points: NDArray[np.float64], second_from_first: Pose, depth: DepthImage, camera: Camera
 ) -> NDArray[np.float64]:
     """Return how far the depth map lies from each point that falls on it, in metres."""
+    return np.asarray(np.abs(_meeting(points, second_from_first, depth, camera)[:, 3]))
+
+
+def _meeting(
+    points: NDArray[np.float64], second_from_first: Pose, depth: DepthImage, camera: Camera
+) -> NDArray[np.float64]:
+    """Return the points that fall on depth of a map, (n, 4): column, row, distance, how far it is behind."""
     moved = points @ second_from_first[:3, :3].T + second_from_first[:3, 3]
     moved = moved[moved[:, 2] > 0.05]
     columns = np.rint(moved[:, 0] / moved[:, 2] * camera.fx + camera.cx)
     rows = np.rint(moved[:, 1] / moved[:, 2] * camera.fy + camera.cy)
     inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
     seen = depth[rows[inside].astype(int), columns[inside].astype(int)]
-    errors: NDArray[np.float64] = np.abs(moved[inside, 2] - seen)[seen > 0]
-    return errors
+    distance = moved[inside, 2]
+    found = np.stack([columns[inside], rows[inside], distance, seen - distance], axis=1)
+    return np.asarray(found[seen > 0])
 
 
 def _depth_jumps(depth: DepthImage) -> NDArray[np.float32]:

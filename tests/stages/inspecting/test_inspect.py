@@ -11,7 +11,7 @@ from stages.errors import InputError
 from stages.fusion.fuse import fuse
 from stages.inspecting.inspect import inspect
 from stages.inspecting.inspection import Inspection
-from stages.inspecting.sanity import check_poses, require_poses
+from stages.inspecting.sanity import check_poses, pose_doubts, require_poses
 from stages.scans.images import read_color
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
@@ -101,6 +101,19 @@ def test_frames_without_a_pose_say_nothing_of_the_others():
     errors, said = check_poses(frames)
     assert errors["as given"] < 0.01
     assert said == []
+
+
+def test_inexact_poses_are_told_from_noise():
+    numbers = np.random.default_rng(5)
+    noisy = [
+        replace(frame, depth=(frame.depth * numbers.normal(1, 0.01, frame.depth.shape)).astype(np.float32))
+        for frame in room_scan().frames
+    ]
+    assert pose_doubts(noisy) == []
+    shaken = room_scan(lambda pose: pose @ pose_at(*numbers.normal(0, 0.03, 2), numbers.normal(0, 1)))
+    (said,) = pose_doubts(shaken.frames)
+    assert "register.refine=true" in said
+    assert said in inspect(shaken).warnings
 
 
 def test_poses_that_fit_no_way_are_not_called_another_convention():
