@@ -32,3 +32,11 @@ def off_line(
     line = np.hstack([here, ones]) @ lines.T
     off = np.abs((line * np.hstack([there, ones])).sum(axis=1))
     return np.asarray(off / np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12))
+
+
+def off_lines(
+    first: PosedView, second: PosedView, here: NDArray[np.float64], there: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return by how many pixels points of two views (n, 2) are off each other's lines, the larger, (n,)."""
+    lines = fundamental(first, second)
+    return np.maximum(off_line(lines, here, there), off_line(lines.T, there, here))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.registration.sift import Keypoints, matches
-from stages.stereo.epipolar import fundamental, off_line
+from stages.stereo.epipolar import off_lines
 from stages.stereo.posed_views import PosedView
 
 # Of the views that look the same way, each is compared with the nearest, the second, the fourth … : frames of
@@ -37,10 +37,12 @@ class Recognised:
     off : pixels, how far the median match lies off its epipolar line; more than one says that poses or
         calibration do not fit the images.
     depths : of the matches that tell, (n,) metres along the axis of the first view, and of the second.
+    pixels : of the matches near their lines, (n, 2) in the first view, and in the second.
     """
 
     off: float
     depths: tuple[NDArray[np.float64], NDArray[np.float64]]
+    pixels: tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def neighbours(views: Sequence[PosedView]) -> list[tuple[int, int]]:
@@ -67,8 +69,7 @@ def recognised(first: PosedView, second: PosedView, here: Keypoints, there: Keyp
     one, other = (
         points.pixels[same[:, side]].astype(np.float64) for side, points in enumerate((here, there))
     )
-    lines = fundamental(first, second)
-    off = np.maximum(off_line(lines, one, other), off_line(lines.T, other, one))
+    off = off_lines(first, second, one, other)
     fits = off <= _TOLERANCE * math.hypot(first.camera.width, first.camera.height)
     if np.count_nonzero(fits) < max(_ENOUGH, _SHARE * len(same)):
         return None
@@ -78,7 +79,8 @@ def recognised(first: PosedView, second: PosedView, here: Keypoints, there: Keyp
     ]
     usual = float(np.median(off[fits]))
     angle = max(math.radians(_SMALLEST), _SURE * usual / first.camera.fx)
-    return Recognised(usual, _where_rays_meet(rays[0], rays[1], second.centre - first.centre, angle))
+    depths = _where_rays_meet(rays[0], rays[1], second.centre - first.centre, angle)
+    return Recognised(usual, depths, (one[fits], other[fits]))
 
 
 def _where_rays_meet(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from stages.registration.sift import Keypoints, keypoints
 from stages.scans.depth_range import Range, range_of_points
 from stages.scans.images import read_seen
 from stages.scans.prefetch import read_ahead
-from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.scans.scan import ColorImage, DepthImage, Frame, Pose, Scan, SkippedFrame
 from stages.scans.threads import threads_to_use
 from stages.stereo.agreement import agreeing_views
 from stages.stereo.by_network import completed, network_of
@@ -29,6 +29,7 @@ from stages.stereo.depth_map import DepthMap
 from stages.stereo.hull_fill import filled_in
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
+from stages.stereo.nearer_poses import nearer_poses
 from stages.stereo.params import OF_PAIRS, SWEEP, DepthKeywords, DepthParams
 from stages.stereo.partners import partners
 from stages.stereo.posed_views import PosedView, posed_views
@@ -44,7 +45,7 @@ from stages.stereo.views_confidence import views_confidence
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0
@@ -87,7 +88,8 @@ def views_depth(
     Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
     is kept either) or for each frame; else in that of the points which views recognise in each other, or of
     a cube where the optical axes meet (see stages.stereo.scene_depth). `min_depth` and `max_depth` win over
-    all of these. Where recognised points lie elsewhere than the poses say, the maps have a warning.
+    all of these. Where recognised points lie elsewhere than the poses say, poses are brought nearer to them
+    (see stages.stereo.nearer_poses), and the maps have a warning.
 
     Parameters
     ----------
@@ -98,8 +100,8 @@ def views_depth(
 
     Returns
     -------
-    Frames with depth, the camera without distortion, and the pose unchanged. A map's `disparity` is NaN
-    everywhere, since each partner has another; `max_depth` is that of the farthest view, `search` is the
+    Frames with depth, the camera without distortion, and the pose, as given or nearer. A map's `disparity` is
+    NaN everywhere, since each partner has another; `max_depth` is that of the farthest view, `search` is the
     range tried with the best partner, or planes; `confidence` of pairs is that before the views were checked
     on each other.
 
@@ -125,7 +127,7 @@ def _results(
     views = posed_views(scan)
     pairs = neighbours(views)
     scan, warnings = turned_back(scan, views, pairs, params) if params.turn_back else (scan, {})
-    seen, doubts = _recognised(scan, views, pairs, params)
+    scan, views, seen, doubts = _recognised(scan, views, pairs, params)
     if smaller:
         doubts = (*doubts, f"{smaller} images were made smaller, to {params.max_side} px (depth.max_side)")
     ranges = [one or other for one, other in zip(stated_ranges(scan, views), seen, strict=True)]
@@ -228,9 +230,12 @@ def _require_enough(scan: Scan, params: DepthParams) -> None:
 
 
 def _recognised(
-    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
-) -> tuple[list[Range | None], tuple[str, ...]]:
-    """Return the range of depth of what each view shows and others do, and what is odd about the poses."""
+    scan: Scan, views: list[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
+) -> tuple[Scan, list[PosedView], list[Range | None], tuple[str, ...]]:
+    """Return the range of depth of what each view shows and others do, and what is odd about the poses.
+
+    Before that the scan and its views, whose poses are brought nearer to what is recognised if they are off.
+    """
 
     def read(frame: Frame) -> Keypoints | None:
         try:
@@ -247,19 +252,44 @@ def _recognised(
             return None
         return recognised(views[pair[0]], views[pair[1]], here, there)
 
-    depths: list[list[NDArray[np.float64]]] = [[np.zeros(0)] for _ in views]
-    off: list[float] = []
-    compared = read_ahead(compare, pairs, threads=threads, ahead=threads + 2)
-    for pair, found in zip(pairs, compared, strict=True):
-        if found is not None:
-            off.append(found.off)
-            for at, some in zip(pair, found.depths, strict=True):
-                depths[at].append(some)
-    return [range_of_points(np.concatenate(some)) for some in depths], _doubts(off, scan, params)
+    def compared() -> dict[tuple[int, int], Recognised]:
+        every = read_ahead(compare, pairs, threads=threads, ahead=threads + 2)
+        return {pair: found for pair, found in zip(pairs, every, strict=True) if found is not None}
+
+    seen = compared()
+    said: tuple[str, ...] = ()
+    depths = [one for found in seen.values() for one in found.depths]
+    if _usual_off(seen) > _LARGEST_OFF_PX and any(map(len, depths)):
+        matched = {pair: found.pixels for pair, found in seen.items()}
+        nearer = nearer_poses(views, matched, float(np.median(np.concatenate(depths))))
+        if nearer is not None:
+            scan, views = _with_poses(scan, views, nearer.poses)
+            seen = compared()
+            said = (
+                f"the poses are brought nearer to what views recognise in each other: held-out points lie "
+                f"{nearer.after:.1f} px off, {nearer.before:.1f} px before (median)",
+            )
+    each: list[list[NDArray[np.float64]]] = [[np.zeros(0)] for _ in views]
+    for pair, found in seen.items():
+        for at, some in zip(pair, found.depths, strict=True):
+            each[at].append(some)
+    ranges = [range_of_points(np.concatenate(some)) for some in each]
+    return scan, views, ranges, (*said, *_doubts(_usual_off(seen), scan, params))
 
 
-def _doubts(off: Sequence[float], scan: Scan, params: DepthParams) -> tuple[str, ...]:
-    usual = float(np.median(off)) if off else 0.0
+def _usual_off(seen: Mapping[tuple[int, int], Recognised]) -> float:
+    return float(np.median([found.off for found in seen.values()])) if seen else 0.0
+
+
+def _with_poses(
+    scan: Scan, views: Sequence[PosedView], poses: Sequence[Pose]
+) -> tuple[Scan, list[PosedView]]:
+    frames = [replace(frame, world_from_camera=pose) for frame, pose in zip(scan.frames, poses, strict=True)]
+    moved = [replace(view, world_from_camera=pose) for view, pose in zip(views, poses, strict=True)]
+    return replace(scan, frames=frames), moved
+
+
+def _doubts(usual: float, scan: Scan, params: DepthParams) -> tuple[str, ...]:
     if usual <= _LARGEST_OFF_PX:
         return ()
     said = (

@@ -12,6 +12,7 @@ import posed_scene
 import pytest
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from stages import read_scan, views_depth
 from stages.errors import InputError
@@ -276,22 +277,46 @@ def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
     assert recognised(views[0], replace(views[1], world_from_camera=away), *points) is None
 
 
+def test_poses_that_do_not_fit_the_images_are_brought_nearer() -> None:
+    scan, truths = posed_scene.scan()
+    assert not any(result.warnings for result in measured())
+    random = np.random.default_rng(6)
+    frames = []
+    for frame in scan.frames:
+        pose = np.array(frame.world_from_camera)
+        pose[:3, :3] @= Rotation.from_rotvec(random.normal(0, 0.25, 3), degrees=True).as_matrix()
+        frames.append(replace(frame, world_from_camera=pose))
+    used, errors = [], []
+    found = views_depth(replace(scan, frames=frames))
+    for (frame, result), given, sound, true in zip(found, frames, measured(), truths, strict=True):
+        assert isinstance(result, DepthMap)
+        assert any("the poses are brought nearer to what views recognise" in said for said in result.warnings)
+        assert not np.array_equal(frame.world_from_camera, given.world_from_camera)
+        both = (result.depth > 0) & (true > 0)
+        used.append(np.count_nonzero(both) / np.count_nonzero(sound.depth))
+        errors.append(np.median(np.abs(result.depth - true)[both] / true[both]))
+    # With the poses as given, 0.57 and 0.017.
+    assert np.mean(used) > 0.75
+    assert np.median(errors) < 0.01
+
+
+def rippled(image: np.ndarray, phase: float) -> np.ndarray:
+    """Return an image whose columns are moved up and down by 3 px, as a bad lens or a bad scan would."""
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
+    return cv2.remap(image, u, np.float32(v + 3 * np.sin(u / 6 + phase)), cv2.INTER_LINEAR)
+
+
 def test_poses_that_do_not_fit_the_images_are_told() -> None:
     scan, _ = posed_scene.scan()
-    assert not any(result.warnings for result in measured())
-    # The principal point is 3 px off; the views are turned about their axes, each another way.
-    camera = replace(posed_scene.CAMERA, cy=posed_scene.CAMERA.cy + 3)
-    wrong = replace(scan, frames=[replace(frame, camera=camera) for frame in scan.frames])
+    frames = [replace(frame, color=rippled(frame.color, k)) for k, frame in enumerate(scan.frames)]
+    wrong = replace(scan, frames=frames)
     with pytest.raises(
-        InputError, match=r"do not fit the images\. Give others .*depth\.max_pose_error, 1\.5 px"
+        InputError, match=r"do not fit the images\. Give others .*depth\.max_pose_error, 1\.1 px"
     ):
-        list(views_depth(wrong, DepthParams(max_pose_error=1.5)))
+        list(views_depth(wrong, DepthParams(max_pose_error=1.1)))
     results = [one for _, one in views_depth(wrong, DepthParams(max_skipped=1, max_pose_error=10))]
     said = {text for one in results if isinstance(one, DepthMap) for text in one.warnings}
-    # And that depth covers little then.
-    assert {"poses or calibration do not fit the images" in text for text in said} == {True, False}
-    assert len(said) == 2
-    assert any("depth covers only" in text for text in said)
+    assert any("poses or calibration do not fit the images well" in text for text in said)
 
 
 def test_a_camera_that_moves_ahead_measures_what_lies_aside() -> None:
