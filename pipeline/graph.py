@@ -286,6 +286,9 @@ def _scan(job: Job) -> Scan:
     return cast(Scan, frames)
 
 
+# The most that stages take which go piece by piece: by a building of a hundred million triangles.
+_PIECES = 1.7e9
+
 # Costs are what samples and the README's scans took on two cores, roundly.
 STAGES: tuple[Stage, ...] = (
     Stage(
@@ -308,7 +311,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(register),
         libraries=installed("opencv", "open3d"),
         results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
-        cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6, by_voxels=False),
+        cost=Cost(seconds_per_megapixel=0.5, bytes=200e6, bytes_per_megapixel=1e6, by_voxels=False),
     ),
     Stage(
         name="adjust",
@@ -319,7 +322,15 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of_adjust,
         libraries=installed("opencv", "scipy"),
         results=(f"{_ADJUSTED}/",),
-        cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6, by_voxels=False),
+        cost=Cost(
+            seconds=2,
+            seconds_per_megapixel=1,
+            bytes=200e6,
+            bytes_per_megapixel=6e6,
+            by_voxels=False,
+            # Of key frames, of which there are 200 at most.
+            most_bytes=900e6,
+        ),
     ),
     Stage(
         name="fuse",
@@ -340,7 +351,7 @@ STAGES: tuple[Stage, ...] = (
         make=_clean,
         versions=versions.of_clean,
         results=("clean.ply",),
-        cost=Cost(seconds_per_megapixel=0.08),
+        cost=Cost(seconds_per_megapixel=0.08, most_bytes=_PIECES),
     ),
     Stage(
         name="upright",
@@ -361,7 +372,7 @@ STAGES: tuple[Stage, ...] = (
         libraries=installed("scanloom"),
         results=("simplified.ply",),
         unmet=lambda config, figures: not_simplified(config.simplify, figures),
-        cost=Cost(seconds_per_megapixel=0.15),
+        cost=Cost(seconds_per_megapixel=0.15, most_bytes=_PIECES),
     ),
     Stage(
         name="texture",
@@ -372,7 +383,14 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(texture),
         libraries=installed("scanloom", "opencv"),
         results=(texturing.FILE, f"{texturing.MAPS}/"),
-        cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=1e9, bytes_per_megapixel=3e6, by_voxels=False),
+        cost=Cost(
+            seconds=2,
+            seconds_per_megapixel=0.5,
+            bytes=8e8,
+            bytes_per_megapixel=3e6,
+            by_voxels=False,
+            most_bytes=_PIECES,
+        ),
     ),
     Stage(
         name="bake",
@@ -440,7 +458,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(coverage),
         libraries=installed("open3d", "opencv", "scipy"),
         results=(covering.MESH, covering.MODEL, covering.FILE),
-        cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6),
+        cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6, most_bytes=_PIECES),
     ),
     Stage(
         name="report",
@@ -462,6 +480,6 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(report.make, compare_surfaces, left_out_of_all),
         libraries=installed("open3d", "opencv", "scikit-image"),
         results=("pictures/",),
-        cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6),
+        cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6, most_bytes=_PIECES),
     ),
 )
