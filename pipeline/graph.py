@@ -360,7 +360,7 @@ STAGES: tuple[Stage, ...] = (
         sections=("upright",),
         make=_upright,
         versions=versions.of(upright.make),
-        cost=Cost(seconds=0.5),
+        cost=Cost(seconds=0.5, most_bytes=_PIECES),
     ),
     Stage(
         name="simplify",
