@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,6 +23,7 @@ class Cost:
     bytes, bytes_per_megapixel : beyond what the process holds anyway.
     disk, disk_per_megapixel : bytes that are written, into the cache and the output folder.
     by_voxels : memory and disk follow from how fine the voxels are.
+    most_bytes : beyond what the process holds anyway, for a stage that takes large work piece by piece.
     """
 
     seconds: float = 0.5
@@ -31,6 +33,7 @@ class Cost:
     disk: float = 1e6
     disk_per_megapixel: float = 2e6
     by_voxels: bool = True
+    most_bytes: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -54,9 +57,9 @@ class Expectation:
         memory = int(min(self.memory_bytes, BASE_BYTES) + factor * beyond)
         return Expectation(self.seconds * factor, memory, self.basis, int(self.disk_bytes * factor))
 
-    def bounded(self, memory_bytes: int) -> Expectation:
+    def bounded(self, memory_bytes: float) -> Expectation:
         """Return it for a stage that keeps to so much memory."""
-        return replace(self, memory_bytes=min(self.memory_bytes, memory_bytes))
+        return replace(self, memory_bytes=int(min(self.memory_bytes, memory_bytes)))
 
 
 def megapixels(scan: Scan) -> float:
@@ -83,25 +86,26 @@ def expected(
     same_stage = [one for one in earlier if one["recipe"]["stage"] == stage and "seconds" in one["made"]]
     for one in same_stage:
         if inputs is not None and one["recipe"]["inputs"] == inputs:
-            return as_before(one, 1.0, "measured")
+            return as_before(one, 1.0, "measured", cost)
     for one in same_stage:
         then = one["made"].get("megapixels")
         if then:
-            return as_before(one, size / then, "scaled")
+            return as_before(one, size / then, "scaled", cost)
     if same_stage:
-        return as_before(same_stage[0], 1.0, "scaled")
+        return as_before(same_stage[0], 1.0, "scaled", cost)
     return Expectation(
         cost.seconds + cost.seconds_per_megapixel * size,
-        int(BASE_BYTES + cost.bytes + cost.bytes_per_megapixel * size),
+        int(BASE_BYTES + min(cost.bytes + cost.bytes_per_megapixel * size, cost.most_bytes)),
         "estimated",
         int(cost.disk + cost.disk_per_megapixel * size),
     )
 
 
-def as_before(manifest: Mapping[str, Any], factor: float, basis: str) -> Expectation:
-    """Return what a stage will take that does so many times the work of a result in the cache."""
+def as_before(manifest: Mapping[str, Any], factor: float, basis: str, cost: Cost) -> Expectation:
+    """Return what a stage of such cost will take that does so many times the work of a cached result."""
     made = manifest["made"]
     # The result, and its copy in the output folder.
     disk = 2 * sum(about["size"] for about in manifest.get("files", {}).values())
     peak = int(made.get("peak_memory_bytes", BASE_BYTES))
-    return Expectation(made["seconds"], peak, basis, disk).scaled(factor)
+    most = max(BASE_BYTES + cost.most_bytes, peak)
+    return Expectation(made["seconds"], peak, basis, disk).scaled(factor).bounded(most)

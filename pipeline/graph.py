@@ -291,6 +291,9 @@ def _scan(job: Job) -> Scan:
     return cast(Scan, frames)
 
 
+# The most that stages take which go piece by piece: by a building of a hundred million triangles.
+_PIECES = 1.7e9
+
 # Costs are what samples and the README's scans took on two cores, roundly.
 STAGES: tuple[Stage, ...] = (
     Stage(
@@ -313,7 +316,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(register),
         libraries=installed("opencv", "open3d"),
         results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
-        cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6, by_voxels=False),
+        cost=Cost(seconds_per_megapixel=0.5, bytes=200e6, bytes_per_megapixel=1e6, by_voxels=False),
     ),
     Stage(
         name="adjust",
@@ -324,7 +327,15 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of_adjust,
         libraries=installed("opencv", "scipy"),
         results=(f"{_ADJUSTED}/",),
-        cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6, by_voxels=False),
+        cost=Cost(
+            seconds=2,
+            seconds_per_megapixel=1,
+            bytes=200e6,
+            bytes_per_megapixel=6e6,
+            by_voxels=False,
+            # Of key frames, of which there are 200 at most.
+            most_bytes=900e6,
+        ),
     ),
     Stage(
         name="fuse",
@@ -345,7 +356,7 @@ STAGES: tuple[Stage, ...] = (
         make=_clean,
         versions=versions.of_clean,
         results=("clean.ply",),
-        cost=Cost(seconds_per_megapixel=0.08),
+        cost=Cost(seconds_per_megapixel=0.08, most_bytes=_PIECES),
     ),
     Stage(
         name="upright",
@@ -354,7 +365,7 @@ STAGES: tuple[Stage, ...] = (
         sections=("upright",),
         make=_upright,
         versions=versions.of(upright.make),
-        cost=Cost(seconds=0.5),
+        cost=Cost(seconds=0.5, most_bytes=_PIECES),
     ),
     Stage(
         name="simplify",
@@ -366,7 +377,7 @@ STAGES: tuple[Stage, ...] = (
         libraries=installed("scanloom"),
         results=("simplified.ply",),
         unmet=lambda config, figures: not_simplified(config.simplify, figures),
-        cost=Cost(seconds_per_megapixel=0.15),
+        cost=Cost(seconds_per_megapixel=0.15, most_bytes=_PIECES),
     ),
     Stage(
         name="texture",
@@ -377,7 +388,14 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(texture),
         libraries=installed("scanloom", "opencv"),
         results=(texturing.FILE, f"{texturing.MAPS}/"),
-        cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=1e9, bytes_per_megapixel=3e6, by_voxels=False),
+        cost=Cost(
+            seconds=2,
+            seconds_per_megapixel=0.5,
+            bytes=8e8,
+            bytes_per_megapixel=3e6,
+            by_voxels=False,
+            most_bytes=_PIECES,
+        ),
     ),
     Stage(
         name="bake",
@@ -445,7 +463,7 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(coverage),
         libraries=installed("open3d", "opencv", "scipy"),
         results=(covering.MESH, covering.MODEL, covering.FILE),
-        cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6),
+        cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6, most_bytes=_PIECES),
     ),
     Stage(
         name="report",
@@ -467,6 +485,6 @@ STAGES: tuple[Stage, ...] = (
         versions=versions.of(report.make, compare_surfaces, left_out_of_all),
         libraries=installed("open3d", "opencv", "scikit-image"),
         results=("pictures/",),
-        cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6),
+        cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6, most_bytes=_PIECES),
     ),
 )

@@ -50,7 +50,7 @@ def expected_of(scan: Scan, config: Config, planned: Sequence[str], cache: Path)
             then = earlier[0]["made"].get("megapixels")
             factor = _finer(earlier[0], voxels, config.fuse)
             if factor is not None:
-                take = as_before(earlier[0], factor * (size / then if then else 1.0), "scaled")
+                take = as_before(earlier[0], factor * (size / then if then else 1.0), "scaled", stage.cost)
         # Space is cut in bricks where the volume would outgrow its memory; the rest takes about as much.
         bound = int(BASE_BYTES + 2e6 * config.fuse.memory)
         found[stage.name] = take.bounded(bound) if stage.name == "fuse" else take

@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 # Texels that are painted at a time: each remembers its best photos.
 _AT_ONCE = 3_000_000
+# All texels of a texture, up to which they are painted at a time: a second time takes half as long then.
+_ALL_AT_ONCE = 6_000_000
 # Details come from the best photos: their share falls with this power of the score; the rest is a mean.
 _DETAILS_POWER, _BLURRED_POWER = 3, 1
 # Photos that differ from the median by so many deviations, and so many levels, do not count.
@@ -86,7 +88,11 @@ class Painter:
         self._remembered: _kernels.SurfacePoints | None = None
         # Found once where there is one image; all of many may not fit into memory.
         self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
-        self.parts = _parts(pages) if self._only is None else math.ceil(len(self._only.pixels) / _AT_ONCE)
+        is_all = self._only is not None and len(self._only.pixels) <= _ALL_AT_ONCE
+        self._at_once = _ALL_AT_ONCE if is_all else _AT_ONCE
+        self.parts = (
+            _parts(pages) if self._only is None else math.ceil(len(self._only.pixels) / self._at_once)
+        )
 
     def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Iterator[Painted]:
         """Yield one image after the other; `progress` is called for each photo and part of the texels."""
@@ -117,7 +123,7 @@ class Painter:
     def _texels(self, page: int) -> Iterator[Texels]:
         """Yield what is painted at a time of an image: what few photos show."""
         texels = texels_of(self._pages, page) if self._only is None else self._only
-        return texels.parts_of(self._drawn.parts, _AT_ONCE)
+        return texels.parts_of(self._drawn.parts, self._at_once)
 
     def _page(self, number: int, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Painted:
         width, height = self._pages.sizes[number]

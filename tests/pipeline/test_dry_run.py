@@ -128,6 +128,12 @@ def test_an_expectation_grows_with_the_scan() -> None:
     guessed = expected("clean", 10.0, None, known, cost)
     assert (guessed.seconds, guessed.memory_bytes) == (21.0, BASE_BYTES + 75)
     assert guessed.basis == "estimated"
+    # What is worked on piece by piece takes no more however large it is, or as much as it took before.
+    pieces = Cost(bytes=5, bytes_per_megapixel=7, most_bytes=60)
+    assert expected("clean", 10.0, None, known, pieces).memory_bytes == BASE_BYTES + 60
+    assert expected("fuse", 60.0, None, known, pieces).memory_bytes == BASE_BYTES + 1000
+    wide = Cost(most_bytes=20_000)
+    assert expected("fuse", 60.0, None, known, wide).memory_bytes == BASE_BYTES + 20_000
     # Results of an earlier version do not say how large their scan was.
     del made["megapixels"]
     assert expected("fuse", 6.0, None, known, Cost()).seconds == 10.0

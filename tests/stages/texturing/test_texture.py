@@ -83,6 +83,7 @@ def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.
 
     monkeypatch.setattr(painting, "see", watched)
     monkeypatch.setattr(painting, "_AT_ONCE", 30_000)
+    monkeypatch.setattr(painting, "_ALL_AT_ONCE", 30_000)
     found = texture(wall(40), frames, format="png", rounds=0)
     assert len(asked) > 3
     assert sum(0 < len(numbers) < len(frames) for numbers in asked) > len(asked) / 2
