@@ -267,11 +267,11 @@ class Texels:
         if len(self.pixels) <= count:
             yield self
             return
-        of_each = places[self.triangles]
         in_part = math.ceil(len(self.pixels) / math.ceil(len(self.pixels) / count))
-        part_of_place = (np.cumsum(np.bincount(of_each)) - 1) // in_part
-        part = part_of_place[of_each]
-        for number in np.unique(part).tolist():
+        part_of_place = (np.cumsum(np.bincount(places[self.triangles])) - 1) // in_part
+        # In two bytes each: there are many texels.
+        part = part_of_place.astype(np.uint16)[places][self.triangles]
+        for number in range(int(part_of_place[-1]) + 1):
             # A place with more than `count` is cut once more.
             yield from self._some(np.flatnonzero(part == number)).parts(count)
 

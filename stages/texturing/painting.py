@@ -27,6 +27,9 @@ Floats = NDArray[np.float64]
 _AT_ONCE = 3_000_000
 # All texels of a texture, up to which they are painted at a time: a second time takes half as long then.
 _ALL_AT_ONCE = 6_000_000
+# Triangles of a mesh that takes no room worth mentioning; each more takes that of some texels, of which there
+# are so many at least.
+_FEW_TRIANGLES, _TEXELS_A_TRIANGLE, _LEAST_AT_ONCE = 1_000_000, 0.6, 1_000_000
 # Details come from the best photos: their share falls with this power of the score; the rest is a mean.
 _DETAILS_POWER, _BLURRED_POWER = 3, 1
 # Photos that differ from the median by so many deviations, and so many levels, do not count.
@@ -89,9 +92,11 @@ class Painter:
         # Found once where there is one image; all of many may not fit into memory.
         self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
         is_all = self._only is not None and len(self._only.pixels) <= _ALL_AT_ONCE
-        self._at_once = _ALL_AT_ONCE if is_all else _AT_ONCE
+        self._at_once = _ALL_AT_ONCE if is_all else _at_once(len(mesh.triangles))
         self.parts = (
-            _parts(pages) if self._only is None else math.ceil(len(self._only.pixels) / self._at_once)
+            _parts(pages, self._at_once)
+            if self._only is None
+            else math.ceil(len(self._only.pixels) / self._at_once)
         )
 
     def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Iterator[Painted]:
@@ -171,11 +176,17 @@ class Painter:
         return colors, labels, views
 
 
-def _parts(pages: Pages) -> int:
+def _at_once(triangles: int) -> int:
+    """Return how many texels of a mesh are painted at a time, so that both fit into memory."""
+    more = _TEXELS_A_TRIANGLE * max(triangles - _FEW_TRIANGLES, 0)
+    return min(_AT_ONCE, max(round(_AT_ONCE - more), _LEAST_AT_ONCE))
+
+
+def _parts(pages: Pages, at_once: int) -> int:
     """Return in how many parts several images are painted, about."""
     has_image = pages.pages >= 0
     texels = np.bincount(pages.pages[has_image], np.abs(signed_areas(pages.corners[has_image])))
-    return int(np.ceil(texels / _AT_ONCE).sum())
+    return int(np.ceil(texels / at_once).sum())
 
 
 def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels: Texels, mesh: Mesh) -> None:

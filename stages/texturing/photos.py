@@ -16,7 +16,7 @@ from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
 from stages.scans.sharpness import sharpness
 
-# Photos are kept in memory up to so many bytes; others are read again when they are needed.
+# Photos are kept in memory if all together have no more bytes; else they are read again when they are needed.
 _KEPT_BYTES = 250_000_000
 # Photos taken before and after that one is compared with, and what a blurred one is worth at least.
 _BESIDE = 5
@@ -153,6 +153,8 @@ def photos_of(frames: Sequence[Frame], progress: Progress) -> Photos:
             room -= photo.image.nbytes
             if room >= 0:
                 kept[len(used)] = photo
+            else:
+                kept.clear()
             used.append(frame)
             stands.append((photo.camera, photo.camera_from_world))
             sharpnesses.append(its_sharpness)

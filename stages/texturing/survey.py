@@ -23,6 +23,8 @@ _POINTS = 150_000
 # A photo is wrong if it differs from the others by so many times what is usual, and so many levels, in the
 # median of so many points at least.
 _WRONG_TIMES, _WRONG_LEVELS, _WRONG_POINTS = 4.0, 25.0, 100
+# Points whose place in photos is found at a time: bounds the memory.
+_AT_ONCE = 500_000
 # Of the median of all triangles: no triangle gets texels for more pixels than this.
 _MOST_DENSITY = 3.0
 # Of the median: what a triangle gets that no photo shows.
@@ -78,7 +80,7 @@ def survey(
     of, shares = _points(mesh)
     points = _kernels.SurfacePoints(mesh.vertices, normals, mesh.triangles, of, shares, kept=kept)
     shown = see(points, drawn, photos, [no_exposure()] * len(photos), None, progress)
-    views, colors, _ = points.samples()
+    views, colors = points.samples()[:2]
     if (views < 0).all():
         raise InputError(
             f"none of the {len(photos)} photos shows the mesh: do poses and mesh belong together?"
@@ -155,12 +157,21 @@ def _radii2(
     photos: Photos,
 ) -> NDArray[np.float32]:
     """Return the squared distance of samples (n, k) from the middle of their photos, 1 in the corners."""
-    corners = mesh.vertices[mesh.triangles[of]]
-    places = np.einsum("nc,ncx->nx", shares.astype(np.float64), corners)
     radii2 = np.zeros(views.shape, np.float32)
+    for start in range(0, len(of), _AT_ONCE):
+        rows = slice(start, start + _AT_ONCE)
+        corners = mesh.vertices[mesh.triangles[of[rows]]]
+        places = np.einsum("nc,ncx->nx", shares[rows].astype(np.float64), corners)
+        _add_radii2(radii2[rows], places, views[rows], photos)
+    return radii2
+
+
+def _add_radii2(
+    radii2: NDArray[np.float32], places: Floats, views: NDArray[np.int32], photos: Photos
+) -> None:
     order = np.argsort(views, axis=None, kind="stable")
     bounds = np.searchsorted(views.ravel()[order], np.arange(len(photos) + 1))
-    for number in range(len(photos)):
+    for number in np.flatnonzero(np.diff(bounds)):
         chosen = order[bounds[number] : bounds[number + 1]]
         camera, pose = photos.cameras[number], photos.poses[number]
         seen = places[chosen // views.shape[1]] @ pose[:3, :3].T + pose[:3, 3]
@@ -168,4 +179,3 @@ def _radii2(
         y = (camera.fy * seen[:, 1] / seen[:, 2] + camera.cy) / (camera.height - 1) * 2 - 1
         aspect = camera.height / camera.width
         radii2.ravel()[chosen] = (x**2 + (aspect * y) ** 2) / (1 + aspect**2)
-    return radii2

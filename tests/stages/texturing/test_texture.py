@@ -10,12 +10,14 @@ import pytest
 from photographed import CAMERA, brighter, flat_photo, hits, paint, photo, photos, pose, wall
 
 from stages import InputError, MeshError, UsageError
+from stages.progress import silent
 from stages.scans.images import read_photo
 from stages.scans.scan import Frame, Scan
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.texturing import painting
+from stages.texturing import painting, survey
+from stages.texturing import photos as photos_module
 from stages.texturing.maps import write_maps
 from stages.texturing.texture import Textured, texture
 from stages.texturing.views import see
@@ -68,6 +70,17 @@ def test_equal_input_gives_equal_bytes():
         image.file_bytes for image in second.mesh.texture.images
     ]
     assert np.array_equal(first.mesh.texture.uvs, second.mesh.texture.uvs)
+
+
+def test_what_does_not_fit_into_memory_gives_the_same(monkeypatch: pytest.MonkeyPatch):
+    whole = textured(6)
+    monkeypatch.setattr(photos_module, "_KEPT_BYTES", 0)
+    monkeypatch.setattr(survey, "_AT_ONCE", 1_000)
+    found = texture(wall(), photos(6))
+    assert photos_module.photos_of(photos(6), silent).kept == {}
+    assert [image.file_bytes for image in found.mesh.texture.images] == [
+        image.file_bytes for image in whole.mesh.texture.images
+    ]
 
 
 def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.MonkeyPatch):
