@@ -1,6 +1,6 @@
 """Normal meshes: the papers' tables made again, bytes against Draco's, colours level by level.
 
-    python benches/normal_mesh.py DATA [--only models rates colors growth] [--mesh cow horse]
+    python benches/normal_mesh.py DATA [--only models folds rates colors growth] [--mesh cow horse]
                                        [--samples 200000] [--picture FOLDER]
 
 DATA holds `meshes/`. `pip install '.[bench]'` brings the peers: PyMeshLab, which also measures the distances
@@ -15,6 +15,10 @@ same by PyMeshLab's own sampling. "off" is how far the vertices are from the ori
 the original is not itself turned against the surface around it), "flat" those without area; "spread" is the
 standard deviation of edge lengths over their mean. "CPU s" is processor time
 from the file to the result, the bytes of the `.snm` included. "bits" are for each vertex of the result.
+
+"folds": two meshes that are crumpled in places, a fused kitchen and a model of many parts, all at its
+default. "turned" are triangles of each level as above, in brackets there; "folded" is what
+`folded_by_level` says.
 
 "rates": see normal_mesh_rates.py.
 
@@ -55,7 +59,7 @@ from stages.surface.mesh_files import read_mesh
 from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.topology import topology
 
-PARTS = ("models", "rates", "colors", "growth")
+PARTS = ("models", "folds", "rates", "colors", "growth")
 SIZES = (10_000, 100_000, 1_000_000)
 SHAPE = ["least °", "5 % °", "mean °", "spread", "turned", "flat"]
 SIZE = ["bytes", "bits"]
@@ -65,6 +69,7 @@ MODEL_COLUMNS = [
     *(*SHAPE, *SIZE, "CPU s"),
 ]
 LEVEL_COLUMNS = ["model", "level", "triangles", "exceptions", "boundary", "off", *SHAPE, *SIZE]
+FOLD_COLUMNS = ["mesh", "triangles", "base", "finest", "turned", "folded", "bytes", "CPU s"]
 COLOR_COLUMNS = [
     *("level", "vertices", "triangles", "PSNR dB", "RMSE, levels", "RMS there ×1e-5", "back"),
     *SIZE,
@@ -165,6 +170,8 @@ def main() -> None:
         # What is loaded once is loaded now.
         MODELS["near-cube"].remeshed(near_cube())
         print_models([name for name in MODELS if name in options.mesh], options.data, options.samples)
+    if "folds" in options.only:
+        print_folds(options.data)
     if "rates" in options.only:
         for name in ("horse", "cow", "face", "sceaux", "kitchen"):
             if name in options.mesh:
@@ -298,6 +305,22 @@ def turned(mesh: Mesh, light: Mesh) -> tuple[int, int]:
         np.add.at(around, corner, facing)
     straight = (around[mesh.triangles].sum(axis=1) * facing).sum(axis=1) > 0
     return int(np.count_nonzero(away)), int(np.count_nonzero(away & straight[nearest]))
+
+
+def print_folds(data: Path) -> None:
+    """Print a row for each mesh that is crumpled in places."""
+    print("\n### Folds\n")
+    print_head(FOLD_COLUMNS)
+    for name, mesh in {"kitchen": kitchen(data), "pirate": file("pirate.obj")(data)}.items():
+        start = time.process_time()
+        found = remesh(mesh)
+        seconds = time.process_time() - start
+        sizes = [len(one.triangles) for one in (mesh, found.base, found.mesh)]
+        away = [turned(mesh, level)[1] for level in found.levels]
+        by_level = [", ".join(map(str, counts)) for counts in (away, found.folded_by_level)]
+        print_row(
+            [name, *(f"{size:,}" for size in sizes), *by_level, f"{len(found.data):,}", f"{seconds:.1f}"]
+        )
 
 
 def print_colors(model: Model, data: Path, samples: int) -> None:

@@ -29,6 +29,7 @@ mod planar {
     mod simplify;
 }
 mod normal {
+    mod locking;
     mod remesh;
 }
 mod snm {

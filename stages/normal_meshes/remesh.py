@@ -28,7 +28,7 @@ from stages.surface.topology import require_area
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 6
+RESULT_VERSION = 7
 
 # A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
 _FAR_FROM_WANTED = 1.5

@@ -2,7 +2,8 @@
 
 use super::associated::Sets;
 use super::parameters::Parameter;
-use crate::base::ids::HalfedgeId;
+use crate::base::ids::{HalfedgeId, VertexId};
+use crate::collapse::engine::Merge;
 use crate::subdivision::topology::NONE;
 
 /// A base mesh and what it stands for.
@@ -16,6 +17,21 @@ pub struct Base {
     pub chains: Vec<Chain>,
     /// Where each vertex of the input lies. No triangle for those that none uses.
     pub parameters: Vec<Parameter>,
+    /// The collapses that made it.
+    pub collapses: Vec<Collapse>,
+}
+
+/// A vertex of the input that is gone, and the one that took its place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Collapse {
+    pub removed: VertexId,
+    pub survivor: VertexId,
+}
+
+impl From<&Merge> for Collapse {
+    fn from(merge: &Merge) -> Self {
+        Self { removed: merge.removed, survivor: merge.survivor }
+    }
 }
 
 /// What a boundary edge of the base stands for.
@@ -49,6 +65,7 @@ impl Base {
             vertex_source: vertices.iter().map(|&v| self.vertex_source[v as usize]).collect(),
             triangles: corners.to_vec(),
             sets: self.sets.reordered(triangles),
+            collapses: self.collapses,
             chains: self
                 .chains
                 .into_iter()

@@ -1,6 +1,6 @@
 //! Collapsing a mesh to its base.
 
-use super::base_mesh::{Base, Chain};
+use super::base_mesh::{Base, Chain, Collapse};
 use super::half_edge::{HalfEdge, Rule};
 use super::needles;
 use super::parameters::Parameter;
@@ -13,7 +13,7 @@ use crate::mesh::triangle_mesh::Mesh;
 use crate::subdivision::topology::NONE;
 
 /// What shapes are usable: the next row counts where the one before leads no further.
-const RULES: [Rule; 3] = [
+pub const RULES: [Rule; 3] = [
     Rule { quality: 0.1, neighbours: 10 },
     Rule { quality: 0.05, neighbours: 12 },
     Rule { quality: 0.01, neighbours: 20 },
@@ -22,7 +22,7 @@ const RULES: [Rule; 3] = [
 const CAREFUL: usize = 4;
 /// The dearest collapse, as a part of the diagonal's fourth power: a base of some size is not worth any price. And the
 /// dearest without trying its triangles out.
-const DEAR: f64 = 2e-5;
+pub const DEAR: f64 = 2e-5;
 const CHEAP: f64 = 2e-8;
 
 /// How far the base goes: whatever comes first.
@@ -46,6 +46,8 @@ pub struct Coarse<'a> {
     target: Target,
     /// Whether it is the base already, and no levels will come: then needles stay, too.
     is_base: bool,
+    /// What has made it of the input.
+    collapses: Vec<Collapse>,
 }
 
 /// Collapse as far as no care is needed. A mesh that is not `refined` afterwards stays as it is if no triangle has to go.
@@ -64,7 +66,7 @@ pub fn coarse<'a>(
     let unit = size.powi(4);
     measure.limit = CHEAP * unit;
     let is_base = !refined && mesh.connectivity.triangle_count() <= target.triangles;
-    let coarse = Coarse { mesh, measure, unit, target, is_base };
+    let coarse = Coarse { mesh, measure, unit, target, is_base, collapses: vec![] };
     if is_base {
         return Ok(coarse);
     }
@@ -98,23 +100,27 @@ impl Coarse<'_> {
         if !self.is_base {
             self = self.without_needles();
         }
-        Ok(described(&self.mesh, &self.measure, number))
+        Ok(described(&self.mesh, &self.measure, number, self.collapses))
     }
 
     fn without_needles(mut self) -> Self {
-        needles::remove(&mut self.mesh, &mut self.measure, CHEAP * self.unit);
+        let collapses = needles::remove(&mut self.mesh, &mut self.measure, CHEAP * self.unit);
+        self.collapses.extend(collapses);
         self
     }
 
     fn collapsed(self, triangles: usize, progress: &mut Progress) -> Result<Self, KernelError> {
         let mut engine = Engine::new(self.mesh, self.measure);
         engine.run(Until { triangles, ..Until::EXHAUSTED }, progress)?;
-        let (mesh, measure, ..) = engine.into_parts();
-        Ok(Self { mesh, measure, ..self })
+        let (mesh, measure, _, merges, _) = engine.into_parts();
+        let mut collapses = self.collapses;
+        collapses.extend(merges.iter().map(Collapse::from));
+        Ok(Self { mesh, measure, collapses, ..self })
     }
 }
 
-fn described(mesh: &Mesh<3>, measure: &HalfEdge<'_>, number: &[u32]) -> Base {
+/// The base that a mesh has become. `number` gives the number of each original triangle in the sets.
+pub fn described(mesh: &Mesh<3>, measure: &HalfEdge<'_>, number: &[u32], collapses: Vec<Collapse>) -> Base {
     let connectivity = &mesh.connectivity;
     let compact = mesh.compact();
     let mut place = vec![NONE; mesh.points.len()];
@@ -147,6 +153,7 @@ fn described(mesh: &Mesh<3>, measure: &HalfEdge<'_>, number: &[u32]) -> Base {
         sets: measure.triangles.listed(connectivity.triangles().map(|t| t.index()), number),
         chains: chains.collect(),
         parameters,
+        collapses,
         vertex_source: compact.vertex_source,
         triangles: compact.triangles,
     }

@@ -26,6 +26,8 @@ const BOUNDARY: f64 = 1.0;
 const LEAST_COSINE: f64 = 0.2;
 /// Where it is above this at all corners, nobody asks whether the triangle is turned over.
 const SURE: f64 = 0.7;
+/// And what a triangle has to have where none may be turned over: what is nearly turned may turn with the next level.
+const LEAST_UPRIGHT: f64 = 0.1;
 /// How much dearer that makes a collapse, and how much one triangle that cannot be refined does.
 const TURNED: f64 = 4.0;
 const UNFIT: f64 = 4.0;
@@ -80,6 +82,8 @@ pub struct HalfEdge<'a> {
     pub careful: bool,
     /// Whether triangles that turn away or cannot be refined are refused, not only dear.
     pub strict: bool,
+    /// Whether no triangle may be turned over, or nearly, not even one that was before.
+    pub upright: bool,
     /// The dearest collapse allowed.
     pub limit: f64,
 }
@@ -100,6 +104,7 @@ impl<'a> HalfEdge<'a> {
             rule,
             careful: false,
             strict: false,
+            upright: false,
             limit: f64::INFINITY,
         }
     }
@@ -120,6 +125,12 @@ impl<'a> HalfEdge<'a> {
         let together = self.together(star.ends);
         together.error(&star.end_points[survivor]) <= self.error2 * together.area
             && self.cost(mesh, star.edge, star.ends, survivor) <= limit
+    }
+
+    /// Whether an edge may collapse into one of its ends, at any price, for the triangles it makes.
+    pub fn fits(&mut self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
+        keeps_triangles(star, &star.end_points[survivor]).is_ok()
+            && self.full_cost(mesh, star, survivor, 0.0, f64::INFINITY).is_some()
     }
 
     fn together(&self, ends: [VertexId; 2]) -> Quadric<0> {
@@ -170,7 +181,7 @@ impl<'a> HalfEdge<'a> {
             let least = corners.iter().map(|n| dot(n, &normal)).fold(f64::INFINITY, f64::min);
             if least < SURE / LEAST_COSINE * bound
                 && self.turns_over([point, from, to], corners)
-                && !self.turns_over([&star.end_points[wing.end], from, to], corners)
+                && (self.upright || !self.turns_over([&star.end_points[wing.end], from, to], corners))
             {
                 return None;
             }
@@ -200,7 +211,8 @@ impl<'a> HalfEdge<'a> {
 
     /// Whether a triangle looks away from the surface at its corners or next to its middle.
     fn turns_over(&self, points: [&Vec3; 3], normals: [&Vec3; 3]) -> bool {
-        against_surface(self.surface, points, normals, [], None, 0.0) <= 0.0
+        let least = if self.upright { LEAST_UPRIGHT } else { 0.0 };
+        against_surface(self.surface, points, normals, [], None, least) <= least
     }
 
     /// What [`left_by_refinement`] says of a triangle, weighed.

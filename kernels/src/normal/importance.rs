@@ -15,9 +15,9 @@ const MOST: f64 = 16.0;
 const INSISTENCE: f64 = 16.0;
 
 /// Make vertices of the input count more on base triangles that could not be refined soundly.
-pub fn insist(importance: &mut [f64], base: &Base, faulty: &[usize]) {
+pub fn insist(importance: &mut [f64], base: &Base, faulty: impl Iterator<Item = usize>) {
     let mut is_faulty = vec![false; base.triangles.len()];
-    faulty.iter().for_each(|&t| is_faulty[t] = true);
+    faulty.for_each(|t| is_faulty[t] = true);
     for (weight, parameter) in importance.iter_mut().zip(&base.parameters) {
         if is_faulty.get(parameter.triangle as usize).copied().unwrap_or(false) {
             *weight *= INSISTENCE;

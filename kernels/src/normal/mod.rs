@@ -3,11 +3,12 @@
 //! | module | what |
 //! | --- | --- |
 //! | [`base_mesh`], [`coarsening`], [`half_edge`], [`needles`] | the base mesh; how it is found; what a half-edge collapse costs; needles that stay otherwise |
+//! | [`locking`] | the base once more, with more of the input's vertices where levels fold |
 //! | [`associated`], [`parameters`] | what base triangles stand for; where the input lies on them |
 //! | [`domain`] | the base as a domain: points seen from any of its triangles |
 //! | [`predict`], [`grid`], [`level`] | the step from level to level, for encoder and decoder |
 //! | [`rounding`] | where vertices go on the grid if no levels follow |
-//! | [`surface`], [`rim`], [`place`], [`found`], [`unfold`] | where new vertices go: inside, on the boundary, and so that nothing folds |
+//! | [`surface`], [`rim`], [`place`], [`found`], [`unfold`], [`fold`] | where new vertices go: inside, on the boundary, and so that nothing folds |
 //! | [`carried`] | colours and confidence |
 //! | [`distance`], [`importance`] | how far off a level is, and what the next trial makes of it |
 //! | [`noise`], [`tolerance`] | how rough the input is by itself, and how exact a file has to be |
@@ -22,6 +23,7 @@ pub mod coarsening;
 pub mod decode;
 pub mod distance;
 pub mod domain;
+pub mod fold;
 pub mod found;
 pub mod grid;
 pub mod half_edge;
@@ -29,6 +31,7 @@ pub mod header;
 pub mod importance;
 pub mod input;
 pub mod level;
+pub mod locking;
 pub mod needles;
 pub mod noise;
 pub mod normal_mesh;

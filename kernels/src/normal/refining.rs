@@ -3,6 +3,7 @@
 use super::carried::Carried;
 use super::distance::{Distance, Fine, largest, mean_square};
 use super::domain::Domain;
+use super::fold::Fold;
 use super::found::Found;
 use super::grid::{Steps, in_units};
 use super::input::Input;
@@ -32,8 +33,8 @@ pub struct Refined {
     pub made: NormalMesh,
     /// Of the finest level from the input.
     pub distance: Distance,
-    /// Base triangles with unsound parts, once for each of these.
-    pub unsound: Vec<usize>,
+    /// What is not sound at any level; the triangles are those of the base.
+    pub folds: Vec<Fold>,
 }
 
 /// The levels over a base; nothing if too many of their triangles are unsound.
@@ -63,8 +64,8 @@ pub fn refine(
         parameters: base.vertex_source.iter().map(|&v| base.parameters[v as usize]).collect(),
         rim,
     };
-    let mut faulty = unsound_in_base(&first, &placed, &base.vertex_source, surface, settings.threads);
-    let mut unsound = vec![faulty.len()];
+    let mut folds = unsound_in_base(&first, &placed, &base.vertex_source, surface, settings.threads);
+    let mut unsound = vec![folds.len()];
     let (mut levels, mut steps, mut reached) = (vec![first], vec![], vec![]);
     let mut distance = None;
     while let Some(level) = levels.last() {
@@ -103,7 +104,7 @@ pub fn refine(
         if unsound.iter().sum::<usize>() > care.most_unsound {
             return Ok(None);
         }
-        faulty.extend(turned.iter().map(|t| t >> (2 * number)));
+        folds.extend(turned.iter().map(|fold| Fold { triangle: fold.triangle >> (2 * number), ..*fold }));
         let rim = search.rim(&found);
         let parameters: Vec<_> =
             found.iter().enumerate().map(|(edge, f)| search.parameter(edge, &f.place)).collect();
@@ -135,7 +136,7 @@ pub fn refine(
         tolerance: Tolerance { relative: settings.tolerance.unwrap_or(FINEST), source },
     });
     let made = NormalMesh { header, levels, steps, file: vec![], ends: vec![], origin };
-    Ok(Some(Refined { made, distance, unsound: faulty }))
+    Ok(Some(Refined { made, distance, folds }))
 }
 
 fn channels_of(

@@ -7,10 +7,10 @@ use crate::mesh::bvh::Bvh;
 
 /// How far outside a triangle, in barycentric coordinates, a line still pierces it: it may not slip through between two.
 const SLACK: f64 = 1e-9;
-/// Squared distances that differ by less of themselves are equal.
-const TIED: f64 = 1e-9;
+/// Squared distances that differ by less of themselves are equal: others may measure them in 32-bit floats.
+const TIED: f64 = 1e-5;
 /// A coordinate below which a place of a triangle is on its edge.
-const ON_EDGE: f64 = 1e-6;
+const ON_EDGE: f64 = 1e-3;
 
 /// A place on the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,15 +1,18 @@
 //! Which base is the best one, and how coarsely it can be written.
 //!
 //! How far the levels over a base come from the input, and whether they turn over, shows only when they are made: a few
-//! bases are tried, each weighed by what the one before has shown. The best is mended where its triangles turn over, and
-//! made once more with the coarsest steps that do no harm, if nobody says how exact it should be.
+//! bases are tried, each weighed by what the one before has shown. The best is mended where its triangles turn over, gets
+//! more of the input's vertices where they still do, and is made once more with the coarsest steps that do no harm, if
+//! nobody says how exact it should be.
 
 use super::base_mesh::Base;
 use super::coarsening::Coarse;
 use super::distance::Distance;
+use super::fold::Fold;
 use super::header::{MOST_LEVELS, coarser, levels_for};
 use super::importance::{insist, weigh};
 use super::input::Input;
+use super::locking::Locking;
 use super::noise::noise;
 use super::normal_mesh::NormalMesh;
 use super::ordered::{Ordered, in_order};
@@ -28,11 +31,17 @@ const TRIALS: u64 = 4;
 const MENDS: u64 = 6;
 const FEW: usize = 10;
 const HELPED: f64 = 0.7;
+/// Bases that are made of the best one where triangles turn over all the same.
+const LOCKINGS: u64 = 8;
+/// The same for each of the tolerances below, where few triangles turn over.
+const RELOCKINGS: usize = 1;
 /// Tolerances that are tried where nobody gives one, and how many doublings are taken back from one to the next.
 const ROUNDINGS: u64 = 4;
+/// And where a base has locked vertices, among which triangles are small.
+const MOST_ROUNDINGS: u64 = 7;
 const TAKEN_BACK: u32 = 2;
 /// All that is tried, at most.
-const PASSES: u64 = TRIALS + MENDS + ROUNDINGS;
+const PASSES: u64 = TRIALS + MENDS + LOCKINGS + MOST_ROUNDINGS;
 /// By how much rounding may take the finest level farther off at most: its share of that is a third.
 const LOSS: f64 = 1.15;
 /// And by this part of their number more triangles may be unsound.
@@ -51,18 +60,20 @@ pub struct Trial {
     pub base: Ordered,
     pub made: NormalMesh,
     distance: Distance,
-    /// Base triangles with unsound parts, once for each of these.
-    unsound: Vec<usize>,
+    /// What is not sound; the triangles are those of the base.
+    folds: Vec<Fold>,
     /// What the base was made with.
     importance: Vec<f64>,
     /// How places of its vertices were sought.
     thorough: bool,
+    /// What its base was made with, if it has locked vertices.
+    locking: Option<Locking>,
 }
 
 impl Trial {
     fn new(base: Ordered, refined: Refined, importance: Vec<f64>, care: Care) -> Self {
-        let Refined { made, distance, unsound } = refined;
-        Self { base, made, distance, unsound, importance, thorough: care.thorough }
+        let Refined { made, distance, folds } = refined;
+        Self { base, made, distance, folds, importance, thorough: care.thorough, locking: None }
     }
 
     fn rank(&self) -> Rank {
@@ -75,7 +86,7 @@ impl Trial {
     fn weighed(&self, input: &Input<'_>) -> Vec<f64> {
         let mut importance = self.importance.clone();
         weigh(&mut importance, &input.points, input.triangles, &self.base.base, &self.distance.from_input);
-        insist(&mut importance, &self.base.base, &self.unsound);
+        insist(&mut importance, &self.base.base, self.folds.iter().map(|fold| fold.triangle));
         importance
     }
 
@@ -105,6 +116,7 @@ pub fn best(
     let trials = Trials { input, coarse, settings };
     let best = trials.first(&mut header, progress)?.ok_or(KernelError::Interrupted)?;
     let best = trials.mended(best, &header, progress)?;
+    let best = trials.locked(best, &header, progress)?;
     trials.rounded(best, progress)
 }
 
@@ -178,7 +190,7 @@ impl Trials<'_> {
             }
             before = now;
             let progress = &mut self.pass(number, progress)?;
-            insist(&mut best.importance, &best.base.base, &best.unsound);
+            insist(&mut best.importance, &best.base.base, best.folds.iter().map(|fold| fold.triangle));
             let base = self.in_order(self.base(&best.importance, progress)?, header)?;
             if best.thorough && best.base.contents == base.contents {
                 break;
@@ -192,41 +204,91 @@ impl Trials<'_> {
         Ok(best)
     }
 
+    /// The same base with more vertices where triangles turn over, until none does.
+    fn locked(&self, mut best: Trial, header: &Header, progress: &Progress) -> Result<Trial, KernelError> {
+        if best.made.unsound() == 0 || self.is_final(&best) {
+            return Ok(best);
+        }
+        let care = Care { thorough: true, most_unsound: usize::MAX };
+        let mut locking = Locking::new(&best.base.base, self.input);
+        let (mut base, mut folds) = (best.base.base.clone(), best.folds.clone());
+        for number in 0..LOCKINGS {
+            let progress = &mut self.pass(TRIALS + MENDS + number, progress)?;
+            locking.lock(&folds, &base, self.input);
+            let again = self.in_order(locking.base(self.input, self.settings.target, progress)?, header)?;
+            base = again.base.clone();
+            let Some(refined) = self.refined(&again, *header, care, progress)? else { break };
+            folds.clone_from(&refined.folds);
+            let trial = Trial::new(again, refined, best.importance.clone(), care);
+            if trial.is_better_than(&best) {
+                best = Trial { locking: Some(locking.clone()), ..trial };
+            }
+            if folds.is_empty() {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
     /// Once more, as coarse as does no harm, if nobody says how exact it should be.
     fn rounded(&self, best: Trial, progress: &Progress) -> Result<Trial, KernelError> {
         if self.settings.tolerance.is_some() {
             return Ok(best);
         }
         let (header, unsound) = (best.made.header, best.made.unsound());
-        let apart2 = self.input.apart2;
-        let distance2 = best.distance.mean_square + apart2;
+        let distance2 = best.distance.mean_square + self.input.apart2;
         let (mut doublings, source) = self.doublings(distance2.sqrt());
         // Alone, no triangle turns by much against what it was.
         let is_alone = self.settings.is_alone();
         let most_unsound = if is_alone { usize::MAX } else { unsound + unsound / MORE };
-        let care = Care { thorough: best.thorough, most_unsound };
-        for attempt in 0..ROUNDINGS {
+        let attempts = if best.locking.is_some() { MOST_ROUNDINGS } else { ROUNDINGS };
+        for attempt in 0..attempts {
             if doublings == 0 {
                 break;
             }
-            let progress = &mut self.pass(TRIALS + MENDS + attempt, progress)?;
+            let progress = &mut self.pass(TRIALS + MENDS + LOCKINGS + attempt, progress)?;
             let header = coarser(&header, doublings);
-            let base = self.in_order(best.base.base.clone(), &header)?;
-            let refined = self.refined(&base, header, care, progress)?;
-            let near2 = LOSS * LOSS * distance2.max(f64::from(header.step).powi(2));
-            let is_good = |now: &Refined| {
-                now.distance.mean_square + apart2 <= near2
-                    && self.reaches(&now.made) >= self.reaches(&best.made)
-            };
-            if let Some(mut refined) = refined.filter(is_good) {
-                if let Some(origin) = &mut refined.made.origin {
+            if let Some(mut trial) = self.rounded_to(&best, header, most_unsound, progress)? {
+                if let Some(origin) = &mut trial.made.origin {
                     origin.tolerance = Tolerance::doubled(doublings, source);
                 }
-                return Ok(Trial::new(base, refined, best.importance, care));
+                return Ok(trial);
             }
             doublings = doublings.saturating_sub(TAKEN_BACK);
         }
         Ok(best)
+    }
+
+    /// The best in coarser steps, if that does no harm. What was locked already may get a few more locks.
+    fn rounded_to(
+        &self,
+        best: &Trial,
+        header: Header,
+        most_unsound: usize,
+        progress: &mut Progress,
+    ) -> Result<Option<Trial>, KernelError> {
+        let few = if best.locking.is_some() { FEW } else { 0 };
+        let care = Care { thorough: best.thorough, most_unsound: most_unsound.max(few) };
+        let apart2 = self.input.apart2;
+        let distance2 = best.distance.mean_square + apart2;
+        let near2 = LOSS * LOSS * distance2.max(f64::from(header.step).powi(2));
+        let mut locking = best.locking.clone();
+        let mut base = self.in_order(best.base.base.clone(), &header)?;
+        for _ in 0..=RELOCKINGS {
+            let refined = self.refined(&base, header, care, progress)?;
+            let is_good = |now: &Refined| {
+                now.distance.mean_square + apart2 <= near2
+                    && self.reaches(&now.made) >= self.reaches(&best.made)
+            };
+            let Some(refined) = refined.filter(is_good) else { break };
+            if refined.made.unsound() <= most_unsound {
+                return Ok(Some(Trial::new(base, refined, best.importance.clone(), care)));
+            }
+            let Some(locking) = &mut locking else { break };
+            locking.lock(&refined.folds, &base.base, self.input);
+            base = self.in_order(locking.base(self.input, self.settings.target, progress)?, &header)?;
+        }
+        Ok(None)
     }
 
     /// How often the finest tolerance may be doubled, and why, where levels are so far from the input.

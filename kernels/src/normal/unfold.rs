@@ -11,6 +11,7 @@
 use std::ops::Add;
 
 use super::distance::middle;
+use super::fold::Fold;
 use super::found::Found;
 use super::level::Level;
 use super::place::{Placed, Search};
@@ -128,7 +129,7 @@ pub fn unsound_in_base(
     source: &[u32],
     surface: &Surface,
     threads: usize,
-) -> Vec<usize> {
+) -> Vec<Fold> {
     let normals: Vec<Vec3> = placed.places.iter().map(|place| surface.normal_at(place)).collect();
     let mut sound = vec![true; level.topology.triangles.len()];
     fill(&mut sound, threads, |t| {
@@ -138,7 +139,11 @@ pub fn unsound_in_base(
         is_sound(against_surface(surface, points, normals, near, None, LEAST_COSINE))
             || is_of_input(surface, points, corners.map(|v| source[v]), near)
     });
-    (0..sound.len()).filter(|&t| !sound[t]).collect()
+    let fold = |triangle: usize| {
+        let corners = level.topology.triangles[triangle].map(|v| level.points[v as usize]);
+        Fold { triangle, middle: middle(&corners) }
+    };
+    (0..sound.len()).filter(|&t| !sound[t]).map(fold).collect()
 }
 
 /// What two triangles lack: the larger of both, or the sum.
@@ -179,9 +184,15 @@ impl Fine<'_> {
     }
 
     /// The children of triangle `t` of the coarse level that are not sound.
-    fn unsound(&self, t: usize) -> usize {
-        let children = self.search.level.topology.children(t);
-        children.iter().filter(|corners| !is_sound(self.soundness(t, corners, LEAST_COSINE))).count()
+    fn unsound(&self, t: usize) -> impl Iterator<Item = [u32; 3]> {
+        let children = self.search.level.topology.children(t).into_iter();
+        children.filter(move |corners| !is_sound(self.soundness(t, corners, LEAST_COSINE)))
+    }
+
+    /// The same, and where they are.
+    fn folds(&self, t: usize) -> impl Iterator<Item = Fold> {
+        self.unsound(t)
+            .map(move |corners| Fold { triangle: t, middle: middle(&corners.map(|v| *self.point(v))) })
     }
 
     /// The triangles of the coarse level beside an edge.
@@ -296,7 +307,7 @@ impl Fine<'_> {
             // What makes one triangle better may turn its neighbour over. Where nothing has changed, nothing will.
             let mut moved = vec![];
             for t in sorted(changed) {
-                if self.unsound(t) == 0 {
+                if self.unsound(t).next().is_none() {
                     continue;
                 }
                 // A vertex that has a vector already costs no more elsewhere.
@@ -315,7 +326,7 @@ impl Fine<'_> {
             changed = moved;
         }
         open = sorted(open);
-        open.retain(|&t| self.unsound(t) > 0);
+        open.retain(|&t| self.unsound(t).next().is_some());
         open
     }
 
@@ -364,9 +375,8 @@ impl Fine<'_> {
     }
 }
 
-/// Mend what can be mended; returns the triangles of the level before with children that are not sound, once for each
-/// of these. A `thorough` search takes long where the input is crumpled.
-pub fn unfold(search: &Search<'_>, found: &mut [Found], thorough: bool) -> Vec<usize> {
+/// Mend what can be mended; returns what is not sound then. A `thorough` search takes long where the input is crumpled.
+pub fn unfold(search: &Search<'_>, found: &mut [Found], thorough: bool) -> Vec<Fold> {
     let (topology, points) = (&search.level.topology, &search.level.points);
     let places = search.placed.places.iter().chain(found.iter().map(|f| &f.place));
     let normals = places.map(|place| search.original.surface.normal_at(place)).collect();
@@ -377,12 +387,12 @@ pub fn unfold(search: &Search<'_>, found: &mut [Found], thorough: bool) -> Vec<u
     let coarse_faces = topology.triangles.iter().map(face).collect();
     let mut fine = Fine { search, found, normals, coarse_faces };
     let mut counts = vec![0; topology.triangles.len()];
-    fill(&mut counts, search.original.threads, |t| fine.unsound(t));
+    fill(&mut counts, search.original.threads, |t| fine.unsound(t).count());
     let unsound: Vec<usize> = (0..counts.len()).filter(|&t| counts[t] > 0).collect();
     let mut open = fine.mended(unsound.clone(), unsound, TURNS, Fine::mend);
     if thorough {
         open = fine.mended(open.clone(), open, THOROUGH_TURNS, Fine::search_around);
     }
     (0..topology.edges.len()).for_each(|edge| fine.take_back(edge));
-    open.iter().flat_map(|&t| std::iter::repeat_n(t, fine.unsound(t))).collect()
+    open.iter().flat_map(|&t| fine.folds(t)).collect()
 }

@@ -16,7 +16,7 @@ use scanloom_kernels::subdivision::contents::{Offset, Scheme};
 use scanloom_kernels::subdivision::topology::{NONE, Topology};
 
 /// A wavy sheet of n × n squares with a square hole.
-fn sheet(n: u32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+pub fn sheet(n: u32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let at = |i: u32, j: u32| i * (n + 1) + j;
     let point = |k: u32| {
         let (x, y) = (f64::from(k / (n + 1)) / f64::from(n), f64::from(k % (n + 1)) / f64::from(n));
@@ -49,7 +49,7 @@ fn base_of(points: &[Vec3], triangles: &[[u32; 3]], wanted: usize) -> (Base, Sur
     (made, surface)
 }
 
-fn settings(levels: u8, scheme: Scheme) -> Settings {
+pub fn settings(levels: u8, scheme: Scheme) -> Settings {
     Settings {
         levels: Some(levels),
         target: Target { triangles: 60, error: f64::INFINITY, at_any_price: true },

@@ -224,6 +224,19 @@ def test_no_triangle_of_any_level_turns_over_on_a_crumpled_open_sheet_with_islan
         assert_same_topology(level, mesh)
 
 
+@pytest.mark.parametrize(("seed", "wanted"), [(10, 200), (11, 133)])
+def test_where_triangles_turn_over_all_the_same_the_base_keeps_more_of_the_input(
+    seed: int, wanted: int
+) -> None:
+    sheet = coloured_meshes.sheet(20, noise=0.0)
+    noise = np.random.default_rng(seed).normal(scale=0.02, size=sheet.vertices.shape)
+    mesh = Mesh(sheet.vertices + noise, sheet.triangles)
+    found = remesh(mesh, levels=2, base_triangles=wanted)
+    assert turned_at_levels(mesh, found) == [0, 0, 0]
+    assert found.folded_by_level == (0, 0, 0)
+    assert_same_topology(found.mesh, mesh)
+
+
 # -- offsets ---------------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,64 @@
+//! A base once more, with vertices that have to stay.
+
+use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::mesh::triangle_mesh::Mesh;
+use scanloom_kernels::normal::base_mesh::Base;
+use scanloom_kernels::normal::carried::Carried;
+use scanloom_kernels::normal::coarsening::{Target, coarse};
+use scanloom_kernels::normal::fold::Fold;
+use scanloom_kernels::normal::input::Input;
+use scanloom_kernels::normal::locking::Locking;
+use scanloom_kernels::subdivision::contents::Scheme;
+
+use super::remesh::{settings, sheet};
+
+/// What a base is made of, whatever its order.
+fn triangles_of(base: &Base) -> Vec<[u32; 3]> {
+    let mut triangles: Vec<[u32; 3]> = base
+        .triangles
+        .iter()
+        .map(|corners| {
+            let mut sources = corners.map(|v| base.vertex_source[v as usize]);
+            sources.sort_unstable();
+            sources
+        })
+        .collect();
+    triangles.sort_unstable();
+    triangles
+}
+
+#[test]
+fn a_base_once_more_is_the_same_but_where_vertices_are_locked() {
+    let (points, triangles) = sheet(24);
+    let settings = settings(1, Scheme::Linear);
+    let target = Target { triangles: 60, error: f64::INFINITY, at_any_price: true };
+    let carried = Carried::default();
+    let input = Input::new(points.clone(), &triangles, &carried, None, &[0.0; 3], &settings);
+    let control = Control::default();
+    let progress = &mut Progress::new(&control);
+    let mesh = Mesh::new(points.clone(), &triangles).unwrap();
+    let coarse = coarse(mesh, &input.surface, target, true, progress).unwrap();
+    let base = coarse.base(&vec![1.0; points.len()], &input.slots, progress).unwrap();
+
+    let mut locking = Locking::new(&base, &input);
+    let again = locking.base(&input, target, progress).unwrap();
+    assert_eq!(triangles_of(&base), triangles_of(&again));
+
+    // The corner of an input triangle that is nearest to where something is said to fold.
+    let gone = (0..points.len()).filter(|&v| base.parameters[v].barycentric.iter().all(|&x| x > 0.2));
+    let v = gone.into_iter().next().unwrap();
+    let fold = Fold { triangle: base.parameters[v].triangle as usize, middle: points[v] };
+    locking.lock(&[fold], &base, &input);
+    let more = locking.base(&input, target, progress).unwrap();
+    assert!(more.vertex_source.contains(&(v as u32)));
+    assert!(base.vertex_source.iter().all(|v| more.vertex_source.contains(v)));
+    assert!((base.triangles.len() + 2..base.triangles.len() + 20).contains(&more.triangles.len()));
+    let kept = triangles_of(&more).iter().filter(|t| triangles_of(&base).contains(t)).count();
+    assert!(2 * kept > base.triangles.len());
+
+    // There once more: all corners of a triangle there, and what lies around them.
+    locking.lock(&[fold], &base, &input);
+    locking.lock(&[fold], &base, &input);
+    let most = locking.base(&input, target, progress).unwrap();
+    assert!(most.vertex_source.len() > more.vertex_source.len());
+}
