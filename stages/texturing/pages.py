@@ -84,6 +84,7 @@ def laid_out(
     mesh: Mesh,
     texels_per_m: NDArray[np.float32],
     *,
+    places: NDArray[np.uint32],
     max_side: int,
     max_texels: float,
     padding: int,
@@ -91,20 +92,26 @@ def laid_out(
 ) -> Pages:
     """Lay a mesh out in as many images as it needs; the same mesh gives the same images.
 
+    Of several images each shows a part of space, so that few photos show it.
+
     Parameters
     ----------
     texels_per_m : (m,) wanted for each triangle; less where all images had more than `max_texels`.
+    places : (m,) of the triangles along a curve through space.
     max_side : texels, of an image.
     padding : texels around each chart that are its own, at least.
     """
-    wanted = (
-        float((areas(mesh.vertices, mesh.triangles) * texels_per_m.astype(np.float64) ** 2).sum()) / _FILLED
-    )
+    texels = areas(mesh.vertices, mesh.triangles) * texels_per_m.astype(np.float64) ** 2
+    wanted = float(texels.sum()) / _FILLED
     density = (texels_per_m * min(1.0, math.sqrt(max_texels / max(wanted, 1.0)))).astype(np.float32)
     side = _MIN_SIDE
     while side < max_side and side * side < min(wanted, max_texels):
         side *= 2
-    return _pages(mesh, density, side, padding, progress)
+    count = math.ceil(min(wanted, max_texels) / side**2)
+    of_places = np.bincount(places, texels)
+    before = np.cumsum(of_places) - 0.5 * of_places
+    parts = (before * (count / max(float(texels.sum()), 1e-300))).astype(np.int32)[places]
+    return _pages(mesh, density, side, padding, progress, parts)
 
 
 def fitted(
@@ -215,16 +222,48 @@ def _even(mesh: Mesh, progress: Progress, density: float, side: int, padding: in
     return replace(found, texels_per_m=np.full(len(mesh.triangles), density))
 
 
-def _pages(mesh: Mesh, density: NDArray[np.float32], side: int, padding: int, progress: Progress) -> Pages:
-    found = _kernels.lay_out(
-        mesh.vertices, mesh.triangles, density, side=side, padding=padding, progress=progress
+def _pages(
+    mesh: Mesh,
+    density: NDArray[np.float32],
+    side: int,
+    padding: int,
+    progress: Progress,
+    parts: NDArray[np.int32] | None = None,
+) -> Pages:
+    """Lay a mesh out in square images of this side, each part (m,) of its triangles in images of its own."""
+    count = len(mesh.triangles)
+    corners, pages, charts = (
+        np.zeros((count, 3, 2)),
+        np.full(count, -1, np.int32),
+        np.full(count, -1, np.int32),
     )
-    if not found.heights:
+    sizes: list[tuple[int, int]] = []
+    found_charts = 0
+    for chosen in _rows_of(np.zeros(count, np.int32) if parts is None else parts):
+        part = mesh if len(chosen) == count else _part(mesh, chosen)
+        found = _kernels.lay_out(
+            part.vertices, part.triangles, density[chosen], side=side, padding=padding, progress=progress
+        )
+        is_out = found.pages < 0
+        corners[chosen] = found.corners
+        pages[chosen] = np.where(is_out, -1, found.pages + len(sizes))
+        charts[chosen] = np.where(is_out, -1, found.charts + found_charts)
+        sizes += [(side, min(-(-height // _ROWS) * _ROWS, side)) for height in found.heights]
+        found_charts += int(found.charts.max(initial=-1)) + 1
+    if not sizes:
         raise MeshError("all its triangles are needles; none can be laid out in an image.", "mesh")
-    sizes = tuple((side, min(-(-height // _ROWS) * _ROWS, side)) for height in found.heights)
-    images = found.pages.copy()
-    _place_flat(mesh, found.corners, images)
-    return Pages(found.corners, found.pages, found.charts, images, sizes, padding, density)
+    images = pages.copy()
+    _place_flat(mesh, corners, images)
+    return Pages(corners, pages, charts, images, tuple(sizes), padding, density)
+
+
+def _part(mesh: Mesh, chosen: NDArray[np.intp]) -> Mesh:
+    used, local = np.unique(mesh.triangles[chosen], return_inverse=True)
+    return Mesh(mesh.vertices[used], local.reshape(-1, 3).astype(np.int32))
+
+
+def _rows_of(parts: NDArray[np.int32]) -> Iterator[NDArray[np.intp]]:
+    return (np.flatnonzero(parts == part) for part in np.unique(parts))
 
 
 def _place_flat(mesh: Mesh, corners: NDArray[np.float64], images: NDArray[np.int32]) -> None:

@@ -342,6 +342,7 @@ def _looked_over(
         lambda: laid_out(
             mesh,
             surveyed.pixels_per_m * np.float32(params.texels_per_pixel),
+            places=drawn.parts,
             max_side=params.max_size,
             max_texels=params.max_texels * 1e6,
             padding=params.padding,

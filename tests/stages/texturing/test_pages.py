@@ -32,7 +32,21 @@ def soup(seed: int, count: int) -> Mesh:
 
 def pages_of(mesh: Mesh, density: float = 40.0, *, max_side: int = 512, padding: int = 3) -> Pages:
     wanted = np.full(len(mesh.triangles), density, np.float32)
-    return laid_out(mesh, wanted, max_side=max_side, max_texels=1e7, padding=padding, progress=silent)
+    return laid_out(
+        mesh,
+        wanted,
+        places=along_x(mesh),
+        max_side=max_side,
+        max_texels=1e7,
+        padding=padding,
+        progress=silent,
+    )
+
+
+def along_x(mesh: Mesh) -> np.ndarray:
+    """Return places of triangles in slices of the mesh."""
+    x = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0]
+    return (100 * (x - x.min()) / max(np.ptp(x), 1e-9)).astype(np.uint32)
 
 
 def require_sound(pages: Pages) -> None:
@@ -84,9 +98,23 @@ def test_any_triangles_are_laid_out_soundly(seed, count):
 
 
 def test_large_surfaces_need_several_images():
-    pages = pages_of(MESHES["ball"], 60.0, max_side=128)
-    assert len(pages.sizes) > 1
+    mesh = MESHES["ball"]
+    pages = pages_of(mesh, 60.0, max_side=128)
+    assert len(pages.sizes) > 3
     require_sound(pages)
+    # Each shows a part of space.
+    x = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0]
+    widths = [np.ptp(x[pages.pages == page]) for page in range(len(pages.sizes))]
+    assert np.mean(widths) < 0.5 * np.ptp(x)
+
+
+def test_what_lies_in_one_place_is_not_parted():
+    mesh = MESHES["ball"]
+    wanted = np.full(len(mesh.triangles), 60.0, np.float32)
+    nowhere = np.zeros(len(mesh.triangles), np.uint32)
+    room = {"max_side": 128, "max_texels": 1e7, "padding": 3, "progress": silent}
+    found = _kernels.lay_out(mesh.vertices, mesh.triangles, wanted, side=128, padding=3, progress=silent)
+    assert np.array_equal(laid_out(mesh, wanted, places=nowhere, **room).corners, found.corners)
 
 
 @pytest.mark.parametrize("name", MESHES)
