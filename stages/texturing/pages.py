@@ -307,7 +307,8 @@ class Texels:
             yield self
             return
         in_part = math.ceil(len(self.pixels) / math.ceil(len(self.pixels) / count))
-        part_of_place = (np.cumsum(np.bincount(places[self.triangles])) - 1) // in_part
+        of_places = np.bincount(places[self.triangles], minlength=int(places.max()) + 1)
+        part_of_place = np.maximum(np.cumsum(of_places) - 1, 0) // in_part
         # In two bytes each: there are many texels.
         part = part_of_place.astype(np.uint16)[places][self.triangles]
         for number in range(int(part_of_place[-1]) + 1):

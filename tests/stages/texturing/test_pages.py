@@ -108,6 +108,21 @@ def test_large_surfaces_need_several_images():
     assert np.mean(widths) < 0.5 * np.ptp(x)
 
 
+def test_texels_of_each_image_come_in_parts_of_space():
+    mesh = MESHES["ball"]
+    pages, places = pages_of(mesh, 60.0, max_side=128), along_x(mesh)
+    for page in range(len(pages.sizes)):
+        texels = texels_of(pages, page)
+        parts = list(texels.parts_of(places, 1000))
+        assert len(parts) >= len(texels.pixels) / 1000
+        assert all(0 < len(part.pixels) <= 1000 for part in parts)
+        assert np.array_equal(
+            np.sort(np.concatenate([part.pixels for part in parts])), np.sort(texels.pixels)
+        )
+        widths = [np.ptp(places[part.triangles].astype(int)) for part in parts]
+        assert np.mean(widths) < 0.7 * np.ptp(places[texels.triangles].astype(int))
+
+
 def test_what_lies_in_one_place_is_not_parted():
     mesh = MESHES["ball"]
     wanted = np.full(len(mesh.triangles), 60.0, np.float32)
