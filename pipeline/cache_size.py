@@ -10,6 +10,8 @@ from stages.params import check, param
 
 # Of a thousand each, as disks are sold and `scanloom cache ls` shows sizes.
 _UNITS = {"kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
+# Megabytes: a hundred terabytes.
+_BYTES_MEANT = 1e8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +45,7 @@ def bytes_of(text: str, name: str) -> int:
         If it is no size; `name` says whose.
     """
     found = re.fullmatch(r"\s*(\d{1,12}(?:\.\d{1,12})?)\s*([kmgt]b)?\s*", text, re.ASCII | re.IGNORECASE)
-    if found is None:
+    # Who writes so much without a unit means bytes, and would have no limit at all.
+    if found is None or (not found[2] and float(found[1]) >= _BYTES_MEANT):
         raise UsageError(f"{name} is {text[:40]!r}; it must be a size such as 500 MB, 20 GB or 1.5 TB.")
     return round(float(found[1]) * _UNITS[(found[2] or "mb").lower()])

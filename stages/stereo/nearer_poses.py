@@ -12,7 +12,7 @@ Rodehorst, Heinrichs and Hellwich, "Evaluation of relative pose estimation metho
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,14 +81,11 @@ def nearer_poses(
     if len(fitted.first) == 0 or not np.isfinite(before):
         return None
     poses = _solved(np.stack([view.world_from_camera for view in views]), fitted, distance)
-    after = _median_off([_moved(view, pose) for view, pose in zip(views, poses, strict=True)], judging)
+    moved = [replace(view, world_from_camera=pose) for view, pose in zip(views, poses, strict=True)]
+    after = _median_off(moved, judging)
     if not after < (1 - _BETTER_SHARE) * before:
         return None
     return Nearer(tuple(poses), before, after)
-
-
-def _moved(view: PosedView, pose: Pose) -> PosedView:
-    return PosedView(view.camera, pose, view.near, view.far)
 
 
 def _every(points: tuple[Floats, Floats], *, held: bool) -> tuple[Floats, Floats]:

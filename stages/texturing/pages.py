@@ -239,7 +239,9 @@ def _pages(
     )
     sizes: list[tuple[int, int]] = []
     found_charts = 0
-    for chosen in _rows_of(np.zeros(count, np.int32) if parts is None else parts):
+    parts = np.zeros(count, np.int32) if parts is None else parts
+    for number in np.unique(parts):
+        chosen = np.flatnonzero(parts == number)
         part = mesh if len(chosen) == count else _part(mesh, chosen)
         found = _kernels.lay_out(
             part.vertices, part.triangles, density[chosen], side=side, padding=padding, progress=progress
@@ -260,10 +262,6 @@ def _pages(
 def _part(mesh: Mesh, chosen: NDArray[np.intp]) -> Mesh:
     used, local = np.unique(mesh.triangles[chosen], return_inverse=True)
     return Mesh(mesh.vertices[used], local.reshape(-1, 3).astype(np.int32))
-
-
-def _rows_of(parts: NDArray[np.int32]) -> Iterator[NDArray[np.intp]]:
-    return (np.flatnonzero(parts == part) for part in np.unique(parts))
 
 
 def _place_flat(mesh: Mesh, corners: NDArray[np.float64], images: NDArray[np.int32]) -> None:

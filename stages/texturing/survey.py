@@ -157,18 +157,18 @@ def _radii2(
     photos: Photos,
 ) -> NDArray[np.float32]:
     """Return the squared distance of samples (n, k) from the middle of their photos, 1 in the corners."""
-    radii2 = np.zeros(views.shape, np.float32)
+    radii2 = np.empty(views.shape, np.float32)
     for start in range(0, len(of), _AT_ONCE):
         rows = slice(start, start + _AT_ONCE)
         corners = mesh.vertices[mesh.triangles[of[rows]]]
         places = np.einsum("nc,ncx->nx", shares[rows].astype(np.float64), corners)
-        _add_radii2(radii2[rows], places, views[rows], photos)
+        radii2[rows] = _radii2_at(places, views[rows], photos)
     return radii2
 
 
-def _add_radii2(
-    radii2: NDArray[np.float32], places: Floats, views: NDArray[np.int32], photos: Photos
-) -> None:
+def _radii2_at(places: Floats, views: NDArray[np.int32], photos: Photos) -> NDArray[np.float32]:
+    """Return it for samples (n, k) of points that lie at these places (n, 3)."""
+    radii2 = np.zeros(views.shape, np.float32)
     order = np.argsort(views, axis=None, kind="stable")
     bounds = np.searchsorted(views.ravel()[order], np.arange(len(photos) + 1))
     for number in np.flatnonzero(np.diff(bounds)):
@@ -179,3 +179,4 @@ def _add_radii2(
         y = (camera.fy * seen[:, 1] / seen[:, 2] + camera.cy) / (camera.height - 1) * 2 - 1
         aspect = camera.height / camera.width
         radii2.ravel()[chosen] = (x**2 + (aspect * y) ** 2) / (1 + aspect**2)
+    return radii2

@@ -59,8 +59,8 @@ impl Locking {
             let slot = input.surface.nearest_among(&fold.middle, set).slot;
             let corners = input.surface.vertices(slot).map(|v| v as usize);
             let before = corners.iter().fold(0, |most, &v| most.max(self.times[v]));
-            let is_next = std::mem::replace(&mut is_done[fold.triangle], true);
-            if is_next && before == 0 {
+            let is_another = std::mem::replace(&mut is_done[fold.triangle], true);
+            if is_another && before == 0 {
                 continue;
             }
             let away = |&v: &usize| distance2(&fold.middle, &input.points[v]);
@@ -88,7 +88,7 @@ impl Locking {
     /// triangle may look away from the surface.
     ///
     /// # Errors
-    /// [`KernelError::Interrupted`], [`KernelError::Memory`].
+    /// [`KernelError::Interrupted`], or what [`Mesh::new`] returns.
     pub fn base(
         &self,
         input: &Input<'_>,
