@@ -3,32 +3,40 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.simplification.seams.similar import may_have_equal, similar_sets
 from stages.surface.mesh import Mesh
 from stages.surface.topology import repeats_vertex
 
 
-def lines_left_out(mesh: Mesh) -> tuple[str, ...]:
-    """Return what to say of triangles with two corners in one place that lie beside no other triangle.
+def lost_lines(mesh: Mesh) -> NDArray[np.bool_]:
+    """Return which triangles (m,) have two corners in one place, and lie beside no other triangle.
 
     Those at the poles of a ball are edges of others; these may be far from all that is left.
     """
+    lost = np.zeros(len(mesh.triangles), np.bool_)
     if not (repeats_vertex(mesh.triangles).any() or may_have_equal(mesh.vertices)):
-        return ()
+        return lost
     sets, _ = similar_sets(mesh.vertices, mesh.triangles, 0.0)
     corners = sets[mesh.triangles].astype(np.int64)
     is_line = repeats_vertex(corners)
     if not is_line.any():
-        return ()
+        return lost
     sides = np.sort(corners[~is_line][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     low, high = corners[is_line].min(axis=1), corners[is_line].max(axis=1)
-    lost = np.where(
+    lost[is_line] = np.where(
         low == high, ~np.isin(low, sides), ~np.isin(low << 32 | high, sides[:, 0] << 32 | sides[:, 1])
     )
+    return lost
+
+
+def lines_left_out(mesh: Mesh) -> tuple[str, ...]:
+    """Return what to say of those that are lost."""
+    lost = lost_lines(mesh)
     if not lost.any():
         return ()
     return (
-        f"triangles with two corners in one place that lie beside no other triangle were left out, and no "
+        "triangles with two corners in one place that lie beside no other triangle were left out, and no "
         f"bound is about them: {np.count_nonzero(lost):,} of {len(lost):,}.",
     )

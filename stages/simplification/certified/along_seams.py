@@ -37,6 +37,7 @@ from stages.simplification.certified.params import CertifiedParams
 from stages.simplification.certified.unproven import not_proven
 from stages.simplification.color_weight import balanced_weight
 from stages.simplification.kernel_input import attributes_of
+from stages.simplification.lines import lost_lines
 from stages.simplification.result import Simplified
 from stages.simplification.seams.details import SeamsDetails
 from stages.simplification.seams.params import SeamsParams
@@ -69,6 +70,7 @@ class _Asked:
     color : levels; infinite for no bound.
     is_image : colours come from images: they are measured, and else proven, as those of vertices are linear.
     ambiguous : (m,) bool, triangles of the input that several colours are in the place of.
+    surface : (m, 3) int32, the triangles of the input that the proof is about.
     """
 
     task: Task[Any]
@@ -76,6 +78,7 @@ class _Asked:
     color: float
     is_image: bool
     ambiguous: NDArray[np.bool_]
+    surface: NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +164,17 @@ def _asked(task: Task[Any], params: CertifiedParams, shape: float) -> _Asked:
         wrong = samples.difference > color
         ambiguous[samples.own_triangle[wrong]] = True
         ambiguous[samples.original_triangle[wrong]] = True
-    return _Asked(task, shape, color if is_image else max(color, LEAST_COLOR), is_image, ambiguous)
+    least = color if is_image else max(color, LEAST_COLOR)
+    return _Asked(task, shape, least, is_image, ambiguous, _surface_of(task.mesh))
+
+
+def _surface_of(mesh: Mesh) -> NDArray[np.int32]:
+    """Return the triangles of a mesh, with another one in place of each that no method keeps."""
+    lost = lost_lines(mesh)
+    triangles = mesh.triangles.copy()
+    if lost.any() and not lost.all():
+        triangles[lost] = triangles[np.argmin(lost)]
+    return np.asarray(triangles)
 
 
 def _pass(task: Task[SeamsParams], asked: _Asked, factors: Floats) -> _Found:
@@ -183,13 +196,14 @@ def _pass(task: Task[SeamsParams], asked: _Asked, factors: Floats) -> _Found:
 
 
 def _proof(light: Mesh, asked: _Asked, limit: tuple[float, float] | None) -> _kernels.Certified:
-    def soup(mesh: Mesh) -> Any:
+    def soup(mesh: Mesh, triangles: NDArray[Any]) -> Any:
         colored = mesh.with_(colors=None) if asked.is_image else mesh
-        return mesh.vertices, attributes_of(colored), mesh.triangles
+        return mesh.vertices, attributes_of(colored), triangles
 
+    given = asked.task.mesh
     return _kernels.certify(
-        soup(light),
-        soup(asked.task.mesh),
+        soup(light, asked.surface if light is given else light.triangles),
+        soup(given, asked.surface),
         tolerance=(TOLERANCE, TOLERANCE),
         absolute_tolerance=(0.0, 0.0),
         limit=limit,

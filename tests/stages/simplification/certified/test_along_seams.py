@@ -215,3 +215,29 @@ def test_shared_models(name: str) -> None:
     mesh = read_mesh(DATA / name)
     bound = 0.005 * diagonal(mesh)
     assert_kept(stages.simplify(mesh, max_shape=bound), mesh, bound)
+
+
+def test_points_and_lines_that_are_left_out_are_no_part_of_the_proof() -> None:
+    ball = checkered(wrapped_ball(24, 48, bumps=0.1))
+    assert ball.texture is not None
+    # A triangle of one point and one of two, far from all else.
+    far = np.array([[9.0, 9, 9], [7, 7, 7]])
+    n = len(ball.vertices)
+    texture = Texture(
+        np.concatenate([ball.texture.uvs, ball.texture.uvs[:2]]),
+        np.concatenate([ball.texture.material_ids, ball.texture.material_ids[:2]]),
+        ball.texture.materials,
+    )
+    mesh = Mesh(
+        np.concatenate([ball.vertices, far]),
+        np.concatenate([ball.triangles, [[n, n, n], [n, n + 1, n]]]).astype(np.int32),
+        texture=texture,
+    )
+    bound = 0.005 * diagonal(ball)
+    light = simplify(mesh, max_shape=bound)
+    assert light.details.proven
+    assert light.stopped_by == "bounds"
+    assert light.details.shape_bound_m <= bound
+    assert certify(light.mesh, ball, max_shape=bound).within_limits
+    (said,) = [note for note in light.mesh.notes if "no bound is about them" in note]
+    assert said.endswith(f"2 of {len(mesh.triangles):,}.")
