@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -16,10 +16,8 @@ from cli.paths import require_file
 from stages import Mesh, MeshError
 from stages.surface.cloud import is_cloud
 from stages.surface.cloud_files import read_mesh_or_cloud
-from stages.surface.mesh_files import standing
+from stages.surface.mesh_files import lost_with, standing
 
-# Formats without colours.
-SHAPE_ALONE = (".off", ".stl")
 # The one note of a reader that nothing is lost by: a surface of polygons is as good as one of triangles.
 _HARMLESS = re.compile(r"[\d,]+ polygons? (was|were) split into triangles")
 
@@ -34,10 +32,10 @@ NewMesh = Annotated[
 ]
 
 
-def read_file(path: Path, out: Output) -> Mesh:
-    """Return the mesh of a file; what its reader changed or could not use is told."""
+def read_file(path: Path, out: Output, *, used: Container[str] = ()) -> Mesh:
+    """Return the mesh of a file; what its reader changed or could not use is told, but for notes `used`."""
     mesh = stages.read_mesh(require_file(path))
-    tell_notes(path, mesh.notes, out)
+    tell_notes(path, [note for note in mesh.notes if note not in used], out)
     return mesh
 
 
@@ -75,10 +73,8 @@ def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
 
 def write_file(path: Path, mesh: Mesh, out: Output) -> None:
     """Write a mesh, into a folder that is made if need be, and remark how large it is."""
-    if path.suffix.lower() in SHAPE_ALONE and (mesh.colors is not None or mesh.texture is not None):
-        out.warn(
-            f"{path}: {path.suffix} holds the shape alone: the colours are left out; write .ply or .glb."
-        )
+    if lost := lost_with(path.suffix.lower(), mesh):
+        out.warn(f"{path}: {path.suffix} holds the shape alone: the {lost} are left out; write .ply or .glb.")
     path.parent.mkdir(parents=True, exist_ok=True)
     stages.write_mesh(path, mesh)
     tell_written(path, mesh, out)

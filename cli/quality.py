@@ -35,7 +35,7 @@ def config_of(file: Path | None, quality: str | None, out: Output) -> Config:
     from pipeline.config import Config
 
     if file is None:
-        return Config.of(quality or STANDARD)
+        return Config.of(STANDARD if quality is None else quality)
     config = Config.load(file, quality)
     kept = [
         f"{section}.{name}"

@@ -226,7 +226,7 @@ def _portable(config: Config) -> Config:
 def _require_stages(until: str | None, force: list[str] | None) -> None:
     from pipeline.run import require_stages
 
-    require_stages([*(force or ()), *([until] if until else [])])
+    require_stages([*(force or ()), *([until] if until is not None else [])])
 
 
 def _found(

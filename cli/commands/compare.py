@@ -10,7 +10,7 @@ import typer
 import stages
 from cli.comparison_text import comparison_text
 from cli.deviation_picture import write_deviation_picture
-from cli.mesh_arguments import SHAPE_ALONE, about_file, read_file_or_cloud, write_file
+from cli.mesh_arguments import about_file, read_file_or_cloud, write_file
 from cli.output import Output
 from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
@@ -19,7 +19,7 @@ from stages import ChangeParams, CompareParams, DeviationParams, Mesh, UsageErro
 from stages.files.replacing import replacing
 from stages.picturing.render import write_png
 from stages.surface.cloud import is_cloud
-from stages.surface.mesh_files import standing
+from stages.surface.mesh_files import SHAPE_ALONE, standing
 
 # Formats that keep the colours of a change.
 COLORED_SUFFIXES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SHAPE_ALONE)

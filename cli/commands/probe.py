@@ -36,11 +36,11 @@ def probe(
 
     Example: scanloom probe my_network.onnx --write
     """
-    target = sidecar_of(network)
+    target = sidecar_of(require_file(network))
     if write and target.exists():
         raise InputError("is there already; move it away, or leave out --write.", target)
     with out.progress("probe", "ways") as progress:
-        found = probe_network(require_file(network), progress=progress)
+        found = probe_network(network, progress=progress)
     text = written(found.sidecar)
     if found.error_px is None:
         out.warn(

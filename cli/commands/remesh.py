@@ -18,7 +18,7 @@ from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from stages import InputError, RemeshParams
 from stages.normal_meshes.unmet import unmet
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
-from stages.surface.formats.ply import read_vertex_values
+from stages.surface.formats.ply import CONFIDENCE_LOST, read_vertex_values
 
 _SNM = (".snm",)
 
@@ -65,7 +65,7 @@ def remesh(
         require_new_file(save, _SNM)
     if save_levels is not None:
         require_writable(save_levels)
-    mesh = read_file(source, out)
+    mesh = read_file(source, out, used=(CONFIDENCE_LOST,))
     with about_file(source), out.progress("remesh", "levels") as progress:
         found = stages.remesh(mesh, params, confidence=_confidence(source), progress=progress)
     baked = baked_by_default(target, found.mesh, mesh, out) if bake else None

@@ -20,7 +20,7 @@ from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS, lattice_of
 from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import EXTENSIONS, write_mesh
+from stages.surface.mesh_files import EXTENSIONS, lost_with, write_mesh
 from stages.surface.upright import direction_of, turn_along_y, turn_along_z
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ SUFFIXES = (*EXTENSIONS, *USD)
 GLTF = (".glb", ".gltf")
 # They say themselves what is up, and are in metres.
 STANDING = (*GLTF, *USD)
-SHAPE_ALONE = (".off", ".stl")
 
 AXES = ("scan", "y-up", "z-up")
 _FACTORS = {"m": 1.0, "mm": 1000.0}
@@ -192,8 +191,8 @@ def export(
     suffix = path.suffix.lower()
     if suffix not in STANDING:
         written = _placed(written, params, notes)
-        if suffix in SHAPE_ALONE and (given.colors is not None or given.texture is not None):
-            notes.append(f"{suffix} holds the shape alone: the colours are left out; write .ply or .glb")
+        if left_out := lost_with(suffix, given):
+            notes.append(f"{suffix} holds the shape alone: the {left_out} are left out; write .ply or .glb")
     if suffix in GLTF:
         write_gltf(
             path,

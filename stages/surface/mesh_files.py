@@ -29,6 +29,8 @@ from stages.surface.mesh import Mesh
 from stages.surface.welding import merge_vertices
 
 EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
+# What they hold is the shape alone.
+SHAPE_ALONE = (".off", ".stl")
 
 
 def read_mesh(path: Path | str) -> Mesh:
@@ -111,6 +113,22 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
             part.write_bytes(written.encode() if isinstance(written, str) else written)
 
 
+def lost_with(extension: str, mesh: Mesh) -> str:
+    """Name what a format has no place for, of what a mesh has: "colours and parts"; empty for nothing.
+
+    Normals of vertices any program has from the shape.
+    """
+    if extension not in SHAPE_ALONE:
+        return ""
+    has = (
+        ("colours", mesh.colors is not None or mesh.texture is not None),
+        ("parts", mesh.part_ids is not None),
+        ("normals of corners", mesh.corner_normals is not None),
+    )
+    *others, last = ["", *(name for name, there in has if there)]
+    return " and ".join(filter(None, [", ".join(filter(None, others)), last]))
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
     # What NumPy and trimesh say of odd values on the way; what matters of them is validated afterwards.
@@ -148,8 +166,19 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         ) from error
     meshes = [as_mesh(part, str(path)) for part in parts if isinstance(part, trimesh.Trimesh)]
     if extension == ".stl":
-        return merge_vertices(_joined(meshes))
+        joined = merge_vertices(_joined(meshes))
+        return joined.with_(notes=(*joined.notes, *_lost_of_stl(parts)))
     return _joined(meshes)
+
+
+def _lost_of_stl(parts: list[Any]) -> list[str]:
+    """Return what is left out of the solids of an STL file."""
+    notes = []
+    if len(parts) > 1:
+        notes.append(f"the names of its {len(parts):,} solids are left out: they become one mesh")
+    if any(np.any(part.face_attributes.get("stl", 0)) for part in parts):
+        notes.append("numbers beside triangles, which some programs take for colours, are left out")
+    return notes
 
 
 def _placed(scene: Any, node: str) -> Any:

@@ -54,3 +54,9 @@ def test_a_network_takes_the_matchers_place(tmp_path: Path, capsys):
     assert 0.7 < told["median_depth_m"] < 1.2
     assert run_command(["depth", str(samples / "rgbd"), str(tmp_path / "no"), *words]) == 2
     assert "is a network of pairs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("path", ["", "nix.onnx"])
+def test_what_is_no_file_is_a_sentence(path: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["probe", path]) == 3
+    assert capsys.readouterr().err.count("\n") == 1

@@ -64,3 +64,13 @@ def test_a_draft_is_coarser_and_standard_is_what_there_was(
     assert draft["pictures"] == []
     set_here = scanloom(*words, *few, "--quality", "draft", "--set", "fuse.voxel_factor=1").json
     assert set_here["stages"]["fuse"]["cached"]
+
+
+WORDS = [("config",), ("run", "samples", "-o", "out"), ("batch", "samples", "-o", "out")]
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_an_empty_word_is_no_quality(scanloom: Run, words: tuple[str, ...]) -> None:
+    ran = scanloom(*words, "--quality", "")
+    assert ran.exit_code == 2
+    assert ran.stderr == "scanloom: quality is ''; it must be one of draft, standard, best.\n"

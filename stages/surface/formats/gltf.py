@@ -8,6 +8,7 @@ morph targets are left out, points and lines too.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,10 @@ from stages.surface.welding import merge_vertices
 # These write vertex colours as they are displayed, whatever the specification says.
 _DISPLAYED = ("https://github.com/mikedh/trimesh", "Open3D")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+# Attributes that are read, told of elsewhere, or our own beside others.
+_KNOWN = re.compile(
+    r"POSITION|NORMAL|TANGENT|TEXCOORD_\d+|COLOR_0|JOINTS_\d+|WEIGHTS_\d+|_COLOR_DISPLAYED|_VALUES"
+)
 # How far a matrix may be from a rotation.
 _ROTATION = 1e-6
 # Many nodes may place one large mesh: more corners than this do not fit into memory, nor are they meant.
@@ -100,9 +105,12 @@ def read_gltf(path: Path | str) -> Mesh:
 def _read_scene(gltf: Gltf) -> Mesh:
     notes: list[str] = []
     reading = _Reading(gltf, notes, MaterialReader(gltf, notes))
-    for name, what in (("animations", "animations"), ("skins", "skins")):
+    for name in ("animations", "skins", "cameras"):
         if gltf.items(name):
-            reading.note(f"{what} are left out")
+            reading.note(f"{name} are left out")
+    extensions = gltf.tree.get("extensions")
+    if isinstance(extensions, dict) and extensions:
+        reading.note(f"what the file has of {', '.join(sorted(extensions))} is left out")
     parts: list[_Part] = []
     turn = _scan_from_world(reading)
     nodes = _placed_nodes(gltf, np.eye(4) if turn is None else turn)
@@ -201,6 +209,9 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
         reading.note("morph targets are left out")
     if "TANGENT" in attributes:
         reading.note("tangents are left out: programs derive them from normals and texture coordinates")
+    others = [name for name in attributes if not _KNOWN.fullmatch(name)]
+    if others:
+        reading.note(f"attributes {', '.join(sorted(others))} are left out")
     vertices = gltf.array(attributes["POSITION"])[:, :3].astype(np.float64)
     triangles = _triangles(gltf, primitive, mode, len(vertices))
     reading.corners += triangles.size + len(vertices)

@@ -55,6 +55,8 @@ def read_obj(path: Path | str) -> Mesh:
         raise InputError(f"cannot be read: {error.strerror}.", path) from error
     notes: list[str] = []
     statements = sorted_statements(data)
+    if statements.others:
+        notes.append(f"{' and '.join(sorted(statements.others))} are left out")
     try:
         vertices, colors = _positions(statements.positions, notes)
         lengths, references = _references(statements.faces, statements.seen)

@@ -16,6 +16,9 @@ from stages.surface.formats.mtl import text_of
 # What programs write for a group that is none.
 NO_PART = "default"
 
+# Statements of a shape that is none of triangles, and what they are called.
+OTHERS = {b"l": "lines", b"p": "points", b"curv": "curves", b"curv2": "curves", b"surf": "free-form surfaces"}
+
 _KEYS = (b"v", b"vt", b"vn", b"f")
 _FACE = _KEYS.index(b"f")
 # White space within a line, which becomes blanks.
@@ -34,6 +37,7 @@ class Statements:
     seen : (faces, 3) how many v, vt and vn stand before each face.
     materials, parts : the first face for which each holds, and its name.
     libraries : file names of materials.
+    others : what else there is of a shape, by words of OTHERS.
     """
 
     positions: bytes = b""
@@ -44,6 +48,7 @@ class Statements:
     materials: list[tuple[int, str]] = field(default_factory=list)
     parts: list[tuple[int, str]] = field(default_factory=list)
     libraries: list[str] = field(default_factory=list)
+    others: set[str] = field(default_factory=set)
     _names: dict[bytes, str] = field(default_factory=lambda: {b"o": "", b"g": ""})
 
     def add(self, line: bytes, faces: int) -> None:
@@ -58,6 +63,8 @@ class Statements:
             self.materials.append((faces, _name(rest)))
         elif key == b"mtllib":
             self.libraries.append(_name(rest))
+        elif key in OTHERS:
+            self.others.add(OTHERS[key])
         elif key in self._names:
             if key == b"o":
                 self._names[b"g"] = ""

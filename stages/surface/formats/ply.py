@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from stages.errors import InputError
 from stages.files.replacing import replacing
 from stages.surface.formats.colors import to_uint8
-from stages.surface.formats.ply_format import Lists, Table, read_tables
+from stages.surface.formats.ply_format import Header, Lists, Table, read_tables
 from stages.surface.formats.ply_texture import (
     part_comments,
     read_corner_normals,
@@ -26,7 +26,24 @@ from stages.surface.formats.ply_texture import (
 from stages.surface.formats.polygons import split_polygons
 from stages.surface.mesh import Mesh, validated
 
+# Told of a file that has it, where a command does not read it with `read_vertex_values`.
+CONFIDENCE_LOST = "the confidence of its vertices is left out: remesh carries it"
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+# Told of elsewhere, or used: by element, what it is called and its properties.
+_OF_VERTICES = ("x", "y", "z", "nx", "ny", "nz", "alpha", "a", "s", "t", "u", "v", "texture_u", "texture_v")
+_OF_FACES = ("vertex_indices", "vertex_index", "texcoord", "texnumber", "alpha", "a")
+_OWN = ("material_index", "part_index", "corner_normals")
+_ALL_COLORS = tuple(name for names in _COLORS for name in names)
+# What scanloom writes of a mesh as it is: of another one it is not true, and is measured anew.
+_MEASURED_THERE = ("frames", "angle", "mean_angle", "pixel", "spread", "deviation")
+_FOUND_OF_FACES = ("shape_bound", "color_bound", "patch")
+_READ = {
+    "vertex": ("vertices", (*_OF_VERTICES, *_ALL_COLORS, *_MEASURED_THERE)),
+    "face": ("faces", (*_OF_FACES, *_OWN, *_ALL_COLORS, *_FOUND_OF_FACES)),
+}
+_STRIPS = "tristrips"
+# Properties that are named.
+_NAMED = 5
 
 
 def read_ply(path: Path | str) -> Mesh:
@@ -34,8 +51,8 @@ def read_ply(path: Path | str) -> Mesh:
 
     Polygons are split into triangles and triangle strips are unrolled; colours may be bytes or
     floats. Texture coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture, with the
-    images the file names, as they are. A cloud is a mesh without triangles. Colours of faces, alpha and
-    properties of other names are left out; `Mesh.notes` says what was changed or lost of the things above.
+    images the file names, as they are. A cloud is a mesh without triangles. Colours of faces, alpha,
+    and properties and elements of other names are left out; `Mesh.notes` says what was changed or lost.
 
     Raises
     ------
@@ -55,8 +72,8 @@ def read_ply(path: Path | str) -> Mesh:
     vertices = vertices.astype(np.float64)
     corners, source, used = _polygons(face, vertices, notes)
     triangles = used[corners] if len(used) else np.zeros((0, 3), np.int32)
-    if "tristrips" in tables and len(triangles) == 0:
-        triangles = _unrolled_strips(tables["tristrips"])
+    if _STRIPS in tables and len(triangles) == 0:
+        triangles = _unrolled_strips(tables[_STRIPS])
     mesh = Mesh(
         vertices=vertices,
         triangles=triangles,
@@ -66,6 +83,7 @@ def read_ply(path: Path | str) -> Mesh:
     if any(name in face for name in ("red", "diffuse_red", "r")):
         notes.append("colours of faces are left out; only colours of vertices are used")
     _note_transparency(vertex, notes)
+    _note_others(header, notes)
     mesh = validated(mesh, str(path))
     texture = read_texture_of_ply(header, vertex, face, mesh.triangles, corners, source, path.parent, notes)
     part_ids, part_names = read_parts(header, face, source, len(mesh.triangles))
@@ -102,6 +120,24 @@ def _note_transparency(vertex: Table, notes: list[str]) -> None:
             continue
         if alpha.min() < (255 if alpha.dtype.kind in "iu" else 1):
             notes.append("the transparency of vertices is left out")
+
+
+def _note_others(header: Header, notes: list[str]) -> None:
+    """Say which elements, and properties of vertices and faces, are passed over."""
+    for element in header.elements:
+        if element.count == 0 or element.name == _STRIPS:
+            continue
+        if element.name not in _READ:
+            notes.append(f"what the file has of {element.name!r} is left out")
+            continue
+        called, read = _READ[element.name]
+        others = [one.name for one in element.properties if one.name not in read]
+        if called == "vertices" and "confidence" in others:
+            others.remove("confidence")
+            notes.append(CONFIDENCE_LOST)
+        if others:
+            more = f" and {len(others) - _NAMED:,} more" if len(others) > _NAMED else ""
+            notes.append(f"properties of its {called} are left out: {', '.join(others[:_NAMED])}{more}")
 
 
 def _normals(vertex: Table, notes: list[str]) -> NDArray[np.float64] | None:

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from stages.errors import InputError, MeshError, UsageError
 from stages.surface.formats.obj import read_obj
+from stages.surface.formats.ply import CONFIDENCE_LOST
 from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import EXTENSIONS, read_mesh, write_mesh
+from stages.surface.mesh_files import EXTENSIONS, lost_with, read_mesh, write_mesh
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import topology
 
@@ -259,3 +260,53 @@ def test_a_mesh_of_nothing_is_written_in_every_format(tmp_path, extension):
     write_mesh(tmp_path / f"nothing{extension}", nothing)
     with pytest.raises(InputError, match="holds no"):
         read_mesh(tmp_path / f"nothing{extension}")
+
+
+def _notes_of(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_text(text)
+    return read_mesh(path).notes
+
+
+def test_what_a_reader_passes_over_is_told(tmp_path):
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    assert _notes_of(tmp_path, "a.obj", triangle) == ()
+    assert _notes_of(tmp_path, "b.obj", triangle + "l 1 2\np 3\n") == ("lines and points are left out",)
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    more = "property float quality\nproperty float confidence\nelement face 1\n"
+    faces = "property list uchar int vertex_indices\nproperty int label\nelement edge 1\nproperty int a\n"
+    rows = "end_header\n0 0 0 1 1\n1 0 0 1 1\n0 1 0 1 1\n3 0 1 2 7\n5\n"
+    assert _notes_of(tmp_path, "a.ply", head + more + faces + rows) == (
+        CONFIDENCE_LOST,
+        "properties of its vertices are left out: quality",
+        "properties of its faces are left out: label",
+        "what the file has of 'edge' is left out",
+    )
+    rows = "vertex {0} 0 0\nvertex {1} 0 0\nvertex 0 {1} 0\n"
+    facet = f"facet normal 0 0 1\nouter loop\n{rows}endloop\nendfacet\n"
+    solids = "".join(f"solid s{i}\n{facet.format(i, i + 1)}endsolid s{i}\n" for i in range(2))
+    assert _notes_of(tmp_path, "a.stl", solids) == (
+        "the names of its 2 solids are left out: they become one mesh",
+    )
+
+
+def test_numbers_beside_the_triangles_of_a_binary_stl_are_told(tmp_path):
+    write_mesh(tmp_path / "plain.stl", cube())
+    data = bytearray((tmp_path / "plain.stl").read_bytes())
+    assert read_mesh(tmp_path / "plain.stl").notes == ()
+    data[84 + 48 : 84 + 50] = (31).to_bytes(2, "little")
+    (tmp_path / "red.stl").write_bytes(bytes(data))
+    assert read_mesh(tmp_path / "red.stl").notes == (
+        "numbers beside triangles, which some programs take for colours, are left out",
+    )
+
+
+def test_what_a_format_of_the_shape_alone_loses():
+    mesh = cube()
+    rest = mesh.with_(part_ids=np.zeros(12, np.int32), part_names=("cube",))
+    normals = np.broadcast_to((0.0, 0.0, 1.0), (12, 3, 3))
+    assert lost_with(".ply", rest) == ""
+    assert lost_with(".stl", mesh.with_(colors=None)) == ""
+    assert lost_with(".stl", mesh) == "colours"
+    assert lost_with(".off", rest) == "colours and parts"
+    assert lost_with(".off", rest.with_(corner_normals=normals)) == "colours, parts and normals of corners"

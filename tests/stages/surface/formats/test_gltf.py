@@ -444,3 +444,17 @@ def test_what_is_no_triangle_is_told(tmp_path):
     mesh = make.read(tmp_path)
     assert len(mesh.triangles) == 2
     assert mesh.notes == ("points and lines are left out",)
+
+
+def test_what_a_file_has_beside_its_meshes_is_told(tmp_path):
+    make = Maker()
+    numbers = make.array(np.zeros(4), "f4")
+    make.mesh({"attributes": {"POSITION": make.array(SQUARE, "f4"), "_FEATURE_ID_0": numbers}, "mode": 5})
+    lights = {"KHR_lights_punctual": {"lights": []}}
+    camera = {"type": "perspective", "perspective": {"yfov": 1, "znear": 1}}
+    mesh = make.read(tmp_path, extensions=lights, cameras=[camera])
+    assert mesh.notes == (
+        "cameras are left out",
+        "what the file has of KHR_lights_punctual is left out",
+        "attributes _FEATURE_ID_0 are left out",
+    )

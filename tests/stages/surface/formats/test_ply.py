@@ -156,6 +156,10 @@ def test_all_encodings_with_mixed_polygons_and_strange_columns(tmp_path, encodin
         "2 polygons were split into triangles",
         "1 of them cross themselves or have no area, and were split as if convex",
         "1 faces of fewer than three corners are left out",
+        "what the file has of 'marker' is left out",
+        "properties of its vertices are left out: quality",
+        "properties of its faces are left out: flags, junk, tail",
+        "what the file has of 'edge' is left out",
     )
 
 
