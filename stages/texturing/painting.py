@@ -30,8 +30,9 @@ _ALL_AT_ONCE = 6_000_000
 # Triangles of a mesh that takes no room worth mentioning; each more takes that of some texels, of which there
 # are so many at least.
 _FEW_TRIANGLES, _TEXELS_A_TRIANGLE, _LEAST_AT_ONCE = 1_000_000, 0.6, 1_000_000
-# Details come from the best photos: their share falls with this power of the score; the rest is a mean.
-_DETAILS_POWER, _BLURRED_POWER = 3, 1
+# What a photo counts rises with this power of its score, among details and in what is blurred. A higher
+# one for details comes less near to photos that were left out, and seams are seen more.
+_DETAILS_POWER, _BLURRED_POWER = 1, 1
 # Photos that differ from the median by so many deviations, and so many levels, do not count.
 _DEVIATIONS, _LEVELS = 3.0, 12.0
 # Every so many texels tell how the mesh's own colours go with those painted.
