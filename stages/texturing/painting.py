@@ -34,7 +34,7 @@ _FEW_TRIANGLES, _TEXELS_A_TRIANGLE, _LEAST_AT_ONCE = 1_000_000, 0.6, 1_000_000
 # one for details comes less near to photos that were left out, and seams are seen more.
 _DETAILS_POWER, _BLURRED_POWER = 1, 1
 # Photos that differ from the median by so many deviations, and so many levels, do not count.
-_DEVIATIONS, _LEVELS = 3.0, 12.0
+_DEVIATIONS, _LEVELS = 5.0, 12.0
 # Every so many texels tell how the mesh's own colours go with those painted.
 _EVERY = 7
 _LEAST_TEXELS = 100
