@@ -100,10 +100,19 @@ class Painter:
             else math.ceil(len(self._only.pixels) / self._at_once)
         )
 
-    def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Iterator[Painted]:
-        """Yield one image after the other; `progress` is called for each photo and part of the texels."""
+    def paint(
+        self, shifts: Sequence[Shifts] | None, progress: Callable[[], object], *, again: bool = False
+    ) -> Iterator[Painted]:
+        """Yield one image after the other; `progress` is called for each photo and part of the texels.
+
+        `again` says that all may be painted once more: what that goes quicker by is kept.
+        """
         for number in range(len(self._pages.sizes)):
-            yield self._page(number, shifts, progress)
+            yield self._page(number, shifts, progress, again)
+
+    def forget(self) -> None:
+        """Let go what was kept for painting again."""
+        self._remembered = None
 
     def shifts(self, images: Sequence[NDArray[np.uint8]], progress: Callable[[], object]) -> list[Shifts]:
         """Return by how much each photo is off the texture, which `levels_of` gives."""
@@ -131,7 +140,9 @@ class Painter:
         texels = texels_of(self._pages, page) if self._only is None else self._only
         return texels.parts_of(self._drawn.parts, self._at_once)
 
-    def _page(self, number: int, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Painted:
+    def _page(
+        self, number: int, shifts: Sequence[Shifts] | None, progress: Callable[[], object], again: bool
+    ) -> Painted:
         width, height = self._pages.sizes[number]
         colors = np.zeros((height * width, 3), np.float32)
         filled = np.zeros(height * width, np.bool_)
@@ -139,7 +150,7 @@ class Painter:
         views = np.zeros(height * width, np.uint8)
         for texels in self._texels(number):
             at = texels.pixels
-            colors[at], labels[at], views[at] = self._part(texels, shifts, progress)
+            colors[at], labels[at], views[at] = self._part(texels, shifts, progress, again)
             # What nothing is known of takes on the colours around it.
             filled[at] = (labels[at] >= 0) | (self._mesh.colors is not None)
         shape = (height, width)
@@ -148,7 +159,11 @@ class Painter:
         )
 
     def _part(
-        self, texels: Texels, shifts: Sequence[Shifts] | None, progress: Callable[[], object]
+        self,
+        texels: Texels,
+        shifts: Sequence[Shifts] | None,
+        progress: Callable[[], object],
+        again: bool,
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
         mesh, drawn, (photos, exposures, _) = self._mesh, self._drawn, self._shown
         # The last part has left holes.
@@ -160,12 +175,12 @@ class Painter:
             points = _kernels.SurfacePoints(
                 mesh.vertices, self._normals, mesh.triangles, texels.triangles, texels.shares, kept=self._kept
             )
-            is_all = self.parts == 1
+            is_kept = again and self.parts == 1
             numbers = self._shown.showing(np.unique(drawn.parts[texels.triangles]))
-            see(points, drawn, photos, exposures, shifts, progress, numbers=numbers, remember=is_all)
+            see(points, drawn, photos, exposures, shifts, progress, numbers=numbers, remember=is_kept)
             for _ in range(len(photos) - len(numbers)):
                 progress()
-            self._remembered = points if is_all else None
+            self._remembered = points if is_kept else None
         colors, labels, views = points.blend(
             blurred=_BLURRED_POWER,
             details=_DETAILS_POWER,
@@ -173,6 +188,9 @@ class Painter:
             levels=_LEVELS,
             wanted_threads=0,
         )
+        if not again:
+            # The image that follows takes as much.
+            self._remembered = None
         _fill_unseen(colors, labels < 0, texels, mesh)
         return colors, labels, views
 

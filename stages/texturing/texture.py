@@ -257,20 +257,23 @@ def texture(
     drawn = drawn_mesh(given)
     used, exposures, parts, pages, seen = _looked_over(given, drawn, normals, photos, params, far)
     painter = Painter(given, drawn, normals, pages, Shown(used, exposures.photos, parts), params.views)
-    part = 0.7 / (1 + params.rounds)
-    painted: Iterable[Painted] = painter.paint(None, far.photo(0.25 + part, painter.parts))
+    rounds = params.rounds
+    part = 0.7 / (1 + rounds)
+    painted: Iterable[Painted] = painter.paint(None, far.photo(0.25 + part, painter.parts), again=rounds > 0)
     shift = 0.0
-    for turn in range(params.rounds):
+    for turn in range(rounds):
         images, painted = _levels(painted, keep=len(pages.sizes) == 1)
         shifts = painter.shifts(images, far.photo(0.25 + part * (turn + 1.3)))
         del images
         # The first shifts tell how far off photos are.
         shift = shift or _typical(shifts, used)
         if shift < _STILL:
+            painter.forget()
             # Of several images nothing else was kept.
             painted = painted or painter.paint(None, far.photo(0.95, painter.parts))
             break
-        painted = painter.paint(shifts, far.photo(0.25 + part * (turn + 2), painter.parts))
+        done = far.photo(0.25 + part * (turn + 2), painter.parts)
+        painted = painter.paint(shifts, done, again=turn + 1 < rounds)
     seams = SeamSums()
     made = list(map(partial(_finished, padding=pages.padding, params=params, seams=seams), painted))
     progress(1000, 1000)
