@@ -260,22 +260,25 @@ def texture(
     rounds = params.rounds
     part = 0.7 / (1 + rounds)
     painted: Iterable[Painted] = painter.paint(None, far.photo(0.25 + part, painter.parts), again=rounds > 0)
+    finish = partial(_finished, padding=pages.padding, params=params)
     shift = 0.0
     for turn in range(rounds):
-        images, painted = _levels(painted, keep=len(pages.sizes) == 1)
+        seams = SeamSums()
+        images, waiting = _waiting(painted, partial(finish, seams=seams), alone=len(pages.sizes) == 1)
         shifts = painter.shifts(images, far.photo(0.25 + part * (turn + 1.3)))
         del images
         # The first shifts tell how far off photos are.
         shift = shift or _typical(shifts, used)
         if shift < _STILL:
             painter.forget()
-            # Of several images nothing else was kept.
-            painted = painted or painter.paint(None, far.photo(0.95, painter.parts))
+            made = [become() for become in waiting]
             break
+        del waiting
         done = far.photo(0.25 + part * (turn + 2), painter.parts)
         painted = painter.paint(shifts, done, again=turn + 1 < rounds)
-    seams = SeamSums()
-    made = list(map(partial(_finished, padding=pages.padding, params=params, seams=seams), painted))
+    else:
+        seams = SeamSums()
+        made = [finish(one, seams=seams) for one in painted]
     progress(1000, 1000)
     found = _Found(used, exposures, seen, shift, seams.ratio())
     return _result(given, found, pages, made)
@@ -323,7 +326,8 @@ class _Far:
 
 def _typical(shifts: Sequence[Shifts], photos: Photos) -> float:
     widths = np.array([camera.width for camera in photos.cameras])
-    return float(np.median(np.array([np.linalg.norm(one, axis=2).mean() for one in shifts]) / widths))
+    means = [np.linalg.norm(one.astype(np.float32), axis=2).mean() for one in shifts]
+    return float(np.median(np.array(means) / widths))
 
 
 def _looked_over(
@@ -355,16 +359,26 @@ def _looked_over(
     return used, exposures, parts, pages, surveyed.seen
 
 
-def _levels(painted: Iterable[Painted], *, keep: bool) -> tuple[list[NDArray[np.uint8]], list[Painted]]:
-    """Return the levels of all images, and the images if they are to be kept."""
-    levels, kept = [], []
+def _waiting(
+    painted: Iterable[Painted], finish: Callable[[Painted], _Image], *, alone: bool
+) -> tuple[list[NDArray[np.uint8]], list[Callable[[], _Image]]]:
+    """Return the levels of all images, and what makes each the one of a texture if it stays as it is.
+
+    One alone is finished only then. Of several no more is kept than is left of them in the end, so each is
+    finished at once; to paint them anew would take longer than all of that.
+    """
+    levels: list[NDArray[np.uint8]] = []
+    waiting: list[Callable[[], _Image]] = []
     for one in painted:
         levels.append(levels_of(one))
-        if keep:
-            kept.append(one)
+        waiting.append(partial(finish, one) if alone else partial(_same, finish(one)))
         # Else there are two of them while the next one is made.
         del one
-    return levels, kept
+    return levels, waiting
+
+
+def _same(image: _Image) -> _Image:
+    return image
 
 
 class _Image(NamedTuple):

@@ -142,7 +142,8 @@ def _each(prepared: Callable[[int], T], numbers: Sequence[int]) -> Iterator[T]:
 def _colors(photo: Photo, exposure: Exposure, shifts: Shifts | None) -> _kernels.Photo:
     image = exposure.corrected(photo.image)
     camera = kernel_camera(photo.camera, photo.camera_from_world)
-    return _kernels.Photo(camera, image, _blurred(image, photo.seen), warp=shifts)
+    warp = None if shifts is None else shifts.astype(np.float32)
+    return _kernels.Photo(camera, image, _blurred(image, photo.seen), warp=warp)
 
 
 def _view(

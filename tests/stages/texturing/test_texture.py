@@ -72,6 +72,19 @@ def test_equal_input_gives_equal_bytes():
     assert np.array_equal(first.mesh.texture.uvs, second.mesh.texture.uvs)
 
 
+@pytest.mark.parametrize("size", [4096, 128])
+def test_photos_that_are_where_they_should_be_stay_there(size: int):
+    painted = texture(wall(), photos(4), max_size=size, rounds=0)
+    looked_at = texture(wall(), photos(4), max_size=size, rounds=1)
+    assert 0 < looked_at.shift < 0.3 / 640
+    assert (len(painted.sizes) > 1) == (size == 128)
+    for one, other in zip(painted.mesh.texture.images, looked_at.mesh.texture.images, strict=True):
+        assert one.file_bytes == other.file_bytes
+    assert looked_at.seams == painted.seams
+    for one, other in zip(painted.labels, looked_at.labels, strict=True):
+        assert np.array_equal(one, other)
+
+
 def test_what_does_not_fit_into_memory_gives_the_same(monkeypatch: pytest.MonkeyPatch):
     whole = textured(6)
     monkeypatch.setattr(photos_module, "_KEPT_BYTES", 0)
