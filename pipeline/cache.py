@@ -321,9 +321,20 @@ class Cache:
 
     def _new_draft(self, stage: str) -> tuple[Path, Lock]:
         self._prepare()
-        with self._names():
-            draft = self._fresh_folder(stage)
-            return draft, take_lock(draft / IN_USE)
+        draft: Path | None = None
+        lock: Lock | None = None
+        try:
+            with self._names():
+                draft = self._fresh_folder(stage)
+                lock = take_lock(draft / IN_USE)
+            return draft, lock
+        except BaseException:
+            # Ctrl-C may come before anybody else knows of it.
+            if lock is not None:
+                lock.release()
+            if draft is not None:
+                shutil.rmtree(draft, ignore_errors=True)
+            raise
 
     def _fresh_folder(self, stage: str) -> Path:
         folder = Path(tempfile.mkdtemp(prefix=f"{stage}-{machine_mark()}-", dir=self.folder / _DRAFTS))

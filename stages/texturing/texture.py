@@ -2,8 +2,8 @@
 
 The surface is laid out in images, at about the fineness of the photos. Every texel is looked up in all photos
 that show it: in front, not behind anything, where the frame's own depth agrees, not at the border. The best
-few are remembered, made equally bright, and blended in two bands: a mean of all that agree, with the details
-of those that show it best. Then each photo is brought to where the texture says it is, by small shifts, and
+few are remembered, made equally bright, and blended: where they agree in what is blurred their mean, each by
+how well it shows the place. Then each photo is brought to where the texture says it is, by small shifts, and
 the texture is painted again.
 """
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, drafts, flip, make, stored
 
+from pipeline import cache as cache_module
 from pipeline.cache import Cache
 from pipeline.entry import Recipe
 from stages.errors import StageError
@@ -57,6 +58,37 @@ def test_failing_stage_leaves_nothing(cache, error):
         cache.store(RECIPE, break_off)
     assert cache.get(RECIPE) is None
     assert drafts(cache) == []
+
+
+@pytest.mark.parametrize("when", ["take_lock", "release"])
+def test_ctrl_c_as_soon_as_there_is_a_draft_leaves_nothing(cache, monkeypatch, when):
+    taken = cache_module.take_lock
+
+    def interrupted(*words, **more):
+        lock = taken(*words, **more)
+        if words[0].name != cache_module.IN_USE and when == "take_lock":
+            return lock
+        if when == "take_lock":
+            lock.release()
+            raise KeyboardInterrupt
+        if words[0].name != cache_module.IN_USE:
+            monkeypatch.setattr(lock, "release", released(lock.release))
+        return lock
+
+    def released(release):
+        def once():
+            release()
+            if drafts(cache):
+                raise KeyboardInterrupt
+
+        return once
+
+    monkeypatch.setattr(cache_module, "take_lock", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        cache.store(RECIPE, make)
+    monkeypatch.undo()
+    assert drafts(cache) == []
+    assert stored(cache) is not None
 
 
 def cut_short(path: Path) -> None:
