@@ -601,6 +601,20 @@ mod tests {
                 close += usize::from(reach.is_finite());
             }
             assert!(close > original.triangles.len() / 4, "{close}");
+            // A triangle that comes is looked at by all that it may be nearest to a point of.
+            for _ in 0..40 {
+                let at = original.points[(chance(&mut state) * original.points.len() as f64) as usize];
+                let corners = [0; 3].map(|_| at.map(|x| x + 0.8 * (chance(&mut state) - 0.5)));
+                let mut near = vec![false; original.triangles.len()];
+                ledger.mark_within_reach(&Known { source: 0, corners, verdict: Verdict::UNKNOWN }, &mut near);
+                let new = corners.each_ref().map(position);
+                for (t, (is_near, reach)) in original.triangles.iter().zip(near.iter().zip(&ledger.reach)) {
+                    let reach = f64::from(*reach).min(0.35);
+                    let corners = t.map(|v| original.points[v as usize]);
+                    let may_be_nearest = |p: Vec3| triangle_distance2(&p, new.each_ref()) <= reach * reach;
+                    assert!(*is_near || !samples(&corners).any(may_be_nearest), "seed {seed}");
+                }
+            }
         }
     }
 }
