@@ -18,7 +18,7 @@ from stages.surface.raycasting import Floats
 
 MESH, FIGURES = "deviation.ply", "deviation.json"
 # The property of its vertices, metres.
-_PROPERTY = "deviation"
+PROPERTY = "deviation"
 # In so many steps it is kept how the distances are spread.
 _STEPS = 2000
 
@@ -56,7 +56,7 @@ def kept_of(found: Deviations) -> Kept:
 def write_deviations(folder: Path, found: Deviations) -> dict[str, Any]:
     """Write the mesh in the colours of its deviations, with these as a property, and what there is to say."""
     kept = kept_of(found)
-    write_ply(folder / MESH, found.painted, vertex_values={_PROPERTY: kept.at_vertices.astype(np.float32)})
+    write_ply(folder / MESH, found.painted, vertex_values={PROPERTY: kept.at_vertices.astype(np.float32)})
     document = {"figures": kept.figures, "quantiles_m": kept.quantiles.tolist()}
     (folder / FIGURES).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
     return dict(kept.figures)
@@ -73,10 +73,10 @@ def read_deviations(folder: Path) -> Kept | None:
     if not ((folder / FIGURES).is_file() and (folder / MESH).is_file()):
         return None
     document: Any = read_json(folder / FIGURES)
-    mesh, values = read_ply(folder / MESH), read_vertex_values(folder / MESH, _PROPERTY)
+    mesh, values = read_ply(folder / MESH), read_vertex_values(folder / MESH, PROPERTY)
     quantiles = np.array(document["quantiles_m"], np.float64)
     if values is None or not np.isfinite(values).all():
-        raise InputError(f"its vertices have no property `{_PROPERTY}` that is finite.", folder / MESH)
+        raise InputError(f"its vertices have no property `{PROPERTY}` that is finite.", folder / MESH)
     if quantiles.shape != (_STEPS + 1,) or not (np.diff(quantiles) >= 0).all():
         raise ValueError(quantiles.shape)
     return Kept(document["figures"], quantiles, mesh.vertices, values)

@@ -29,7 +29,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.welding import merge_vertices
 
 EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
-# What they hold is the shape alone.
+# Formats that hold the shape alone.
 SHAPE_ALONE = (".off", ".stl")
 
 
@@ -125,8 +125,7 @@ def lost_with(extension: str, mesh: Mesh) -> str:
         ("parts", mesh.part_ids is not None),
         ("normals of corners", mesh.corner_normals is not None),
     )
-    *others, last = ["", *(name for name, there in has if there)]
-    return " and ".join(filter(None, [", ".join(filter(None, others)), last]))
+    return " and ".join(name for name, there in has if there)
 
 
 @contextmanager

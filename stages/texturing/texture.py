@@ -264,21 +264,22 @@ def texture(
     shift = 0.0
     for turn in range(rounds):
         seams = SeamSums()
-        images, waiting = _waiting(painted, partial(finish, seams=seams), alone=len(pages.sizes) == 1)
+        images, kept, made = _levels(painted, partial(finish, seams=seams), keep=len(pages.sizes) == 1)
         shifts = painter.shifts(images, far.photo(0.25 + part * (turn + 1.3)))
         del images
         # The first shifts tell how far off photos are.
         shift = shift or _typical(shifts, used)
         if shift < _STILL:
             painter.forget()
-            made = [become() for become in waiting]
+            made = made or [finish(one, seams=seams) for one in kept]
             break
-        del waiting
+        del kept, made
         done = far.photo(0.25 + part * (turn + 2), painter.parts)
         painted = painter.paint(shifts, done, again=turn + 1 < rounds)
     else:
         seams = SeamSums()
-        made = [finish(one, seams=seams) for one in painted]
+        # No name is left for an image while the next one is painted.
+        made = list(map(partial(finish, seams=seams), painted))
     progress(1000, 1000)
     found = _Found(used, exposures, seen, shift, seams.ratio())
     return _result(given, found, pages, made)
@@ -359,26 +360,25 @@ def _looked_over(
     return used, exposures, parts, pages, surveyed.seen
 
 
-def _waiting(
-    painted: Iterable[Painted], finish: Callable[[Painted], _Image], *, alone: bool
-) -> tuple[list[NDArray[np.uint8]], list[Callable[[], _Image]]]:
-    """Return the levels of all images, and what makes each the one of a texture if it stays as it is.
+def _levels(
+    painted: Iterable[Painted], finish: Callable[[Painted], _Image], *, keep: bool
+) -> tuple[list[NDArray[np.uint8]], list[Painted], list[_Image]]:
+    """Return the levels of all images, and the images: as they are if they are to be kept, or finished.
 
-    One alone is finished only then. Of several no more is kept than is left of them in the end, so each is
-    finished at once; to paint them anew would take longer than all of that.
+    Several would not fit into memory as they are, and to paint them anew takes longer than to finish them.
     """
     levels: list[NDArray[np.uint8]] = []
-    waiting: list[Callable[[], _Image]] = []
+    kept: list[Painted] = []
+    finished: list[_Image] = []
     for one in painted:
         levels.append(levels_of(one))
-        waiting.append(partial(finish, one) if alone else partial(_same, finish(one)))
+        if keep:
+            kept.append(one)
+        else:
+            finished.append(finish(one))
         # Else there are two of them while the next one is made.
         del one
-    return levels, waiting
-
-
-def _same(image: _Image) -> _Image:
-    return image
+    return levels, kept, finished
 
 
 class _Image(NamedTuple):

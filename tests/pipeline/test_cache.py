@@ -60,28 +60,25 @@ def test_failing_stage_leaves_nothing(cache, error):
     assert drafts(cache) == []
 
 
-@pytest.mark.parametrize("when", ["take_lock", "release"])
+@pytest.mark.parametrize("when", ["as it is locked", "as its name is known"])
 def test_ctrl_c_as_soon_as_there_is_a_draft_leaves_nothing(cache, monkeypatch, when):
-    taken = cache_module.take_lock
+    take_lock = cache_module.take_lock
 
-    def interrupted(*words, **more):
-        lock = taken(*words, **more)
-        if words[0].name != cache_module.IN_USE and when == "take_lock":
-            return lock
-        if when == "take_lock":
-            lock.release()
-            raise KeyboardInterrupt
-        if words[0].name != cache_module.IN_USE:
-            monkeypatch.setattr(lock, "release", released(lock.release))
-        return lock
+    def interrupted(path, **how):
+        lock = take_lock(path, **how)
+        release = lock.release
 
-    def released(release):
-        def once():
+        def release_and_break_off():
             release()
             if drafts(cache):
                 raise KeyboardInterrupt
 
-        return once
+        is_of_draft = path.name == cache_module.IN_USE
+        if is_of_draft and when == "as it is locked":
+            release_and_break_off()
+        if not is_of_draft and when == "as its name is known":
+            monkeypatch.setattr(lock, "release", release_and_break_off)
+        return lock
 
     monkeypatch.setattr(cache_module, "take_lock", interrupted)
     with pytest.raises(KeyboardInterrupt):

@@ -309,4 +309,4 @@ def test_what_a_format_of_the_shape_alone_loses():
     assert lost_with(".stl", mesh.with_(colors=None)) == ""
     assert lost_with(".stl", mesh) == "colours"
     assert lost_with(".off", rest) == "colours and parts"
-    assert lost_with(".off", rest.with_(corner_normals=normals)) == "colours, parts and normals of corners"
+    assert lost_with(".off", rest.with_(corner_normals=normals)) == "colours and parts and normals of corners"

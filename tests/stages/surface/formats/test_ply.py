@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline import covering, deviations
 from stages.errors import InputError, MeshError, StageError
 from stages.surface.formats.ply import read_ply, read_vertex_values, write_ply, write_ply_cloud
 from stages.surface.mesh import Mesh
@@ -461,3 +462,11 @@ def test_comments_that_mean_nothing_are_no_material(tmp_path, text):
     mesh = read_ply(tmp_path / "a.ply")
     assert mesh.texture.material_ids.tolist() == [0, -1]
     assert mesh.texture.materials[0].image is None
+
+
+def test_what_scanloom_measured_of_a_mesh_is_passed_over_without_a_word(tmp_path):
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    names = (*covering.VALUES, deviations.PROPERTY)
+    faces = {name: np.zeros(1) for name in ("shape_bound", "color_bound", "patch")}
+    write_ply(tmp_path / "measured.ply", mesh, faces, {name: np.zeros(3) for name in names})
+    assert read_ply(tmp_path / "measured.ply").notes == ()

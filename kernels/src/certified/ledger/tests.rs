@@ -1,0 +1,124 @@
+//! What the ledger keeps, against what is found anew and against all triangles one by one.
+
+use super::*;
+use crate::base::progress::Control;
+
+const SIDE: u32 = 9;
+
+/// Numbers from 0 to 1, by chance but the same each time.
+fn chance(state: &mut u64) -> f64 {
+    *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+    (*state >> 40) as f64 / (1u64 << 24) as f64
+}
+
+/// A rough sheet, of many colours, and a second one close under it.
+fn two_sheets(state: &mut u64) -> Original<6> {
+    let (mut points, mut triangles) = (vec![], vec![]);
+    for sheet in 0..2 {
+        let first = points.len() as u32;
+        for i in 0..SIDE * SIDE {
+            let [x, y] = [i % SIDE, i / SIDE].map(f64::from);
+            let z = 0.3 * chance(state) - 0.9 * f64::from(sheet);
+            let [r, g, b] = [0; 3].map(|_| 40.0 * chance(state));
+            points.push([x, y, z, r, g, b]);
+        }
+        for i in (0..SIDE - 1).flat_map(|y| (0..SIDE - 1).map(move |x| first + y * SIDE + x)) {
+            triangles.extend([[i, i + 1, i + SIDE], [i + 1, i + SIDE + 1, i + SIDE]]);
+        }
+    }
+    Original::new(points, triangles)
+}
+
+fn input(original: &Original<6>) -> Whole<6, Bound> {
+    Whole::new(original.points.clone(), original.triangles.clone(), vec![]).unwrap()
+}
+
+fn ledger<'a>(original: &'a Original<6>, bounds: Deviation) -> Ledger<'a, 6> {
+    // Without effort each triangle is decided as if it were asked alone.
+    let options = certify::Options { limit: Some(bounds), threads: 1, effort: 0.0, ..Default::default() };
+    Ledger::new(original, options, None).unwrap()
+}
+
+/// Triangles of the mesh, by their sources, and of the input that have no proof.
+fn failing(ledger: &Ledger<'_, 6>) -> [Vec<u32>; 2] {
+    let of_result = ledger.failing_of_result().map(|i| ledger.result[i].source).collect();
+    [of_result, ledger.failing_of_input().map(|failing| failing.triangle).collect()]
+}
+
+/// Points all over a triangle.
+fn samples(corners: &[[f64; 6]; 3]) -> impl Iterator<Item = Vec3> {
+    let [a, b, c] = corners.each_ref().map(position);
+    (0..=6).flat_map(move |i| {
+        (0..=6 - i).map(move |j| {
+            let [u, v] = [i, j].map(|k| f64::from(k) / 6.0);
+            [0, 1, 2].map(|k| a[k] + u * (b[k] - a[k]) + v * (c[k] - a[k]))
+        })
+    })
+}
+
+#[test]
+fn what_is_kept_of_a_triangle_is_what_would_be_found_anew() {
+    for seed in 1..=4 {
+        let mut state = seed;
+        let original = two_sheets(&mut state);
+        let bounds = Deviation { shape: 0.35, color: 30.0 };
+        let (mut kept, control) = (ledger(&original, bounds), Control::default());
+        let mut progress = Progress::new(&control);
+        let mut mesh = input(&original);
+        kept.look(&mesh, &mut progress).unwrap();
+        for _ in 0..12 {
+            // Some vertices move, a few of them far, and some come back.
+            for _ in 0..4 {
+                let v = (chance(&mut state) * mesh.points.len() as f64) as usize;
+                mesh.points[v] = original.points[v];
+                let far = if chance(&mut state) < 0.3 { 1.2 } else { 0.4 };
+                (0..3).for_each(|k| mesh.points[v][k] += far * (chance(&mut state) - 0.5));
+            }
+            kept.look(&mesh, &mut progress).unwrap();
+            let mut anew = ledger(&original, bounds);
+            anew.look(&mesh, &mut progress).unwrap();
+            assert_eq!(failing(&kept), failing(&anew), "seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn a_triangle_s_reach_is_no_less_than_the_way_to_the_mesh() {
+    for seed in 1..=4 {
+        let mut state = seed;
+        let original = two_sheets(&mut state);
+        let mut ledger = ledger(&original, Deviation { shape: 0.35, color: f64::INFINITY });
+        let mut mesh = input(&original);
+        let mut moved = |p: &mut [f64; 6]| (0..3).for_each(|k| p[k] += 0.5 * (chance(&mut state) - 0.5));
+        mesh.points.iter_mut().for_each(&mut moved);
+        ledger.look(&mesh, &mut Progress::new(&Control::default())).unwrap();
+        let there: Vec<[Vec3; 3]> =
+            mesh.triangles.iter().map(|t| t.map(|v| position(&mesh.points[v as usize]))).collect();
+        let mut close = 0;
+        for (t, reach) in original.triangles.iter().zip(&ledger.reach) {
+            let nearest2 = |p: &Vec3| {
+                let each = there.iter().map(|corners| triangle_distance2(p, corners.each_ref()));
+                each.fold(f64::INFINITY, f64::min)
+            };
+            let corners = t.map(|v| original.points[v as usize]);
+            let far = samples(&corners).map(|p| nearest2(&p)).fold(0.0, f64::max).sqrt();
+            assert!(far <= f64::from(*reach), "seed {seed}: {far} {reach}");
+            close += usize::from(reach.is_finite());
+        }
+        assert!(close > original.triangles.len() / 4, "{close}");
+        // A triangle that comes is looked at by all that it may be nearest to a point of.
+        for _ in 0..40 {
+            let at = original.points[(chance(&mut state) * original.points.len() as f64) as usize];
+            let corners = [0; 3].map(|_| at.map(|x| x + 0.8 * (chance(&mut state) - 0.5)));
+            let mut near = vec![false; original.triangles.len()];
+            ledger.mark_within_reach(&Known { source: 0, corners, verdict: Verdict::UNKNOWN }, &mut near);
+            let new = corners.each_ref().map(position);
+            for (t, (is_near, reach)) in original.triangles.iter().zip(near.iter().zip(&ledger.reach)) {
+                let reach = f64::from(*reach).min(0.35);
+                let corners = t.map(|v| original.points[v as usize]);
+                let may_be_nearest = |p: Vec3| triangle_distance2(&p, new.each_ref()) <= reach * reach;
+                assert!(*is_near || !samples(&corners).any(may_be_nearest), "seed {seed}");
+            }
+        }
+    }
+}
