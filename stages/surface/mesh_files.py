@@ -149,6 +149,8 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         raise InputError(f"cannot be read: {error.strerror}.", path) from error
     if extension == ".stl":
         _require_whole_stl(data, path)
+    elif data[:64].split(b"\n")[0].split()[:2] == [b"OFF", b"BINARY"]:
+        raise InputError("is OFF in its binary form, which is not read; write it as text, or as PLY.", path)
     import trimesh
 
     try:
@@ -167,7 +169,23 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     if extension == ".stl":
         joined = merge_vertices(_joined(meshes))
         return joined.with_(notes=(*joined.notes, *_lost_of_stl(parts)))
-    return _joined(meshes)
+    joined = _joined(meshes)
+    return joined.with_(notes=(*joined.notes, *_lost_of_off(data)))
+
+
+def _lost_of_off(data: bytes) -> list[str]:
+    """Return what is left out of an OFF file: what stands behind coordinates, or behind a face's corners."""
+    text = data.decode("utf-8", "replace").partition("OFF")[2]
+    rows = [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
+    vertices, faces = int(rows[0][0]), int(rows[0][1])
+    notes = []
+    for called, there in (
+        ("vertices", any(len(row) > 3 for row in rows[1 : 1 + vertices])),
+        ("faces", any(len(row) > int(row[0]) + 1 for row in rows[1 + vertices : 1 + vertices + faces])),
+    ):
+        if there:
+            notes.append(f"numbers behind its {called}, such as colours, are left out")
+    return notes
 
 
 def _lost_of_stl(parts: list[Any]) -> list[str]:

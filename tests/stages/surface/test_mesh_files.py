@@ -290,6 +290,23 @@ def test_what_a_reader_passes_over_is_told(tmp_path):
     )
 
 
+def test_numbers_behind_the_rows_of_an_off_file_are_told(tmp_path):
+    plain = "OFF # one\n\n3 1 0\n0 0 0\n1 0 0 # b\n0 1 0\n3 0 1 2\n"
+    assert _notes_of(tmp_path, "a.off", plain) == ()
+    assert _notes_of(tmp_path, "b.off", plain.replace("1 2\n", "1 2 255 0 0\n")) == (
+        "numbers behind its faces, such as colours, are left out",
+    )
+    assert _notes_of(tmp_path, "c.off", "C" + plain.replace("0 1 0\n", "0 1 0 9 9 9 255\n")) == (
+        "numbers behind its vertices, such as colours, are left out",
+    )
+
+
+def test_off_in_its_binary_form_is_not_called_damaged(tmp_path):
+    (tmp_path / "a.off").write_bytes(b"OFF BINARY\n" + struct.pack(">3i", 0, 0, 0))
+    with pytest.raises(InputError, match=r"a\.off: is OFF in its binary form, which is not read"):
+        read_mesh(tmp_path / "a.off")
+
+
 def test_numbers_beside_the_triangles_of_a_binary_stl_are_told(tmp_path):
     write_mesh(tmp_path / "plain.stl", cube())
     data = bytearray((tmp_path / "plain.stl").read_bytes())
