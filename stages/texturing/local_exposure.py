@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from stages.texturing.alignment import Shifts, shifted
 
-# Thirds of levels to add in the cells of a grid: of ten thousand photos they take 36 megabytes.
+# Thirds of levels to add in the cells of a grid: of ten thousand photos they take 13 megabytes.
 LocalExposure = NDArray[np.int8]
 _PARTS = 3
 
-# Of a photo's width: spread of the smoothing. Wider, borders are seen; narrower, details of one photo go.
-_SMOOTH = 0.03
-_COLUMNS = 40
+# Of a photo's width: spread of the smoothing. With half of it what is out of place is taken for brightness, and
+# photos that are shifted get as blurred as the texture was.
+_SMOOTH = 0.06
+_COLUMNS = 24
 # Levels beyond which a pixel shows something else.
 _ELSE = 40.0
 # What holds the levels to 0 where hardly anything is known: a share of the pixels around.

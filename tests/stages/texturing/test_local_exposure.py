@@ -37,7 +37,7 @@ def test_a_photo_that_is_brighter_here_and_there_is_made_even():
     even = made_even(seen, local_exposure_of(drawn, ALL, seen, STILL))
     before, after = (np.abs(one.astype(int) - drawn).mean() for one in (seen, even))
     assert before > 6
-    assert after < 0.2 * before
+    assert after < 0.25 * before
 
 
 def test_an_even_photo_stays_as_it_is():
@@ -74,7 +74,7 @@ def test_lights_that_move_with_the_camera_leave_no_borders(monkeypatch: pytest.M
     places = [(x, y) for x in (0.3, 0.5, 0.7) for y in (0.3, 0.5, 0.7)]
     frames = [glossy(photo(n, pose(x, y, z=-0.5)), n) for n, (x, y) in enumerate(places)]
     with_it = texture(wall(), frames, format="png")
-    monkeypatch.setattr(painting, "local_exposure_of", lambda *_: np.zeros((30, 40, 3), np.int8))
+    monkeypatch.setattr(painting, "local_exposure_of", lambda *_: np.zeros((18, 24, 3), np.int8))
     without = texture(wall(), frames, format="png", exposure=True)
     assert with_it.uneven > 1
     assert with_it.seams < 0.9 * without.seams
