@@ -8,6 +8,7 @@ if __name__ == "__main__":
     # The imports below take a moment, in which Ctrl-C may come.
     interrupts.leave_at_once()
 
+import functools
 import io
 import mmap
 import os
@@ -209,12 +210,16 @@ def _require_room() -> None:
         raise MemoryError(_ROOM) from error
 
 
+@functools.cache
+def _command() -> Any:
+    """Return what reads the words of every command; made once: it takes as long as a small command does."""
+    return typer.main.get_command(app)
+
+
 def _run(arguments: Sequence[str]) -> int:
     try:
         _require_room()
-        code = typer.main.get_command(app).main(
-            args=list(arguments), prog_name="scanloom", standalone_mode=False
-        )
+        code = _command().main(args=list(arguments), prog_name="scanloom", standalone_mode=False)
         sys.stdout.flush()
     except BrokenPipeError:
         return _without_reader()
