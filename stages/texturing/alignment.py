@@ -61,6 +61,21 @@ def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray
     return np.ascontiguousarray(grid.clip(-most, most), np.float16)
 
 
+def shifted(photo: NDArray[np.uint8], shifts: Shifts) -> NDArray[np.uint8]:
+    """Return a photo (h, w, 3) as it is where the texture says that it is."""
+    import cv2
+
+    height, width = photo.shape[:2]
+    rows, columns = shifts.shape[:2]
+    # The corners of the grid are in the corners of the photo.
+    x = np.broadcast_to(np.linspace(0, columns - 1, width, dtype=np.float32), (height, width))
+    y = np.broadcast_to(np.linspace(0, rows - 1, height, dtype=np.float32)[:, None], (height, width))
+    by = cv2.split(cv2.remap(shifts.astype(np.float32), x, y, cv2.INTER_LINEAR))
+    x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
+    moved = cv2.remap(photo, x + by[0], y + by[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, np.uint8)
+
+
 def _flow(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> NDArray[np.float32]:
     import cv2
 

@@ -15,11 +15,12 @@ from stages.scans.prefetch import read_ahead, workers
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.texture import signed_areas
-from stages.texturing.alignment import Shifts, shifts_of
+from stages.texturing.alignment import shifts_of
 from stages.texturing.exposure import Exposure
+from stages.texturing.local_exposure import local_exposure_of
 from stages.texturing.pages import Pages, Texels, texels_of
 from stages.texturing.photos import Photos
-from stages.texturing.views import DrawnMesh, kernel_camera, see, see_again
+from stages.texturing.views import Correction, DrawnMesh, kernel_camera, see, see_again
 
 Floats = NDArray[np.float64]
 
@@ -81,13 +82,21 @@ class Shown(NamedTuple):
 
 
 class Painter:
-    """Paints all images of a texture, once or again with other shifts."""
+    """Paints all images of a texture, once, or again with photos corrected."""
 
     def __init__(
-        self, mesh: Mesh, drawn: DrawnMesh, normals: Floats, pages: Pages, shown: Shown, kept: int
+        self,
+        mesh: Mesh,
+        drawn: DrawnMesh,
+        normals: Floats,
+        pages: Pages,
+        shown: Shown,
+        kept: int,
+        *,
+        is_made_even: bool,
     ) -> None:
         self._mesh, self._drawn, self._normals, self._pages = mesh, drawn, normals, pages
-        self._shown, self._kept = shown, kept
+        self._shown, self._kept, self._is_made_even = shown, kept, is_made_even
         # What is painted at once can be painted again without looking for the best photos anew.
         self._remembered: _kernels.SurfacePoints | None = None
         # Found once where there is one image; all of many may not fit into memory.
@@ -101,37 +110,42 @@ class Painter:
         )
 
     def paint(
-        self, shifts: Sequence[Shifts] | None, progress: Callable[[], object], *, again: bool = False
+        self, corrections: Sequence[Correction] | None, progress: Callable[[], object], *, again: bool = False
     ) -> Iterator[Painted]:
         """Yield one image after the other; `progress` is called for each photo and part of the texels.
 
         `again` says that all may be painted once more: what that goes quicker by is kept.
         """
         for number in range(len(self._pages.sizes)):
-            yield self._page(number, shifts, progress, again)
+            yield self._page(number, corrections, progress, again)
 
     def forget(self) -> None:
         """Let go what was kept for painting again."""
         self._remembered = None
 
-    def shifts(self, images: Sequence[NDArray[np.uint8]], progress: Callable[[], object]) -> list[Shifts]:
-        """Return by how much each photo is off the texture, which `levels_of` gives."""
+    def corrections(
+        self, images: Sequence[NDArray[np.uint8]], progress: Callable[[], object]
+    ) -> list[Correction]:
+        """Return what brings each photo to the texture, which `levels_of` gives."""
         import cv2
 
         mesh, pages, (photos, exposures, _) = self._mesh, self._pages, self._shown
         surface = _kernels.TexturedSurface(mesh.vertices, mesh.triangles, pages.corners, pages.pages, images)
         near = self._drawn.near
 
-        def off(number: int) -> Shifts:
+        def correction(number: int) -> Correction:
             photo = photos.read(number)
             camera = kernel_camera(photo.camera, photo.camera_from_world)
             drawn, shown = surface.seen_by(camera, near=near)
             shown &= cv2.inRange(drawn, np.ones(3), np.full(3, 255.0)) > 0
-            return shifts_of(drawn, shown, exposures[number].corrected(photo.image))
+            image = exposures[number].corrected(photo.image)
+            shifts = shifts_of(drawn, shown, image)
+            exposure = local_exposure_of(drawn, shown, image, shifts) if self._is_made_even else None
+            return Correction(shifts, exposure)
 
         found = []
-        for shifts in read_ahead(off, range(len(photos)), threads=workers(), ahead=workers() + 1):
-            found.append(shifts)
+        for one in read_ahead(correction, range(len(photos)), threads=workers(), ahead=workers() + 1):
+            found.append(one)
             progress()
         return found
 
@@ -141,7 +155,11 @@ class Painter:
         return texels.parts_of(self._drawn.parts, self._at_once)
 
     def _page(
-        self, number: int, shifts: Sequence[Shifts] | None, progress: Callable[[], object], again: bool
+        self,
+        number: int,
+        corrections: Sequence[Correction] | None,
+        progress: Callable[[], object],
+        again: bool,
     ) -> Painted:
         width, height = self._pages.sizes[number]
         colors = np.zeros((height * width, 3), np.float32)
@@ -150,7 +168,7 @@ class Painter:
         views = np.zeros(height * width, np.uint8)
         for texels in self._texels(number):
             at = texels.pixels
-            colors[at], labels[at], views[at] = self._part(texels, shifts, progress, again)
+            colors[at], labels[at], views[at] = self._part(texels, corrections, progress, again)
             # What nothing is known of takes on the colours around it.
             filled[at] = (labels[at] >= 0) | (self._mesh.colors is not None)
         shape = (height, width)
@@ -161,7 +179,7 @@ class Painter:
     def _part(
         self,
         texels: Texels,
-        shifts: Sequence[Shifts] | None,
+        corrections: Sequence[Correction] | None,
         progress: Callable[[], object],
         again: bool,
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
@@ -169,15 +187,15 @@ class Painter:
         # The last part has left holes.
         give_back()
         points = self._remembered
-        if points is not None and shifts is not None:
-            see_again(points, photos, exposures, shifts, progress)
+        if points is not None and corrections is not None:
+            see_again(points, photos, exposures, corrections, progress)
         else:
             points = _kernels.SurfacePoints(
                 mesh.vertices, self._normals, mesh.triangles, texels.triangles, texels.shares, kept=self._kept
             )
             is_kept = again and self.parts == 1
             numbers = self._shown.showing(np.unique(drawn.parts[texels.triangles]))
-            see(points, drawn, photos, exposures, shifts, progress, numbers=numbers, remember=is_kept)
+            see(points, drawn, photos, exposures, corrections, progress, numbers=numbers, remember=is_kept)
             for _ in range(len(photos) - len(numbers)):
                 progress()
             self._remembered = points if is_kept else None

@@ -3,8 +3,8 @@
 The surface is laid out in images, at about the fineness of the photos. Every texel is looked up in all photos
 that show it: in front, not behind anything, where the frame's own depth agrees, not at the border. The best
 few are remembered, made equally bright, and blended: where they agree in what is blurred their mean, each by
-how well it shows the place. Then each photo is brought to where the texture says it is, by small shifts, and
-the texture is painted again.
+how well it shows the place. Then each photo is brought to what the texture says, in place by small shifts and
+in brightness here and there, and the texture is painted again.
 """
 
 from __future__ import annotations
@@ -32,24 +32,26 @@ from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import require_area
 from stages.surface.vertex_normals import vertex_normals
-from stages.texturing.alignment import Shifts
 from stages.texturing.exposure import Exposures
 from stages.texturing.filling import filled_up
+from stages.texturing.local_exposure import added
 from stages.texturing.pages import Pages, laid_out
 from stages.texturing.painting import Painted, Painter, Shown, levels_of
 from stages.texturing.photos import Photos, photos_of
 from stages.texturing.seams import SeamSums
 from stages.texturing.survey import judged, survey
-from stages.texturing.views import DrawnMesh, drawn_mesh
+from stages.texturing.views import Correction, DrawnMesh, drawn_mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 10
+RESULT_VERSION = 11
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
 _STILL = 0.3 / 640
+# Levels that photos differ by from the texture here and there, in the mean, below which no border is seen.
+_EVEN = 1.0
 # Shares of the surface that no photo shows, and of the photos' levels that they differ by, worth a warning.
 _MUCH_UNSEEN = 0.5
 _MUCH_DIFFERENCE = 20.0
@@ -100,13 +102,14 @@ class TextureParams:
     views: int = param(12, "Photos that are blended at a place, at most.", group=_HOW, low=1, high=16)
     exposure: bool = param(
         True,
-        "Make photos equally bright: a gain and a bias for each channel of each, one vignette for all.",
+        "Make photos equally bright: a gain and a bias for each channel of each, one vignette for all, and "
+        "with `rounds` what is left of differences, here and there.",
         group=_HOW,
     )
     rounds: int = param(
         1,
-        "How often photos are shifted, by a few pixels here and there, to where the others say they are; "
-        "not where they are there already.",
+        "How often photos are brought to what the others say, here and there: shifted by a few pixels, and "
+        "made as bright; not where they agree already.",
         group=_HOW,
         low=0,
         high=10,
@@ -153,6 +156,7 @@ class Textured:
     gains : least and greatest gain of a photo's channel.
     vignette : share of the light that is lost in the corners.
     shift : median over the photos of their mean shift, in thousandths of the photo's width.
+    uneven : median over the photos of the levels that bring them to what the others say, in the mean.
     seams : mean colour difference (CIE 1976) between texels where another photo counts most, over that where
         the same does; None if there are too few.
     labels : of each image (h, w) int32, the photo that counts most, -1 where none shows the surface.
@@ -175,6 +179,7 @@ class Textured:
     gains: tuple[float, float]
     vignette: float
     shift: float
+    uneven: float
     seams: float | None
     labels: tuple[NDArray[np.int32], ...]
     counts: tuple[NDArray[np.uint8], ...]
@@ -201,6 +206,7 @@ class Textured:
             "gain_greatest": self.gains[1],
             "vignette_share": self.vignette,
             "shift_share_of_width": self.shift,
+            "uneven_levels": self.uneven,
             "seam_ratio": self.seams,
             "warnings": list(self.warnings),
         }
@@ -256,32 +262,33 @@ def texture(
     normals = vertex_normals(given)
     drawn = drawn_mesh(given)
     used, exposures, parts, pages, seen = _looked_over(given, drawn, normals, photos, params, far)
-    painter = Painter(given, drawn, normals, pages, Shown(used, exposures.photos, parts), params.views)
+    shown_by = Shown(used, exposures.photos, parts)
+    painter = Painter(given, drawn, normals, pages, shown_by, params.views, is_made_even=params.exposure)
     rounds = params.rounds
     part = 0.7 / (1 + rounds)
     painted: Iterable[Painted] = painter.paint(None, far.photo(0.25 + part, painter.parts), again=rounds > 0)
     finish = partial(_finished, padding=pages.padding, params=params)
-    shift = 0.0
+    shift = uneven = 0.0
     for turn in range(rounds):
         seams = SeamSums()
         images, kept, made = _levels(painted, partial(finish, seams=seams), keep=len(pages.sizes) == 1)
-        shifts = painter.shifts(images, far.photo(0.25 + part * (turn + 1.3)))
+        corrections = painter.corrections(images, far.photo(0.25 + part * (turn + 1.3)))
         del images
-        # The first shifts tell how far off photos are.
-        shift = shift or _typical(shifts, used)
-        if shift < _STILL:
+        # The first ones tell how far off photos are.
+        shift, uneven = shift or _shift(corrections, used), uneven or _unevenness(corrections)
+        if shift < _STILL and uneven < _EVEN:
             painter.forget()
             made = made or [finish(one, seams=seams) for one in kept]
             break
         del kept, made
         done = far.photo(0.25 + part * (turn + 2), painter.parts)
-        painted = painter.paint(shifts, done, again=turn + 1 < rounds)
+        painted = painter.paint(corrections, done, again=turn + 1 < rounds)
     else:
         seams = SeamSums()
         # No name is left for an image while the next one is painted.
         made = list(map(partial(finish, seams=seams), painted))
     progress(1000, 1000)
-    found = _Found(used, exposures, seen, shift, seams.ratio())
+    found = _Found(used, exposures, seen, shift, uneven, seams.ratio())
     return _result(given, found, pages, made)
 
 
@@ -293,6 +300,7 @@ class _Found:
     exposures: Exposures
     seen: float
     shift: float
+    uneven: float
     seams: float | None
 
 
@@ -325,10 +333,15 @@ class _Far:
         self._progress(round(1000 * self._done), 1000)
 
 
-def _typical(shifts: Sequence[Shifts], photos: Photos) -> float:
+def _shift(corrections: Sequence[Correction], photos: Photos) -> float:
     widths = np.array([camera.width for camera in photos.cameras])
-    means = [np.linalg.norm(one.astype(np.float32), axis=2).mean() for one in shifts]
+    means = [np.linalg.norm(one.shifts.astype(np.float32), axis=2).mean() for one in corrections]
     return float(np.median(np.array(means) / widths))
+
+
+def _unevenness(corrections: Sequence[Correction]) -> float:
+    means = [np.abs(added(one.exposure)).mean() for one in corrections if one.exposure is not None]
+    return float(np.median(means)) if means else 0.0
 
 
 def _looked_over(
@@ -434,6 +447,7 @@ def _result(mesh: Mesh, found: _Found, pages: Pages, images: Sequence[_Image]) -
         gains=(float(gains.min()), float(gains.max())),
         vignette=1 - v[0] * (1 + v[1] + v[2]),
         shift=found.shift,
+        uneven=found.uneven,
         seams=found.seams,
         labels=tuple(one.labels for one in images),
         counts=tuple(one.views for one in images),

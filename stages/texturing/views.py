@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from stages.scans.scan import Camera, ColorImage, Frame, Pose, pinhole, scaled
 from stages.surface.mesh import Mesh
 from stages.texturing.alignment import Shifts
 from stages.texturing.exposure import Exposure
+from stages.texturing.local_exposure import LocalExposure, made_even
 from stages.texturing.photos import Photo, Photos
 
 # Of a kernel's call: focal lengths, centre and size, and the pose.
@@ -40,6 +41,13 @@ def kernel_camera(camera: Camera, camera_from_world: Pose) -> KernelCamera:
     """Return a camera as the kernels take it."""
     values = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
     return values, np.ascontiguousarray(camera_from_world, np.float64)
+
+
+class Correction(NamedTuple):
+    """What brings a photo to what the others say, in place and in brightness."""
+
+    shifts: Shifts
+    exposure: LocalExposure | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +82,7 @@ def see(
     mesh: DrawnMesh,
     photos: Photos,
     exposures: Sequence[Exposure],
-    shifts: Sequence[Shifts] | None,
+    corrections: Sequence[Correction] | None,
     progress: Callable[[], object],
     *,
     numbers: Sequence[int] | None = None,
@@ -84,7 +92,7 @@ def see(
 
     Parameters
     ----------
-    exposures, shifts : of each photo; see `stages.texturing.exposure` and `alignment`.
+    exposures, corrections : of each photo; see `stages.texturing.exposure`, `alignment` and `local_exposure`.
     progress : called after each photo.
     numbers : the photos to look with, in this order; all by default.
     remember : for `see_again`.
@@ -99,7 +107,7 @@ def see(
 
     def prepared(number: int) -> _kernels.View:
         photo = photos.read(number)
-        colors = _colors(photo, exposures[number], None if shifts is None else shifts[number])
+        colors = _colors(photo, exposures[number], None if corrections is None else corrections[number])
         return _view(photo, colors, mesh, worth=float(photos.worths[number]), flattest=flattest)
 
     shown = []
@@ -114,20 +122,20 @@ def see_again(
     points: _kernels.SurfacePoints,
     photos: Photos,
     exposures: Sequence[Exposure],
-    shifts: Sequence[Shifts],
+    corrections: Sequence[Correction],
     progress: Callable[[], object],
 ) -> None:
-    """Take the colours of points anew, of photos that were shifted; which are best stays as `see` found it.
+    """Take the colours of points anew, of photos that were corrected; which are best stays as `see` found it.
 
     It was to remember what it saw.
 
     Parameters
     ----------
-    photos, exposures, shifts, progress : as of `see`.
+    photos, exposures, corrections, progress : as of `see`.
     """
 
     def prepared(number: int) -> _kernels.Photo:
-        return _colors(photos.read(number), exposures[number], shifts[number])
+        return _colors(photos.read(number), exposures[number], corrections[number])
 
     numbers = range(len(photos))
     for number, photo in zip(numbers, _each(prepared, numbers), strict=True):
@@ -139,10 +147,13 @@ def _each(prepared: Callable[[int], T], numbers: Sequence[int]) -> Iterator[T]:
     return read_ahead(prepared, numbers, threads=workers(), ahead=workers() + 1)
 
 
-def _colors(photo: Photo, exposure: Exposure, shifts: Shifts | None) -> _kernels.Photo:
+def _colors(photo: Photo, exposure: Exposure, correction: Correction | None) -> _kernels.Photo:
     image = exposure.corrected(photo.image)
     camera = kernel_camera(photo.camera, photo.camera_from_world)
-    warp = None if shifts is None else shifts.astype(np.float32)
+    warp = None
+    if correction is not None:
+        warp = correction.shifts.astype(np.float32)
+        image = image if correction.exposure is None else made_even(image, correction.exposure)
     return _kernels.Photo(camera, image, _blurred(image, photo.seen), warp=warp)
 
 

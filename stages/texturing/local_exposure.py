@@ -1,0 +1,77 @@
+"""How bright a photo is here and there, beside what the others say.
+
+Gloss, shadows of whoever holds the camera and what cameras make of a picture beyond one gain and bias differ
+from photo to photo. Where one more of them counts, or one fewer, a border would be seen. The mesh with the
+texture so far is drawn from each camera; what the photo differs by, smoothed, is added to it. So borders
+fade over what photos show together, and never across what no photo shows. Where a photo differs by much, it
+shows something else, which says nothing of its brightness.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.texturing.alignment import Shifts, shifted
+
+# Thirds of levels to add in the cells of a grid: of ten thousand photos they take 36 megabytes.
+LocalExposure = NDArray[np.int8]
+_PARTS = 3
+
+# Of a photo's width: spread of the smoothing. Wider, borders are seen; narrower, details of one photo go.
+_SMOOTH = 0.03
+_COLUMNS = 40
+# Levels beyond which a pixel shows something else.
+_ELSE = 40.0
+# What holds the levels to 0 where hardly anything is known: a share of the pixels around.
+_PRIOR = 0.05
+# Levels of photos that are cut off say little.
+_DARK, _BRIGHT, _CUT_OFF = 4, 250, 0.1
+# Differences are looked at in images that are smaller by this.
+_SHARE = 4
+
+
+def local_exposure_of(
+    drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray[np.uint8], shifts: Shifts
+) -> LocalExposure:
+    """Return what is to be added to a photo, (rows, columns, 3) in the cells of a grid.
+
+    Parameters
+    ----------
+    drawn : (h, w, 3) uint8, the textured mesh from the photo's camera.
+    shown : (h, w), where it shows the mesh.
+    photo : (h, w, 3) uint8.
+    shifts : of the photo; see `stages.texturing.alignment`.
+    """
+    import cv2
+
+    height, width = shown.shape
+    moved = shifted(photo, shifts)
+    apart = cv2.absdiff(drawn, moved).max(axis=2)
+    sound = np.maximum(1 - (np.arange(256, dtype=np.float32) / _ELSE) ** 2, 0) ** 2
+    weight = np.where(shown, sound[apart], np.float32(0))
+    weight[(moved.max(axis=2) > _BRIGHT) | (moved.min(axis=2) < _DARK)] *= np.float32(_CUT_OFF)
+    size = (max(round(width / _SHARE), 2), max(round(height / _SHARE), 2))
+    difference = cv2.subtract(drawn, moved, dtype=cv2.CV_32F)
+    weighed = cv2.multiply(difference, cv2.merge([weight] * 3))
+    sums, total = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (weighed, weight))
+    spread = _SMOOTH * size[0]
+    total = cv2.GaussianBlur(total, (0, 0), spread) + np.float32(_PRIOR)
+    levels = cv2.GaussianBlur(sums, (0, 0), spread) / total[..., None]
+    rows = max(round(_COLUMNS * height / width), 2)
+    parts = _PARTS * cv2.resize(levels, (_COLUMNS, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(np.rint(parts), np.int8)
+
+
+def added(exposure: LocalExposure) -> NDArray[np.float32]:
+    """Return the levels to add, (rows, columns, 3)."""
+    return np.asarray(exposure / np.float32(_PARTS), np.float32)
+
+
+def made_even(photo: NDArray[np.uint8], exposure: LocalExposure) -> NDArray[np.uint8]:
+    """Return a photo (h, w, 3) with what is to be added."""
+    import cv2
+
+    height, width = photo.shape[:2]
+    levels = cv2.resize(added(exposure), (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.add(photo, levels, dtype=cv2.CV_8U), np.uint8)

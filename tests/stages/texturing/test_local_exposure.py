@@ -1,0 +1,80 @@
+"""Photos that differ in brightness here and there are brought to what the others say, and nothing else is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed import CAMERA, photo, pose, wall
+
+from stages.scans.scan import Frame
+from stages.texturing import painting
+from stages.texturing.local_exposure import added, local_exposure_of, made_even
+from stages.texturing.texture import texture
+
+HEIGHT, WIDTH = CAMERA.height, CAMERA.width
+STILL = np.zeros((61, 81, 2), np.float16)
+ALL = np.ones((HEIGHT, WIDTH), bool)
+
+
+def picture() -> np.ndarray:
+    return np.array(photo(0, pose(0.5, 0.5, z=-0.4)).color)
+
+
+def glossy(frame: Frame, number: int) -> Frame:
+    """The frame with a light that is reflected somewhere else in each photo."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    x, y = WIDTH * ((0.37 * number) % 1), HEIGHT * ((0.61 * number) % 1)
+    light = 30 * np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * 30**2))
+    image = np.rint(np.array(frame.color) + light[..., None]).clip(0, 250)
+    return replace(frame, color=np.where(np.array(frame.color) > 0, image, 0).astype(np.uint8))
+
+
+def test_a_photo_that_is_brighter_here_and_there_is_made_even():
+    drawn = picture()
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    brighter = 20 * np.sin(u / WIDTH * 2 * np.pi) * np.cos(v / HEIGHT * np.pi)
+    seen = np.rint(drawn + brighter[..., None]).clip(0, 255).astype(np.uint8)
+    even = made_even(seen, local_exposure_of(drawn, ALL, seen, STILL))
+    before, after = (np.abs(one.astype(int) - drawn).mean() for one in (seen, even))
+    assert before > 6
+    assert after < 0.2 * before
+
+
+def test_an_even_photo_stays_as_it_is():
+    drawn = picture()
+    exposure = local_exposure_of(drawn, ALL, drawn, STILL)
+    assert not exposure.any()
+    assert np.array_equal(made_even(drawn, exposure), drawn)
+
+
+def test_what_is_something_else_or_is_not_seen_says_nothing_of_brightness():
+    drawn = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
+    seen = drawn.copy()
+    seen[40:80, 60:100] = (220, 30, 180)
+    assert not local_exposure_of(drawn, ALL, seen, STILL).any()
+    # The same patch in a colour nearer to what is there would count, but for what the mesh does not show.
+    seen[40:80, 60:100] = 120
+    assert np.abs(added(local_exposure_of(drawn, ALL, seen, STILL))).max() > 10
+    without = ALL.copy()
+    without[40:80, 60:100] = False
+    assert not local_exposure_of(drawn, without, seen, STILL).any()
+
+
+def test_details_of_a_photo_stay():
+    drawn = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
+    seen = drawn.copy()
+    seen[:, ::2] += 16
+    seen[:, 1::2] -= 16
+    even = made_even(seen, local_exposure_of(drawn, ALL, seen, STILL))
+    assert np.abs(even.astype(int) - seen).max() <= 1
+
+
+def test_lights_that_move_with_the_camera_leave_no_borders(monkeypatch: pytest.MonkeyPatch):
+    # Few photos, each of a part of the wall: their borders are all over it.
+    places = [(x, y) for x in (0.3, 0.5, 0.7) for y in (0.3, 0.5, 0.7)]
+    frames = [glossy(photo(n, pose(x, y, z=-0.5)), n) for n, (x, y) in enumerate(places)]
+    with_it = texture(wall(), frames, format="png")
+    monkeypatch.setattr(painting, "local_exposure_of", lambda *_: np.zeros((30, 40, 3), np.int8))
+    without = texture(wall(), frames, format="png", exposure=True)
+    assert with_it.uneven > 1
+    assert with_it.seams < 0.9 * without.seams
