@@ -30,7 +30,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave all that is there by now, thousands of tests and their modules, out of every search for garbage."""
+    """Leave all that is there by now, thousands of tests and modules, out of every search for garbage."""
     gc.freeze()
 
 
