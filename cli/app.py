@@ -8,6 +8,7 @@ if __name__ == "__main__":
     # The imports below take a moment, in which Ctrl-C may come.
     interrupts.leave_at_once()
 
+import functools
 import io
 import mmap
 import os
@@ -16,43 +17,12 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 
 from cli import errors, exit_codes
-from cli.commands import (
-    adjust,
-    bake,
-    batch,
-    cache,
-    certify,
-    check,
-    clean,
-    compare,
-    config,
-    coverage,
-    decode,
-    depth,
-    doctor,
-    export,
-    fuse,
-    inspect,
-    lod,
-    lod_tiles,
-    patches,
-    probe,
-    register,
-    remesh,
-    render,
-    replay,
-    run,
-    simplify,
-    texture,
-    tradeoff,
-    view,
-    worker,
-)
 from cli.one_line import one_line
 from cli.options import with_options
 from cli.output import to_json, with_schema
@@ -60,51 +30,62 @@ from stages import __version__
 from stages.errors import ScanloomError, is_lack_of_memory
 from stages.params import RenamedWarning
 
-# What the help lists under each heading, in this order; a command has the name of its function.
-COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "From scan to mesh": (inspect.inspect, run.run, batch.batch, worker.worker, config.config),
+# What the help lists under each heading, in this order. Each is a function in the file of its name in
+# cli/commands/, imported when it is meant: all of them take twice as long as one.
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "From scan to mesh": ("inspect", "run", "batch", "worker", "config"),
     "One stage at a time": (
-        depth.depth,
-        register.register,
-        adjust.adjust,
-        fuse.fuse,
-        clean.clean,
-        simplify.simplify,
-        replay.replay,
-        texture.texture,
-        bake.bake,
-        remesh.remesh,
-        decode.decode,
-        export.export,
+        "depth",
+        "register",
+        "adjust",
+        "fuse",
+        "clean",
+        "simplify",
+        "replay",
+        "texture",
+        "bake",
+        "remesh",
+        "decode",
+        "export",
     ),
     "Look and measure": (
-        check.check,
-        patches.patches,
-        compare.compare,
-        tradeoff.tradeoff,
-        certify.certify,
-        coverage.coverage,
-        render.render,
-        view.view,
-        probe.probe,
-        doctor.doctor,
+        "check",
+        "patches",
+        "compare",
+        "tradeoff",
+        "certify",
+        "coverage",
+        "render",
+        "view",
+        "probe",
+        "doctor",
     ),
 }
 
 
-def _app() -> typer.Typer:
+@functools.cache
+def app(only: str = "") -> typer.Typer:
+    """Return the program with all its commands, or with one of those above alone."""
     made = typer.Typer(
         name="scanloom",
         rich_markup_mode="rich",
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    for panel, commands in COMMANDS.items():
-        for command in commands:
-            made.command(command.__name__, rich_help_panel=panel)(with_options(command))
+    made.callback(invoke_without_command=True, help=_HELP)(scanloom)
+    for panel, names in COMMANDS.items():
+        for name in names:
+            if only in ("", name):
+                made.command(name, rich_help_panel=panel)(with_options(_function(name, name)))
+    if not only:
+        _add_groups(made)
+    return made
+
+
+def _add_groups(made: typer.Typer) -> None:
     kept = typer.Typer(rich_markup_mode="rich")
-    for command in (cache.ls, cache.verify, cache.prune):
-        kept.command(command.__name__)(with_options(command, can_warn=False))
+    for name in ("ls", "verify", "prune"):
+        kept.command(name)(with_options(_function("cache", name), can_warn=False))
     made.add_typer(
         kept,
         name="cache",
@@ -112,13 +93,20 @@ def _app() -> typer.Typer:
         rich_help_panel="From scan to mesh",
     )
     levels = typer.Typer(rich_markup_mode="rich")
-    for command in (lod.build, lod.info, lod.cut, lod_tiles.tiles):
-        levels.command(command.__name__)(with_options(command))
+    for file, name in (("lod", "build"), ("lod", "info"), ("lod", "cut"), ("lod_tiles", "tiles")):
+        levels.command(name)(with_options(_function(file, name)))
     made.add_typer(levels, name="lod", help="Levels of detail.", rich_help_panel="One stage at a time")
-    return made
 
 
-app = _app()
+def _function(file: str, name: str) -> Callable[..., None]:
+    function: Callable[..., None] = getattr(import_module(f"cli.commands.{file}"), name)
+    return function
+
+
+def _meant(arguments: Sequence[str]) -> str:
+    """Return the one command that words are for; nothing if they begin with anything else."""
+    first = arguments[0] if arguments else ""
+    return first if any(first in names for names in COMMANDS.values()) else ""
 
 
 def _print_version(wanted: bool) -> None:
@@ -140,7 +128,6 @@ Exit codes: {exit_codes.in_short()}.
 """
 
 
-@app.callback(invoke_without_command=True, help=_HELP)
 def scanloom(
     context: typer.Context,
     debug: Annotated[  # noqa: ARG001 - read from the command line where failures are caught
@@ -165,6 +152,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         is_piped_on_windows = sys.platform == "win32" and not sys.stdout.isatty()
         sys.stdout.reconfigure(encoding="utf-8" if is_piped_on_windows else None, errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else arguments
+    # What they are for takes a moment to import, too.
+    app(_meant(words))
     try:
         interrupts.raise_interrupt()
         code = run_command(words)
@@ -209,12 +198,17 @@ def _require_room() -> None:
         raise MemoryError(_ROOM) from error
 
 
+@functools.cache
+def _reader(only: str) -> Any:
+    """Return what reads the words of all commands or of one; made once, as that takes a while."""
+    return typer.main.get_command(app(only))
+
+
 def _run(arguments: Sequence[str]) -> int:
     try:
         _require_room()
-        code = typer.main.get_command(app).main(
-            args=list(arguments), prog_name="scanloom", standalone_mode=False
-        )
+        reader = _reader(_meant(arguments))
+        code = reader.main(args=list(arguments), prog_name="scanloom", standalone_mode=False)
         sys.stdout.flush()
     except BrokenPipeError:
         return _without_reader()

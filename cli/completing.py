@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
-from typing import Any, get_type_hints
+from typing import Any
 
 # Of a text beside a word: where it were wrapped, shells would take its second line for another word.
 _LONGEST = 70
@@ -26,7 +26,7 @@ def settings(incomplete: str) -> list[tuple[str, str]]:
     That is a section; then its parameters; then values: all there are, or else the default.
     """
     from pipeline.config import Config
-    from stages.params import described
+    from stages.params import described, hints_of
 
     section, dot, key = incomplete.partition(".")
     types = Config.types()
@@ -46,7 +46,7 @@ def settings(incomplete: str) -> list[tuple[str, str]]:
         found.append((word, text))
         # One alone would be taken as it is, with a space behind.
         if len(near) == 1 or name == key:
-            values = about.choices or _values(get_type_hints(cls)[name], getattr(usual, name))
+            values = about.choices or _values(hints_of(cls)[name], getattr(usual, name))
             found += [(word + value, text) for value in values]
     return found
 

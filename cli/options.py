@@ -21,7 +21,7 @@ import typer
 
 from cli.output import Output
 from stages.errors import UsageError
-from stages.params import Described, described, kinds_of, renamed, row_length
+from stages.params import Described, described, hints_of, kinds_of, renamed, row_length
 
 OUTPUT_PANEL = "Output"
 P = TypeVar("P")
@@ -182,7 +182,7 @@ def _bounds(about: Described) -> str:
 
 
 def _options(cls: type) -> list[inspect.Parameter]:
-    hints = get_type_hints(cls)
+    hints = hints_of(cls)
     panel = cls.__name__.removesuffix("Params")
     return [
         _keyword(name, _option(name, about, hints[own], default_of(cls, own), panel, hidden=name != own))

@@ -13,12 +13,12 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_args
 
 from stages.errors import UsageError
 from stages.files.documents import parse_toml
 from stages.files.opening import text_in
-from stages.params import Described, described, kinds_of, renamed, row_length
+from stages.params import Described, described, hints_of, kinds_of, renamed, row_length
 
 _MAX_BYTES = 1 << 22
 S = TypeVar("S", bound="Sections")
@@ -51,7 +51,7 @@ class Sections:
     @classmethod
     def types(cls) -> dict[str, type]:
         """Parameter class of every section, in order."""
-        hints = get_type_hints(cls)
+        hints = hints_of(cls)
         return {f.name: hints[f.name] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
@@ -131,7 +131,7 @@ class Sections:
             For a value that JSON cannot express, infinity.
         """
         params = getattr(self, section)
-        hints = get_type_hints(type(params))
+        hints = hints_of(type(params))
         values = {}
         for name, about in described(type(params)).items():
             if about.invalidates:
@@ -149,7 +149,7 @@ class Sections:
         known = described(cls)
         if key not in known:
             raise UsageError(f"{where}: {section} has no parameter {key!r}; {_did_you_mean(key, known)}")
-        return get_type_hints(cls)[key]
+        return hints_of(cls)[key]
 
     def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
         values = renamed(self.types()[section], values, lambda name: f"{section}.{name}")
@@ -228,7 +228,7 @@ def _canonical_value(value: Any, hint: Any, where: str) -> Any:
 def _section_toml(name: str, params: Any) -> str:
     summary = (type(params).__doc__ or "").strip().split("\n")[0]
     lines = [f"[{name}]", *_comment(summary)]
-    hints = get_type_hints(type(params))
+    hints = hints_of(type(params))
     for key, about in described(type(params)).items():
         default = next(f.default for f in dataclasses.fields(params) if f.name == key)
         lines += ["", *_comment(about.text), *_comment(facts_of(about, default, hints[key]))]

@@ -10,7 +10,8 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import wraps
+from functools import cache, wraps
+from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
 from stages.errors import UsageError
@@ -75,6 +76,17 @@ def described(cls: type) -> dict[str, Described]:
     return {f.name: f.metadata["param"] for f in fields(cls) if "param" in f.metadata}
 
 
+def hints_of(cls: Any) -> Mapping[str, Any]:
+    """Return the type hints of a class; to work them out takes a millisecond, and they never change."""
+    return _hints_of(cls)
+
+
+# Of Any: mypy takes no `type[Any]` for hashable.
+@cache
+def _hints_of(cls: Any) -> Mapping[str, Any]:
+    return MappingProxyType(get_type_hints(cls))
+
+
 def kinds_of(hint: Any) -> tuple[Any, ...]:
     """Return the types that a value of a field may have, without None; a row of numbers is one type."""
     if get_origin(hint) is tuple:
@@ -93,19 +105,35 @@ def check(params: Any) -> None:
 
     Rows of numbers may be given as any sequence, and are kept as tuples.
     """
-    hints = get_type_hints(type(params))
-    for name, about in described(type(params)).items():
+    cls: Any = type(params)
+    for name, about, kinds, length, may_be_none in _checked(cls):
         value = getattr(params, name)
-        if value is None and type(None) in getattr(hints[name], "__args__", ()):
+        if value is None and may_be_none:
             continue
-        if row_length(hints[name]):
-            object.__setattr__(params, name, _row(name, value, row_length(hints[name])))
+        if length:
+            object.__setattr__(params, name, _row(name, value, length))
             continue
-        _check_type(name, value, hints[name])
+        _check_type(name, value, kinds)
         if about.choices and value not in about.choices:
             raise UsageError(f"{name} is {value!r}; it must be one of {', '.join(about.choices)}.")
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             _check_range(name, value, about)
+
+
+@cache
+def _checked(cls: Any) -> tuple[tuple[str, Described, tuple[Any, ...], int, bool], ...]:
+    """Return of each parameter its name, what it says, its types, its row's length, and if it may be None."""
+    hints = hints_of(cls)
+    return tuple(
+        (
+            name,
+            about,
+            kinds_of(hints[name]),
+            row_length(hints[name]),
+            type(None) in getattr(hints[name], "__args__", ()),
+        )
+        for name, about in described(cls).items()
+    )
 
 
 def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
@@ -119,8 +147,7 @@ def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
     return row
 
 
-def _check_type(name: str, value: Any, hint: Any) -> None:
-    kinds = kinds_of(hint)
+def _check_type(name: str, value: Any, kinds: tuple[Any, ...]) -> None:
     if float in kinds:
         kinds = (*kinds, int)
     if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):

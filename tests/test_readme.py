@@ -46,7 +46,7 @@ def test_every_command_it_names_exists():
 
     from cli.app import app
 
-    known = set(get_command(app).commands)  # type: ignore[attr-defined]
+    known = set(get_command(app()).commands)  # type: ignore[attr-defined]
     named = set(re.findall(r"(?:^|`)scanloom ([a-z]+)", MANUAL, flags=re.MULTILINE))
     assert named
     assert named <= known

@@ -106,7 +106,7 @@ def test_the_snakefile_calls_run_with_words_it_understands() -> None:
     rule = (RECIPES / "Snakefile").read_text().partition("shell:")[2]
     command = "".join(re.findall(r'"([^"]*)"', rule)).partition("scanloom run ")[2].partition("2>")[0]
     words = re.sub(r"\{resources\.\w+\}", "4000", re.sub(r"\{WORDS\}", "--quality draft", command)).split()
-    context = get_command(app).commands["run"].make_context("run", list(words))  # type: ignore[attr-defined]
+    context = get_command(app()).commands["run"].make_context("run", list(words))  # type: ignore[attr-defined]
     assert context.params["memory"] == "4000"
     assert context.params["cache"] is not None
     assert "--cache" in words

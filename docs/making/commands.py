@@ -20,7 +20,7 @@ def reference() -> str:
 
 def named() -> Iterator[tuple[str, Any]]:
     """Return every command that does something, with the words that call it: `lod tiles`."""
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+    for name, command in get_command(app()).commands.items():  # type: ignore[attr-defined]
         if hasattr(command, "commands"):
             for own, below in command.commands.items():
                 yield f"{name} {own}", below

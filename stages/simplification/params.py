@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields, make_dataclass
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args
 
 from stages.errors import UsageError
-from stages.params import check, described, param, with_former_names
+from stages.params import check, described, hints_of, param, with_former_names
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.shared_params import HOW_FAR
 
@@ -83,7 +83,7 @@ def _of_methods() -> list[tuple[str, Any, Any]]:
 
 def _flat_field(name: str, methods: Sequence[Method[Any, Any]]) -> tuple[str, Any, Any]:
     about = [described(method.params)[name] for method in methods]
-    kinds = [get_type_hints(method.params)[name] for method in methods]
+    kinds = [hints_of(method.params)[name] for method in methods]
     traits = [{trait: getattr(one, trait) for trait in _COMMON_TRAITS} for one in about]
     if any(_with_none(kind) != _with_none(kinds[0]) for kind in kinds) or traits[1:] != traits[:-1]:
         raise TypeError(f"{name} differs between {', '.join(method.name for method in methods)}")

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.campaign.campaign import KINDS, Campaign, Counts, hold
 from tests.campaign.verdict import ACCEPTED, FAILED, REFUSED, SKIPPED
 
 
-def main() -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run the campaign, or one of its failures again; return 1 where there are failures."""
-    chosen = _arguments()
+    chosen = _arguments(words)
     if chosen.again is not None:
         with Campaign(chosen.failures) as campaign:
             verdict = campaign.again(chosen.again)
@@ -41,7 +42,7 @@ def table(counts: Counts) -> str:
     return "\n".join(f"{row[0]:10}" + "".join(f"{cell:>10}" for cell in row[1:]) for row in rows)
 
 
-def _arguments() -> argparse.Namespace:
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.campaign", description=__doc__)
     parser.add_argument("--minutes", type=float, default=2.0, help="how long it goes on (default: 2)")
     parser.add_argument("--cases", type=int, help="so many of each kind instead, however long they take")
@@ -51,7 +52,7 @@ def _arguments() -> argparse.Namespace:
         "--failures", type=Path, default=Path("campaign-failures"), help="folder in which failures are kept"
     )
     parser.add_argument("--again", type=Path, metavar="FILE", help="repeat a failure that was kept")
-    return parser.parse_args()
+    return parser.parse_args(words)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,8 @@ import os
 import random
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +18,38 @@ ROOT = Path(__file__).resolve().parents[2]
 _PATHS = os.pathsep.join((str(ROOT), str(ROOT / "tests" / "made")))
 
 
-def campaign(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "tests.campaign", "--failures", folder, *words]
-    return subprocess.run(
-        [str(word) for word in command],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": _PATHS},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+@dataclass(frozen=True)
+class Ended:
+    """How the command of the campaign ended."""
+
+    returncode: int
+    stdout: str
 
 
-def counts(ended: subprocess.CompletedProcess[str], kind: str) -> list[int]:
+@pytest.fixture
+def campaign(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """Return the command of the campaign, which runs here; its cases have processes of their own."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", _PATHS)
+    monkeypatch.chdir(ROOT)
+    from tests.campaign.__main__ import main
+
+    def run(*words: object) -> Ended:
+        code = main([str(word) for word in words])
+        return Ended(code, capsys.readouterr().out)
+
+    return run
+
+
+def by_itself(*words: object) -> Ended:
+    """Run the command of the campaign as people do."""
+    command = [sys.executable, "-m", "tests.campaign", *map(str, words)]
+    env = {**os.environ, "PYTHONPATH": _PATHS}
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
+    return Ended(done.returncode, done.stdout + done.stderr)
+
+
+def counts(ended: Ended, kind: str) -> list[int]:
     """Cases, accepted, refused, skipped and failed of a kind, from the table."""
     (line,) = [line for line in ended.stdout.splitlines() if line.startswith(kind) and ":" not in line]
     return [int(word) for word in line.split()[1:]]
@@ -36,9 +57,12 @@ def counts(ended: subprocess.CompletedProcess[str], kind: str) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "cases"), [("readers", 400), ("runs", 2), ("kernels", 24), ("fusion", 24)])
-def test_some_cases_of_each_kind_end_well(tmp_path: Path, kind: str, cases: int) -> None:
-    ended = campaign(tmp_path, "--only", kind, "--cases", cases, "--seed", 2)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
+def test_some_cases_of_each_kind_end_well(
+    campaign: Callable[..., Ended], tmp_path: Path, kind: str, cases: int
+) -> None:
+    run = by_itself if kind == "runs" else campaign
+    ended = run("--failures", tmp_path, "--only", kind, "--cases", cases, "--seed", 2)
+    assert ended.returncode == 0, ended.stdout
     held, accepted, refused, skipped, failed = counts(ended, kind)
     assert held == cases
     assert accepted + refused + skipped == held
@@ -58,23 +82,24 @@ def test_some_cases_of_each_kind_end_well(tmp_path: Path, kind: str, cases: int)
         ("sys.exit(5)", "SystemExit: 5"),
     ],
 )
-def test_a_failure_of_any_kind_is_told_kept_and_repeated(tmp_path: Path, wrong: str, said: str) -> None:
+def test_a_failure_of_any_kind_is_told_kept_and_repeated(
+    campaign: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, wrong: str, said: str
+) -> None:
     # What Python runs at its start stands in for a reader's own fault.
     (tmp_path / "sitecustomize.py").write_text(
         f"import os, sys\nimport stages.surface.mesh_files as files\ndef fault(path):\n    {wrong}\n"
         "files.read_mesh = fault\n"
     )
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), _PATHS))}
-    words = [sys.executable, "-m", "tests.campaign", "--failures", str(tmp_path / "kept")]
-    run = {"cwd": ROOT, "env": env, "capture_output": True, "text": True, "check": False}
-    ended = subprocess.run([*words, "--only", "readers", "--cases", "8"], **run)
-    assert ended.returncode == 1, ended.stderr
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(tmp_path), _PATHS)))
+    words = ["--failures", tmp_path / "kept"]
+    ended = campaign(*words, "--only", "readers", "--cases", 8)
+    assert ended.returncode == 1, ended.stdout
     kept = sorted((tmp_path / "kept").iterdir())
     assert len(kept) == counts(ended, "readers")[-1] > 0
     assert kept[0].name in ended.stdout
 
-    again = subprocess.run([*words, "--again", str(kept[0])], **run)
-    assert again.returncode == 1, again.stderr
+    again = campaign(*words, "--again", kept[0])
+    assert again.returncode == 1, again.stdout
     assert said in again.stdout
 
 

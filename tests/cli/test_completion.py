@@ -41,7 +41,7 @@ def offered(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 
 def test_commands_and_options(offered: Offered) -> None:
-    commands = [command.__name__ for of_panel in COMMANDS.values() for command in of_panel]
+    commands = [name for of_panel in COMMANDS.values() for name in of_panel]
     assert set(offered("scanloom ")) == {*commands, "cache", "lod"}
     assert offered("scanloom si") == ["simplify"]
     assert offered("scanloom lod ") == ["build", "info", "cut", "tiles"]

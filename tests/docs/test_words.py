@@ -34,7 +34,7 @@ def lines_of(page: str) -> list[str]:
 def test_every_command_line_of_a_page_is_understood(page: str):
     for line in lines_of(page):
         _, *words = shlex.split(line)
-        command = get_command(app)
+        command = get_command(app())
         while hasattr(command, "commands"):
             name, *words = words
             assert name in command.commands, line

@@ -139,15 +139,15 @@ def test_views_of_other_layouts_have_the_same_depth(
 
 def test_the_commands_know_views(folder: Path, tmp_path: Path) -> None:
     runner = CliRunner()
-    found = json.loads(runner.invoke(app, ["inspect", str(folder), "--json"]).stdout)
+    found = json.loads(runner.invoke(app(), ["inspect", str(folder), "--json"]).stdout)
     assert (found["kind"], found["layout"], found["depth_scale_per_m"]) == ("views", "middlebury-mview", None)
     assert found["warnings"] == []
 
-    refused = runner.invoke(app, ["fuse", str(folder), str(tmp_path / "fused.ply")])
+    refused = runner.invoke(app(), ["fuse", str(folder), str(tmp_path / "fused.ply")])
     assert refused.exit_code != 0
     assert "single views without depth" in str(refused.exception) + refused.output
 
-    done = runner.invoke(app, ["depth", str(folder), str(tmp_path / "depth"), "--json"])
+    done = runner.invoke(app(), ["depth", str(folder), str(tmp_path / "depth"), "--json"])
     assert done.exit_code == 0, done.output
     depth = read_scan(tmp_path / "depth")
     assert len(depth.frames) == 7

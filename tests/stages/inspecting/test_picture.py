@@ -63,6 +63,6 @@ def test_the_command_writes_it(tmp_path: Path) -> None:
     from cli.app import app
 
     sample = Path(__file__).parents[3] / "samples" / "rgbd"
-    ran = CliRunner().invoke(app, ["inspect", str(sample), "--picture", str(tmp_path / "sample.png")])
+    ran = CliRunner().invoke(app(), ["inspect", str(sample), "--picture", str(tmp_path / "sample.png")])
     assert ran.exit_code == 0
     assert (tmp_path / "sample.png").read_bytes().startswith(b"\x89PNG")
