@@ -18,8 +18,8 @@ from stages.texturing.alignment import Shifts, shifted
 LocalExposure = NDArray[np.int8]
 _PARTS = 3
 
-# Of a photo's width: spread of the smoothing. With half of it what is out of place is taken for brightness, and
-# photos that are shifted get as blurred as the texture was.
+# Of a photo's width: spread of the smoothing. With half of it what is out of place is taken for brightness,
+# and photos that are shifted get as blurred as the texture was.
 _SMOOTH = 0.06
 _COLUMNS = 24
 # Levels beyond which a pixel shows something else.
