@@ -30,6 +30,8 @@ Point = tuple[float, float, float]
 _FACE = np.dtype([("length", "u1"), ("corners", "<i4", (3,))])
 # Triangles; of more, a mesh is worked on in pieces. To simplify so many at once takes about 2 GB.
 MOST_AT_ONCE = 5_000_000
+# Vertices that are read at a time where few of all are wanted.
+_READ_AT_ONCE = 1_000_000
 
 
 def is_many(triangles: int) -> bool:
@@ -162,8 +164,13 @@ class Pieces:
 
     def places(self, step: int) -> NDArray[np.float64]:
         """Read every `step`-th vertex (k, 3), metres."""
-        rows = self._rows()[0][::step]
-        return np.stack([rows[axis] for axis in "xyz"], axis=1)
+        # Each time from a map that forgets what was read before: of many vertices there is no room for all.
+        at_once = step * max(_READ_AT_ONCE // step, 1)
+        found = [np.zeros((0, 3))]
+        for start in range(0, self.vertex_count, at_once):
+            rows = self._rows()[0][start : start + at_once : step]
+            found.append(np.stack([rows[axis] for axis in "xyz"], axis=1))
+        return np.concatenate(found)
 
 
 def counted_from(

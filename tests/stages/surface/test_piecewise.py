@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.surface import piecewise, runs
+from stages.surface import pieces, piecewise, runs
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Pieces
@@ -67,6 +67,15 @@ def test_areas_and_boxes_are_those_of_the_whole(cut: Pieces | Runs, whole: Mesh)
     some = found.some_vertices(1000)
     assert len(some) == len(whole.vertices[:: 1 + len(whole.vertices) // 1000])
     assert {tuple(place) for place in some} <= {tuple(place) for place in whole.vertices}
+
+
+@pytest.mark.parametrize("wanted", [1, 37, 1000, 10**6])
+def test_some_vertices_are_the_same_however_few_are_read_at_a_time(
+    cut: Pieces | Runs, whole: Mesh, wanted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pieces, "_READ_AT_ONCE", 100)
+    some = Piecewise(cut).some_vertices(wanted)
+    assert (some == whole.vertices[:: 1 + len(whole.vertices) // wanted]).all()
 
 
 def test_each_vertex_is_one_pieces_own_and_they_follow_each_other(cut: Pieces | Runs, whole: Mesh) -> None:
