@@ -71,10 +71,10 @@ def test_areas_and_boxes_are_those_of_the_whole(cut: Pieces | Runs, whole: Mesh)
 
 @pytest.mark.parametrize("wanted", [1, 37, 1000, 10**6])
 def test_some_vertices_are_the_same_however_few_are_read_at_a_time(
-    cut: Pieces | Runs, whole: Mesh, wanted: int, monkeypatch: pytest.MonkeyPatch
+    large: Path, whole: Mesh, wanted: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pieces, "_READ_AT_ONCE", 100)
-    some = Piecewise(cut).some_vertices(wanted)
+    some = Piecewise(Pieces(large)).some_vertices(wanted)
     assert (some == whole.vertices[:: 1 + len(whole.vertices) // wanted]).all()
 
 
