@@ -11,7 +11,7 @@ import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -116,9 +116,12 @@ def make(
         require_area(mesh, f"{name}.ply")
     # Distances and pictures ask the same surfaces: to make one takes longer than to draw it.
     box = _around(bounding_box(*small.values()), *(one.box for one in large.values()))
-    made = _side_by_side([partial(_model, mesh, box) for mesh in small.values()])
-    models = dict(zip(small, made, strict=True))
-    of = _Measured({name: model.surface for name, model in models.items()}, large, box)
+    models = {name: cache(partial(_model, mesh, box)) for name, mesh in small.items()}
+    # Beside pieces there is no room for what is only drawn, before it is.
+    measured_by = [name for name in small if not (large and name == "textured")]
+    made = _side_by_side([models[name] for name in measured_by])
+    surfaces = {name: model.surface for name, model in zip(measured_by, made, strict=True)}
+    of = _Measured(surfaces, large, small.get("textured", small["simplified"]), box)
     work: list[Callable[[], Any]] = [
         # The longest first.
         partial(_off_fused, of, compared),
@@ -144,10 +147,11 @@ def make(
 
 
 class _Measured(NamedTuple):
-    """What is measured: surfaces, meshes in pieces, and the box (2, 3) around all."""
+    """What is measured: surfaces, meshes in pieces, the result, and the box (2, 3) around all."""
 
     surfaces: Mapping[str, Surface]
     large: Mapping[str, Piecewise]
+    result: Mesh
     box: Floats
 
 
@@ -189,8 +193,7 @@ def _off_clean(folder: Path, of: _Measured, params: CompareParams) -> tuple[dict
 
     The clean mesh has no islands that were removed: the error is of simplification alone.
     """
-    final = of.surfaces["simplified"].mesh
-    result = of.surfaces["textured"].mesh if "textured" in of.surfaces else final
+    final, result = of.surfaces["simplified"].mesh, of.result
     fewer = replace(params, samples=math.ceil(params.samples / 4))
     signed = DeviationParams(signed_samples=SIGNED_SAMPLES)
     found: Deviations | None
@@ -247,7 +250,7 @@ class _Drawing(NamedTuple):
     """A picture to draw; and perhaps another one, of the same with its triangles beside it."""
 
     file: str
-    model: Model
+    model: Callable[[], Model]
     viewpoint: Viewpoint
     with_triangles: str | None = None
 
@@ -256,10 +259,10 @@ class _Drawing(NamedTuple):
         return [self.file] if self.with_triangles is None else [self.file, self.with_triangles]
 
     def draw(self, folder: Path) -> None:
-        image = self.model.draw(self.viewpoint)
+        image = self.model().draw(self.viewpoint)
         write_png(folder / self.file, image)
         if self.with_triangles is not None:
-            both = np.hstack([image, self.model.draw(self.viewpoint, "edges")])
+            both = np.hstack([image, self.model().draw(self.viewpoint, "edges")])
             write_png(folder / self.with_triangles, both)
 
 
@@ -285,7 +288,7 @@ def _file(name: str, viewpoint: Viewpoint) -> str:
 
 
 def _drawings(
-    models: Mapping[str, Model], chosen: Sequence[Viewpoint], by_photo: Mesh | None
+    models: Mapping[str, Callable[[], Model]], chosen: Sequence[Viewpoint], by_photo: Mesh | None
 ) -> list[_Drawing]:
     """Return what is drawn: each mesh from each viewpoint, the simplified one with its triangles beside it.
 
@@ -298,8 +301,12 @@ def _drawings(
         if name == "simplified":
             drawings[-1] = drawings[-1]._replace(with_triangles="simplified-triangles.png")
         if name == "textured" and by_photo is not None:
-            drawings.append(_Drawing("textured-photos.png", model.showing(by_photo), chosen[-1]))
+            drawings.append(_Drawing("textured-photos.png", partial(_showing, model, by_photo), chosen[-1]))
     return drawings
+
+
+def _showing(model: Callable[[], Model], colors: Mesh) -> Model:
+    return model().showing(colors)
 
 
 def viewpoints_of(

@@ -22,7 +22,7 @@ _LANDMARKS = 200_000
 # Of the nearest of these, so much farther off may be the one that is taken.
 _ROUGHLY = 0.1
 # Triangles that are worked on at a time: to search them takes about a kilobyte for each.
-AT_ONCE = 500_000
+AT_ONCE = 250_000
 # Of so many, all are worked on at once.
 _FEW = 1_000_000
 
