@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -233,7 +234,8 @@ def _report(job: Job) -> Mapping[str, Any]:
     by_photo = None
     if "textured" in job.inputs:
         meshes["textured"] = read_mesh(job.inputs["textured"] / texturing.FILE)
-        by_photo = texturing.by_photo(meshes["textured"], job.inputs["textured"] / texturing.MAPS)
+        maps = job.inputs["textured"] / texturing.MAPS
+        by_photo = partial(texturing.by_photo, meshes["textured"], maps)
     pictures = job.folder / "pictures"
     pictures.mkdir()
     frames, params = _frames(job).frames, job.config.report

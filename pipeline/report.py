@@ -34,6 +34,7 @@ from stages.picturing.viewpoints import ENOUGH, viewpoints_around
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Scan
+from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Floats, Surface, bounding_box
@@ -93,7 +94,7 @@ def make(
     compared: CompareParams,
     params: ReportParams,
     progress: Progress = silent,
-    by_photo: Mesh | None = None,
+    by_photo: Callable[[], Mesh] | None = None,
     held_out: Sequence[Frame] = (),
 ) -> dict[str, Any]:
     """Measure the simplified mesh, write pictures of all into `folder`, and return the figures.
@@ -102,7 +103,7 @@ def make(
     ----------
     meshes : "fused", "clean" and "simplified", and "textured", if it was; the first two may be in pieces.
     frames : of the scan, whose poses say where to look from.
-    by_photo : the textured mesh in colours of the photos that count most, which is drawn, too.
+    by_photo : gives the textured mesh in colours of the photos that count most, which is drawn, too.
     held_out : frames that no stage saw, placed like their neighbours.
 
     Raises
@@ -120,6 +121,8 @@ def make(
     # Beside pieces there is no room for what is only drawn, before it is.
     measured_by = [name for name in small if not (large and name == "textured")]
     made = _side_by_side([models[name] for name in measured_by])
+    # What they were read and made ready with has left holes.
+    give_back()
     surfaces = {name: model.surface for name, model in zip(measured_by, made, strict=True)}
     of = _Measured(surfaces, large, small.get("textured", small["simplified"]), box)
     work: list[Callable[[], Any]] = [
@@ -288,7 +291,9 @@ def _file(name: str, viewpoint: Viewpoint) -> str:
 
 
 def _drawings(
-    models: Mapping[str, Callable[[], Model]], chosen: Sequence[Viewpoint], by_photo: Mesh | None
+    models: Mapping[str, Callable[[], Model]],
+    chosen: Sequence[Viewpoint],
+    by_photo: Callable[[], Mesh] | None,
 ) -> list[_Drawing]:
     """Return what is drawn: each mesh from each viewpoint, the simplified one with its triangles beside it.
 
@@ -305,8 +310,8 @@ def _drawings(
     return drawings
 
 
-def _showing(model: Callable[[], Model], colors: Mesh) -> Model:
-    return model().showing(colors)
+def _showing(model: Callable[[], Model], colors: Callable[[], Mesh]) -> Model:
+    return model().showing(colors())
 
 
 def viewpoints_of(
