@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.files.image_bytes import encoded_gray_png
+from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Texture, signed_areas
 from stages.surface.topology import areas
 from stages.texturing.texture import Textured
 
 _NO_PHOTO = 255
+# Texels that are measured at a time: each takes some hundred bytes.
+_AT_ONCE = 1_000_000
 
 
 def write_maps(folder: Path, textured: Textured) -> None:
@@ -30,6 +33,8 @@ def write_maps(folder: Path, textured: Textured) -> None:
     mesh, texture = textured.mesh, textured.mesh.texture
     assert texture is not None
     for number, (labels, counts) in enumerate(zip(textured.labels, textured.counts, strict=True)):
+        # What was painted, or measured last, has left holes.
+        give_back()
         obliquity, width = _measured(mesh, texture, number, labels, textured.places)
         maps: dict[str, NDArray[np.uint8] | NDArray[np.uint16]] = {
             "photo": (labels + 1).astype(np.uint16),
@@ -57,19 +62,23 @@ def _measured(
     a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    label = labels.reshape(-1)[pixels]
-    shown = label >= 0
-    of, label, shares = triangles[shown], label[shown], shares[shown]
-    # Axis by axis: NumPy is slow over a last axis of three.
-    towards, far2 = np.zeros(len(of)), np.zeros(len(of))
-    for axis in range(3):
-        corner = mesh.vertices[:, axis][mesh.triangles]
-        way = places[label, axis] - sum(shares[:, k] * corner[of, k] for k in range(3))
-        towards += way * normals[of, axis]
-        far2 += way**2
-    cosines = towards / np.maximum(np.sqrt(far2), 1e-12)
+    del a, b, c
+    of_triangles = [mesh.vertices[:, axis][mesh.triangles] for axis in range(3)]
     obliquity = np.full(labels.size, _NO_PHOTO, np.uint8)
-    obliquity[pixels[shown]] = np.rint(np.degrees(np.arccos(cosines.clip(0, 1)))).astype(np.uint8)
+    for start in range(0, len(pixels), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        label = labels.reshape(-1)[pixels[part]]
+        shown = label >= 0
+        of, label, weights = triangles[part][shown], label[shown], shares[part][shown]
+        # Axis by axis: NumPy is slow over a last axis of three.
+        towards, far2 = np.zeros(len(of)), np.zeros(len(of))
+        for axis, corner in enumerate(of_triangles):
+            way = places[label, axis] - sum(weights[:, k] * corner[of, k] for k in range(3))
+            towards += way * normals[of, axis]
+            far2 += way**2
+        cosines = towards / np.maximum(np.sqrt(far2), 1e-12)
+        degrees = np.degrees(np.arccos(cosines.clip(0, 1)))
+        obliquity[pixels[part][shown]] = np.rint(degrees).astype(np.uint8)
     flat = np.abs(signed_areas(corners))
     wide = 1e6 * np.sqrt(areas(mesh.vertices, mesh.triangles) / np.maximum(flat, 1e-12))
     sizes = np.zeros(labels.size, np.uint16)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from stages.scans.scan import Frame, Scan
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.texturing import painting, survey
+from stages.texturing import maps, painting, survey
 from stages.texturing import photos as photos_module
 from stages.texturing.maps import write_maps
 from stages.texturing.texture import Textured, texture
@@ -247,6 +248,19 @@ def test_maps_tell_which_photo_counts(tmp_path):
     assert np.median(maps["texel-1"][shown]) == pytest.approx(1e6 * found.texel_size, rel=0.05)
     named = json.loads((tmp_path / "photos.json").read_text())
     assert named["photos"]["1"] == "000"
+
+
+def test_maps_are_the_same_however_few_texels_are_measured_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    found, written = textured(6), []
+    for name, at_once in (("all", maps._AT_ONCE), ("few", 997)):
+        monkeypatch.setattr(maps, "_AT_ONCE", at_once)
+        (tmp_path / name).mkdir()
+        write_maps(tmp_path / name, found)
+        written.append({file.name: file.read_bytes() for file in (tmp_path / name).iterdir()})
+    assert len(written[0]) == 5
+    assert written[0] == written[1]
 
 
 def test_progress_only_goes_on():
