@@ -151,7 +151,16 @@ class LimitGuard:
             self._require_disk(stage, 2 * _bytes_in(folder), share)
 
     def kept(self, stage: str, entry: Entry) -> None:
-        """Count what a stage that worked has written: its entry, and the copies of it among the results."""
+        """Count what a stage that worked has written: its entry, and the copies of it among the results.
+
+        What it took of memory after its last word of progress is told: stopped it cannot be any more.
+        """
+        limit, taken = self._limits.memory, self._peak()
+        if limit is not None and taken > limit:
+            most = _size(limit)
+            self._warn(
+                f"{stage} has taken {_size(taken)} of memory as it ended, more than the limit of {most}."
+            )
         size = 2 * sum(about["size"] for about in entry.manifest["files"].values())
         self._require_disk(stage, size)
         self._written += size

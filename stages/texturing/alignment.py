@@ -10,6 +10,9 @@ shifts found directly.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,9 +45,7 @@ def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray
     before = np.where(shown, there, after)
     # A plane for each axis: NumPy is slow over a last axis of two.
     flow = cv2.split(_flow(before, after))
-    x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
-    moved = cv2.remap(after, x + flow[0], y + flow[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    rest = cv2.absdiff(moved, before)
+    rest = cv2.absdiff(_moved(after, flow), before)
     smooth = cv2.GaussianBlur(before.astype(np.float32), (0, 0), 1.0)
     detail = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(smooth, cv2.CV_32F, 0, 1) ** 2
     most = _MOST * width
@@ -70,9 +71,16 @@ def shifted(photo: NDArray[np.uint8], shifts: Shifts) -> NDArray[np.uint8]:
     # The corners of the grid are in the corners of the photo.
     x = np.broadcast_to(np.linspace(0, columns - 1, width, dtype=np.float32), (height, width))
     y = np.broadcast_to(np.linspace(0, rows - 1, height, dtype=np.float32)[:, None], (height, width))
-    by = cv2.split(cv2.remap(shifts.astype(np.float32), x, y, cv2.INTER_LINEAR))
+    return _moved(photo, cv2.split(cv2.remap(shifts.astype(np.float32), x, y, cv2.INTER_LINEAR)))
+
+
+def _moved(image: NDArray[np.uint8], by: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
+    """Return an image (h, w[, 3]) of what lies so many pixels to the right and down of each pixel."""
+    import cv2
+
+    height, width = image.shape[:2]
     x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
-    moved = cv2.remap(photo, x + by[0], y + by[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    moved = cv2.remap(image, x + by[0], y + by[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(moved, np.uint8)
 
 

@@ -28,8 +28,8 @@ _ELSE = 40.0
 _PRIOR = 0.05
 # Levels of photos that are cut off say little.
 _DARK, _BRIGHT, _CUT_OFF = 4, 250, 0.1
-# Differences are looked at in images that are smaller by this.
-_SHARE = 4
+# Differences are looked at in images of this width at the most, and smoothed in smaller ones.
+_WIDEST, _SHARE = 640, 4
 
 
 def local_exposure_of(
@@ -47,6 +47,14 @@ def local_exposure_of(
     import cv2
 
     height, width = shown.shape
+    if width > _WIDEST:
+        # Large photos tell no more, and would take hundreds of megabytes.
+        shifts = shifts * np.float16(_WIDEST / width)
+        size = (_WIDEST, max(round(_WIDEST * height / width), 2))
+        smaller = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (drawn, photo))
+        drawn, photo = (np.asarray(one, np.uint8) for one in smaller)
+        shown = cv2.resize(shown.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        height, width = shown.shape
     moved = shifted(photo, shifts)
     apart = cv2.absdiff(drawn, moved).max(axis=2)
     sound = np.maximum(1 - (np.arange(256, dtype=np.float32) / _ELSE) ** 2, 0) ** 2
@@ -64,7 +72,7 @@ def local_exposure_of(
     return np.asarray(np.rint(parts), np.int8)
 
 
-def added(exposure: LocalExposure) -> NDArray[np.float32]:
+def in_levels(exposure: LocalExposure) -> NDArray[np.float32]:
     """Return the levels to add, (rows, columns, 3)."""
     return np.asarray(exposure / np.float32(_PARTS), np.float32)
 
@@ -73,6 +81,10 @@ def made_even(photo: NDArray[np.uint8], exposure: LocalExposure) -> NDArray[np.u
     """Return a photo (h, w, 3) with what is to be added."""
     import cv2
 
-    height, width = photo.shape[:2]
-    levels = cv2.resize(added(exposure), (width, height), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.add(photo, levels, dtype=cv2.CV_8U), np.uint8)
+    size = photo.shape[1::-1]
+    # A channel at a time: all of a large photo's levels would take four times as much as itself.
+    planes = [
+        cv2.add(plane, cv2.resize(levels, size, interpolation=cv2.INTER_LINEAR), dtype=cv2.CV_8U)
+        for plane, levels in zip(cv2.split(photo), cv2.split(in_levels(exposure)), strict=True)
+    ]
+    return np.asarray(cv2.merge(planes), np.uint8)

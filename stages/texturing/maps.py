@@ -19,6 +19,7 @@ from stages import _kernels
 from stages.files.image_bytes import encoded_gray_png
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
+from stages.surface.raycasting import unit_normals
 from stages.surface.texture import Texture, signed_areas
 from stages.surface.topology import areas
 from stages.texturing.texture import Textured
@@ -59,10 +60,7 @@ def _measured(
     corners = (texture.uvs - (0, 1)) * (width, -height)
     pages = np.where(texture.material_ids == number, 0, -1).astype(np.int32)
     pixels, triangles, shares = _kernels.texels(corners, pages, page=0, width=width, height=height)
-    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    del a, b, c
+    normals = unit_normals(mesh)
     of_triangles = [mesh.vertices[:, axis][mesh.triangles] for axis in range(3)]
     obliquity = np.full(labels.size, _NO_PHOTO, np.uint8)
     for start in range(0, len(pixels), _AT_ONCE):

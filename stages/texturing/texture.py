@@ -34,7 +34,7 @@ from stages.surface.topology import require_area
 from stages.surface.vertex_normals import vertex_normals
 from stages.texturing.exposure import Exposures
 from stages.texturing.filling import filled_up
-from stages.texturing.local_exposure import added
+from stages.texturing.local_exposure import in_levels
 from stages.texturing.pages import Pages, laid_out
 from stages.texturing.painting import Painted, Painter, Shown, levels_of
 from stages.texturing.photos import Photos, photos_of
@@ -340,7 +340,7 @@ def _shift(corrections: Sequence[Correction], photos: Photos) -> float:
 
 
 def _unevenness(corrections: Sequence[Correction]) -> float:
-    means = [np.abs(added(one.exposure)).mean() for one in corrections if one.exposure is not None]
+    means = [np.abs(in_levels(one.exposure)).mean() for one in corrections if one.exposure is not None]
     return float(np.median(means)) if means else 0.0
 
 

@@ -81,6 +81,14 @@ def test_a_stage_that_takes_more_is_stopped(tmp_path: Path):
         taken.during("fuse", tmp_path, 1.0)
 
 
+@pytest.mark.parametrize(("peak", "is_told"), [(400 * MB, False), (500 * MB, True)])
+def test_a_stage_that_took_more_as_it_ended_is_told(peak: int, is_told: bool):
+    warned: list[str] = []
+    guard(Limits(memory=400 * MB), 0, 0, 0, peak=peak, warned=warned).kept("fuse", entry(1))
+    expected = "fuse has taken 500 MB of memory as it ended, more than the limit of 400 MB."
+    assert warned == ([expected] if is_told else [])
+
+
 @pytest.mark.parametrize(("share", "times"), [(1.0, "1.5"), (0.5, "2"), (0.25, "2.9"), (0.01, "2.9")])
 def test_what_would_fit_is_told_by_the_share_that_was_done(tmp_path: Path, share: float, times: str):
     taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from photographed import CAMERA, photo, pose, wall
 
 from stages.scans.scan import Frame
 from stages.texturing import painting
-from stages.texturing.local_exposure import added, local_exposure_of, made_even
+from stages.texturing.local_exposure import in_levels, local_exposure_of, made_even
 from stages.texturing.texture import texture
 
 HEIGHT, WIDTH = CAMERA.height, CAMERA.width
@@ -54,10 +55,21 @@ def test_what_is_something_else_or_is_not_seen_says_nothing_of_brightness():
     assert not local_exposure_of(drawn, ALL, seen, STILL).any()
     # The same patch in a colour nearer to what is there would count, but for what the mesh does not show.
     seen[40:80, 60:100] = 120
-    assert np.abs(added(local_exposure_of(drawn, ALL, seen, STILL))).max() > 10
+    assert np.abs(in_levels(local_exposure_of(drawn, ALL, seen, STILL))).max() > 10
     without = ALL.copy()
     without[40:80, 60:100] = False
     assert not local_exposure_of(drawn, without, seen, STILL).any()
+
+
+def test_a_large_photo_is_made_as_even_as_a_small_one():
+    size = (8 * WIDTH, 8 * HEIGHT)
+    drawn = picture()
+    seen = np.array(glossy(replace(photo(0, pose(0.5, 0.5, z=-0.4)), color=drawn), 1).color)
+    small = local_exposure_of(drawn, ALL, seen, STILL)
+    large_drawn, large_seen = (cv2.resize(one, size, interpolation=cv2.INTER_CUBIC) for one in (drawn, seen))
+    large = local_exposure_of(large_drawn, np.ones(size[::-1], bool), large_seen, STILL)
+    assert np.abs(in_levels(small)).max() > 5
+    assert np.abs(in_levels(large) - in_levels(small)).max() < 1.5
 
 
 def test_details_of_a_photo_stay():
