@@ -34,7 +34,7 @@ _SLACK = 1e-9
 
 def compare_in_pieces(
     large: Piecewise,
-    mesh: WithNeedles,
+    mesh: Mesh,
     params: CompareParams,
     *,
     box: Floats,
@@ -54,7 +54,8 @@ def compare_in_pieces(
     InputError
         If the file of the pieces is damaged.
     """
-    light = asked(mesh.mesh, box, mesh)
+    # It is made ready to be searched when no piece is any more: there is no room for both.
+    light = asked(mesh, box)
     colored = large.has_colors and light.has_color
     rng, count = np.random.default_rng((params.seed, 1)), params.samples
     samples = [light.spread(rows, count, rng, colored=colored) for rows in chunks(count)]
