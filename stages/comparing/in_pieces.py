@@ -72,8 +72,10 @@ def compare_in_pieces(
         sums_of(one.colors, question.nearest(rows))
         for one, rows in zip(points, _rows_of(points), strict=True)
     ]
-    forward = one_way(_InPieces(large), light, params.samples, (params.seed, 0))
     backward = all_sums(colored, sums[: len(samples)], sums[len(samples) :])
+    # The other way, the mesh is searched, which takes the room that its points had.
+    del samples, corners, points, question
+    forward = one_way(_InPieces(large), light, params.samples, (params.seed, 0))
     comparison = comparison_of(forward, backward, large.box, params.samples)
     return comparison, None if off is None else off.deviations()
 
