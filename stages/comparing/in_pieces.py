@@ -73,11 +73,11 @@ def compare_in_pieces(
         for one, rows in zip(points, _rows_of(points), strict=True)
     ]
     backward = all_sums(colored, sums[: len(samples)], sums[len(samples) :])
+    deviating = None if off is None else off.deviations()
     # The other way, the mesh is searched, which takes the room that its points had.
-    del samples, corners, points, question
+    del samples, corners, points, question, off
     forward = one_way(_InPieces(large), light, params.samples, (params.seed, 0))
-    comparison = comparison_of(forward, backward, large.box, params.samples)
-    return comparison, None if off is None else off.deviations()
+    return comparison_of(forward, backward, large.box, params.samples), deviating
 
 
 def _rows_of(points: list[Points]) -> Iterator[slice]:
