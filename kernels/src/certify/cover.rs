@@ -121,7 +121,7 @@ impl Cover {
         // matters.
         let most = by_one.map_or(most, |(_, reach)| most.min(HIGHER * reach));
         self.look(against, triangle, &view, most + against.slack, |_, _| false);
-        let hidden = self.hidden(against, &view, most);
+        let hidden = self.hidden(against, triangle, &view, most);
         if hidden.is_none() {
             self.hiding.clear();
         }
@@ -166,7 +166,13 @@ impl Cover {
     }
 
     /// The greatest height of what hides all of the triangle, if that is at most `most`.
-    fn hidden(&mut self, against: &Against<'_>, view: &View, most: f64) -> Option<f64> {
+    fn hidden(
+        &mut self,
+        against: &Against<'_>,
+        triangle: &[Corner; 3],
+        view: &View,
+        most: f64,
+    ) -> Option<f64> {
         self.sides.clear();
         self.hiding.clear();
         let place = [0, 1].map(|i| (0..3).map(|k| PLACE[k] * view.corners[k][i]).sum());
@@ -204,8 +210,8 @@ impl Cover {
         let all_closed = self.sides.chunk_by(|a, b| a.0 == b.0).all(|same| {
             let forward = same.iter().filter(|side| side.1).count();
             2 * forward == same.len() || {
-                let ends = same[0].0.map(|v| view.at(&against.target.points[v as usize]));
-                view.beside(&ends)
+                let ends = same[0].0.map(|v| &against.target.points[v as usize]);
+                view.passed_by(triangle, ends)
             }
         });
         all_closed.then_some(highest)
@@ -498,6 +504,21 @@ impl View {
             }
         }
         part[..count].iter().map(|p| p[2].abs()).fold(0.0, f64::max)
+    }
+
+    /// Whether a side does not cross the inside of this triangle, whose corners are those of `triangle`. A border that was kept
+    /// runs along its sides, or ends at its corners: that is told by the places themselves, which no rounding has changed.
+    fn passed_by(&self, triangle: &[Corner; 3], ends: [&Vec3; 2]) -> bool {
+        let [a, b] = ends.map(|p| self.at(p));
+        // A line from a corner that ends outside of one of the two sides there is outside of it all the way.
+        let leaves = |corner: usize, end: &Vec3| self.outside(end) & !(1 << corner) != 0;
+        self.beside(&[a, b])
+            || match ends.map(|p| triangle.iter().position(|c| c.at == *p)) {
+                [Some(_), Some(_)] => true,
+                [Some(corner), None] => leaves(corner, &b),
+                [None, Some(corner)] => leaves(corner, &a),
+                [None, None] => false,
+            }
     }
 
     /// Whether a side passes beside this triangle.
