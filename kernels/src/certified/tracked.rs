@@ -135,6 +135,11 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
         }
     }
 
+    fn untouched(&self, triangles: &[u32], inside: &[u32]) -> Option<TrackedRemains> {
+        let importance = <QemRecords<K> as Records<D>>::untouched(&self.qem, triangles, inside)?;
+        Some(TrackedRemains { importance, sampled: self.lists.untouched(triangles) })
+    }
+
     fn unload(measure: Tracked<'a, D, K>, region: &Mesh<D>) -> TrackedRemains {
         let sampled = measure.tracker.unload(region);
         TrackedRemains { importance: <QemRecords<K> as Records<D>>::unload(measure.qem, region), sampled }

@@ -261,6 +261,16 @@ impl Lists {
         &self.samples[self.starts[triangle] as usize..self.starts[triangle + 1] as usize]
     }
 
+    /// Those of some triangles, as a tracker that was not used leaves them.
+    pub fn untouched(&self, triangles: &[u32]) -> Sampled {
+        let lists = || triangles.iter().map(|&t| self.of(t as usize));
+        Sampled {
+            counts: lists().map(|list| list.len() as u32).collect(),
+            // Each sample is put before those that are there.
+            samples: lists().flat_map(|list| list.iter().rev()).copied().collect(),
+        }
+    }
+
     /// Those of the next whole mesh: the triangles of each piece.
     pub fn join(&self, pieces: Vec<Sampled>) -> Self {
         let mut starts = Vec::with_capacity(1 + pieces.iter().map(|p| p.counts.len()).sum::<usize>());

@@ -24,6 +24,12 @@ pub trait Records<const D: usize>: Sized + Send + Sync {
     /// A measure for a region, whose sources are numbers of the whole mesh.
     fn load(&self, region: &Mesh<D>) -> Self::Measure;
 
+    /// What [`Self::load`] and [`Self::unload`] make of a region in which nothing happens, given its triangles and the
+    /// vertices that are not on the rim; none if that is not known without a mesh.
+    fn untouched(&self, _triangles: &[u32], _inside: &[u32]) -> Option<Self::Remains> {
+        None
+    }
+
     /// Records of the vertices that are not on the rim, and of the triangles, in their order.
     fn unload(measure: Self::Measure, region: &Mesh<D>) -> Self::Remains;
 

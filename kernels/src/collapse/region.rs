@@ -200,6 +200,56 @@ impl<const D: usize, B: Copy, R> Remains<D, B, R> {
     }
 }
 
+impl<const D: usize, B: Copy> Whole<D, B> {
+    /// Whether all edges of a region wait on a refusal, but for those with an end on the rim: nothing can happen there.
+    pub fn is_idle(&self, region: &[u32], rim: &[bool]) -> bool {
+        let is_open = |t: usize, side: usize| {
+            let ends = [side, (side + 1) % 3].map(|corner| self.triangles[t][corner] as usize);
+            self.refused[t][side].is_none() && !rim[ends[0]] && !rim[ends[1]]
+        };
+        !self.refused.is_empty() && !region.iter().any(|&t| (0..3).any(|side| is_open(t as usize, side)))
+    }
+
+    /// What a region leaves in which nothing happens, in the same order as if it had been cut out; none if its records have
+    /// to be loaded.
+    pub fn untouched<R: Records<D>>(
+        &self,
+        region: &[u32],
+        rim: &[bool],
+        records: &R,
+        scratch: &mut Scratch,
+    ) -> Option<Remains<D, B, R::Remains>> {
+        let mut of = region.to_vec();
+        of.sort_unstable();
+        let mut inside: Vec<u32> = vec![];
+        let mut number = |v: u32| {
+            let local = &mut scratch.local[v as usize];
+            if rim[v as usize] {
+                return v | ON_RIM;
+            }
+            if *local == NOBODY {
+                *local = inside.len() as u32;
+                inside.push(v);
+            }
+            *local
+        };
+        let triangles = of.iter().map(|&t| self.triangles[t as usize].map(&mut number)).collect();
+        inside.iter().for_each(|&v| scratch.local[v as usize] = NOBODY);
+        let locked = if self.locked.is_empty() { &[][..] } else { &inside };
+        Some(Remains {
+            points: inside.iter().map(|&v| self.points[v as usize]).collect(),
+            vertex_source: inside.iter().map(|&v| self.vertex_source[v as usize]).collect(),
+            locked: locked.iter().map(|&v| self.locked[v as usize]).collect(),
+            triangles,
+            triangle_source: of.iter().map(|&t| self.triangle_source[t as usize]).collect(),
+            refused: of.iter().map(|&t| self.refused[t as usize]).collect(),
+            records: Some(records.untouched(&of, &inside)?),
+            merges: vec![],
+            path: None,
+        })
+    }
+}
+
 /// Where the remains of a region go in the next whole mesh.
 struct Place<'a, const D: usize, B> {
     /// Number of its first vertex.

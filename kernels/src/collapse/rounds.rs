@@ -168,7 +168,7 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         let mut owner = find_owners(mesh.points.len(), &mesh.triangles, &partition, threads);
         self.records.keep_together(&mut owner);
         let rim: Vec<bool> = owner.into_iter().map(|owner| owner == SHARED).collect();
-        if self.round == 0 {
+        if self.round == 0 && mesh.refused.is_empty() {
             check_seam(mesh, &rim, partition.len())?;
         }
         Ok(Cut { partition, rim })
@@ -184,6 +184,7 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         let priority = match &self.waiting {
             _ if is_one => f64::INFINITY,
             Some(waiting) => waiting.priority_for(wanted(count, goal.triangles), count / 2),
+            None if run.has_few_open(wanted(count, goal.triangles)) => f64::INFINITY,
             None => {
                 let sample = run.sample(progress).map_err(|error| explained(mesh, error))?;
                 sample.priority_for(wanted(count, goal.triangles), count / 2)
@@ -263,10 +264,22 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         Ok((remains, waiting))
     }
 
+    /// Whether fewer edges are open than `wanted` collapses, even if all of them were in the regions of a sample.
+    fn has_few_open(&self, wanted: usize) -> bool {
+        let refused = &self.rounds.mesh.refused;
+        let open = refused.as_flattened().iter().filter(|refused| refused.is_none()).count();
+        !refused.is_empty() && open.saturating_mul(2 * self.step()) < wanted
+    }
+
+    /// Of so many regions one is looked at before the first round.
+    fn step(&self) -> usize {
+        (self.cut.partition.len() / 8).max(1)
+    }
+
     /// The priorities in some of the regions, before the first round.
     fn sample(&self, progress: &Progress) -> Result<Histogram, KernelError> {
         let partition = &self.cut.partition;
-        let step = (partition.len() / 8).max(1);
+        let step = self.step();
         let waiting = Histogram::default();
         let one = |scratch: &mut Scratch, i: usize| {
             progress.check()?;
@@ -303,6 +316,13 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         progress: &mut Progress,
     ) -> Result<Remains<D, Bound<D, R>, R::Remains>, KernelError> {
         progress.check()?;
+        let Rounds { mesh, records, .. } = self.rounds;
+        let (region, rim) = (self.cut.partition.region(p), &self.cut.rim);
+        if mesh.is_idle(region, rim)
+            && let Some(left) = mesh.untouched(region, rim, records, scratch)
+        {
+            return Ok(left);
+        }
         let mut engine = self.engine(scratch, p)?;
         if self.rounds.goal.record {
             engine.record_path();

@@ -220,6 +220,11 @@ impl<const D: usize, const K: usize> Records<D> for QemRecords<K> {
         Qem::new(region, self.weight, importance)
     }
 
+    fn untouched(&self, _: &[u32], inside: &[u32]) -> Option<Vec<f64>> {
+        let importance = &self.importance;
+        Some(if importance.is_empty() { vec![] } else { inside.iter().map(|&v| importance[v as usize]).collect() })
+    }
+
     fn unload(measure: Qem<D, K>, region: &Mesh<D>) -> Vec<f64> {
         if measure.importance.is_empty() {
             return vec![];
