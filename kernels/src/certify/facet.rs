@@ -52,6 +52,17 @@ pub fn nearest(p: &Vec3, corners: &[Vec3; 3]) -> Nearest {
     best
 }
 
+/// Whether the point of triangle `corners` nearest to `p` is soon found to be no nearer than `least`, a squared distance:
+/// its box is not.
+#[inline]
+pub fn is_beyond([a, b, c]: &[Vec3; 3], p: &Vec3, least: f64) -> bool {
+    let gap = |i: usize| {
+        let (low, high) = (a[i].min(b[i]).min(c[i]), a[i].max(b[i]).max(c[i]));
+        (low - p[i]).max(p[i] - high).max(0.0)
+    };
+    norm2(&[gap(0), gap(1), gap(2)]) >= least
+}
+
 /// The plane of a triangle and its barycentric coordinates, as functions linear in space.
 #[derive(Clone, Copy, Debug)]
 pub struct Facet {

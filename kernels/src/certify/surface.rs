@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::facet::{Nearest, nearest};
+use super::facet::{Nearest, is_beyond, nearest};
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, around, cross, norm2, position, segment_distance2, sub};
 use crate::base::parallel;
@@ -128,8 +128,11 @@ impl Surface {
     /// The nearest point to `p`; `hint` is a slot likely near it, which makes the search short.
     #[inline]
     pub fn nearest(&self, p: &Vec3, hint: u32) -> Found {
-        let distance2 = |slot: u32| self.distance2(slot, p);
-        let (slot, least) = self.bvh.nearest(p, (hint, distance2(hint)), distance2);
+        let nearer = |slot: u32, least: f64| {
+            let corners = self.corners(slot);
+            if is_beyond(&corners, p, least) { f64::INFINITY } else { nearest(p, &corners).distance2 }
+        };
+        let (slot, least) = self.bvh.nearest_below(p, (hint, self.distance2(hint, p)), nearer);
         Found { slot, distance: least.sqrt() }
     }
 

@@ -77,6 +77,17 @@ impl Bvh {
     /// The slot nearest to `p` among those nearer than `best` (slot, squared distance), or `best` itself.
     #[inline]
     pub fn nearest(&self, p: &Vec3, best: (u32, f64), distance2: impl Fn(u32) -> f64) -> (u32, f64) {
+        self.nearest_below(p, best, |slot, _| distance2(slot))
+    }
+
+    /// The same where a squared distance need not be found out if it is not below the one given.
+    #[inline]
+    pub fn nearest_below(
+        &self,
+        p: &Vec3,
+        best: (u32, f64),
+        distance2: impl Fn(u32, f64) -> f64,
+    ) -> (u32, f64) {
         let (mut slot, mut least) = best;
         let Some(root) = self.root else { return best };
         let (local, unit2) = (self.local(p), self.scale * self.scale);
@@ -92,7 +103,7 @@ impl Bvh {
             }
             if count > 0 {
                 for s in start..start + count {
-                    let d = distance2(s);
+                    let d = distance2(s, least);
                     if d < least {
                         (slot, least) = (s, d);
                         far = least * unit2;
