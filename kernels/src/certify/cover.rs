@@ -32,7 +32,8 @@ const HIGHER: f64 = 2.0;
 /// What of T is looked at to count the layers over it: a point where few meshes have a side or a corner.
 const PLACE: Vec3 = [0.381_966_011_250_105, 0.351_407_320_124_931, 0.266_626_668_624_964];
 
-/// The plane of a triangle: coordinates in it, and height.
+/// The plane of a triangle: coordinates in it, and height. For a part of that triangle they are the same.
+#[derive(Clone, Copy)]
 struct View {
     origin: Vec3,
     axes: [Vec3; 3],
@@ -41,26 +42,33 @@ struct View {
     /// Inward normal of each side, and its distance from the origin.
     sides: [[f64; 3]; 3],
     size: f64,
+    /// That of the triangle this one is part of.
+    whole: f64,
     /// Colour at the origin, and what it changes along both axes.
     color: [Vec3; 3],
     slope: f64,
+    /// The box around all colours.
+    colors: [Vec3; 2],
 }
 
 /// A triangle of the other surface, as seen.
 #[derive(Clone, Copy)]
 struct Seen {
     slot: u32,
-    /// Two coordinates and the height of each corner.
+    /// Two coordinates and the height of each corner, and the box around them.
     at: [Vec3; 3],
+    around: Box,
+    /// As [`needle_height`].
+    thin: f64,
 }
 
-/// Lowest and highest coordinates on the plane.
-type Box = [[f64; 2]; 2];
+/// Lowest and highest coordinates.
+type Box = [Vec3; 2];
 
-/// A triangle of the other surface that hides some of the one viewed, and its greatest height over that.
+/// A triangle of the other surface that hides some of the one viewed, by its place in what was seen, and its greatest height
+/// over that.
 struct Hiding {
-    seen: Seen,
-    around: Box,
+    seen: usize,
     height: f64,
 }
 
@@ -73,9 +81,15 @@ struct Cell {
 /// Memory that the next triangle can use again.
 #[derive(Default)]
 pub struct Cover {
+    /// What was seen of the triangle that was looked at last, from `first` on; before that of those it is part of.
     seen: Vec<Seen>,
-    /// Sides that may cross the triangle: their vertices in order, and in which direction they are run through.
-    sides: Vec<([u32; 2], bool)>,
+    first: usize,
+    /// How far that is all there is.
+    looked: f64,
+    /// Of the triangle that is not part of another.
+    view: Option<View>,
+    /// Sides that may cross the triangle: both vertices in order, and in which direction they are run through.
+    sides: Vec<u64>,
     /// What hides all of the triangle.
     hiding: Vec<Hiding>,
     /// Parts of the triangle that cover it, each with how far one triangle of the other surface is.
@@ -89,13 +103,14 @@ pub struct Cover {
 
 impl Cover {
     /// Whether all of `triangle` is proven to be within `limit`. `near` are slots nearest to its corners, and
-    /// their `reach` is the distance there.
+    /// their `reach` is the distance there. What it is a part of has been seen before: [`Self::seen_for_parts`].
     pub fn proves(
         &mut self,
         against: &Against<'_>,
         triangle: &[Corner; 3],
         near: [u32; 3],
         limit: Deviation,
+        part_of: Option<[usize; 2]>,
     ) -> bool {
         let most = limit.shape - against.slack;
         let by_one = one_triangle(against, triangle, near, most);
@@ -105,22 +120,28 @@ impl Cover {
             self.reach = reach;
             return true;
         }
-        self.seen.clear();
+        self.first = part_of.map_or(0, |[_, end]| end);
+        self.seen.truncate(self.first);
         self.doubt = None;
-        let Some(view) = View::new(triangle) else { return false };
-        if let Some((_, reach)) = by_one {
-            let colors = around(triangle.iter().map(|c| c.color));
-            let close = |node, branch| against.target.colors_apart(node, branch, &colors) <= limit.color;
+        let Some(view) = self.viewed(triangle, part_of.is_some()) else { return false };
+        if let Some(part_of) = part_of {
+            self.look_again(&view, limit.shape, part_of);
+        } else if let Some((_, reach)) = by_one {
+            let close = |node, branch| against.target.colors_apart(node, branch, &view.colors) <= limit.color;
             self.look(against, triangle, &view, reach + against.slack, close);
-            if self.color_soon_within(against, triangle, &view, reach, limit.color) {
-                self.reach = reach;
-                return true;
-            }
+        }
+        if let Some((_, reach)) = by_one
+            && self.color_soon_within(against, triangle, &view, reach, limit.color)
+        {
+            self.reach = reach;
+            return true;
         }
         // Several triangles may be nearer than one is, though higher up along the normal: fewer then have a colour that
         // matters.
         let most = by_one.map_or(most, |(_, reach)| most.min(HIGHER * reach));
-        self.look(against, triangle, &view, most + against.slack, |_, _| false);
+        if part_of.is_none() {
+            self.look(against, triangle, &view, most + against.slack, |_, _| false);
+        }
         let hidden = self.hidden(against, triangle, &view, most);
         if hidden.is_none() {
             self.hiding.clear();
@@ -134,7 +155,34 @@ impl Cover {
 
     /// How many triangles were near the one looked at last.
     pub fn crowd(&self) -> usize {
-        self.seen.len()
+        self.seen.len() - self.first
+    }
+
+    /// Where all is that may be near the triangle looked at last, for the parts that it is cut into.
+    pub fn seen_for_parts(
+        &mut self,
+        against: &Against<'_>,
+        triangle: &[Corner; 3],
+        limit: Deviation,
+    ) -> [usize; 2] {
+        if self.first == 0
+            && self.looked < limit.shape
+            && let Some(view) = self.view
+        {
+            self.look(against, triangle, &view, limit.shape, |_, _| false);
+        }
+        [self.first, self.seen.len()]
+    }
+
+    /// The view of a triangle, or of a part of the one viewed before.
+    fn viewed(&mut self, triangle: &[Corner; 3], is_part: bool) -> Option<View> {
+        match &self.view {
+            Some(whole) if is_part => whole.part(triangle),
+            _ => {
+                self.view = View::new(triangle);
+                self.view
+            }
+        }
     }
 
     /// Find every triangle that may be within `reach` of the one viewed, but for those in branches to `skip`.
@@ -148,6 +196,7 @@ impl Cover {
     ) {
         let [low, high] = around(triangle.iter().map(|c| c.at));
         let (low, high) = (low.map(|x| x - reach), high.map(|x| x + reach));
+        (self.first, self.looked) = (0, reach);
         let seen = &mut self.seen;
         seen.clear();
         against.target.bvh.meeting(&low, &high, skip, |slot| {
@@ -159,10 +208,19 @@ impl Cover {
             }
             let at = corners.map(|p| view.at(&p));
             if !view.apart(&at, reach) {
-                seen.push(Seen { slot, at });
+                seen.push(Seen::new(slot, at));
             }
             true
         });
+    }
+
+    /// The same of a part, among what was seen of the triangle it is part of.
+    fn look_again(&mut self, view: &View, reach: f64, [start, end]: [usize; 2]) {
+        for i in start..end {
+            if !view.misses(&self.seen[i], reach) {
+                self.seen.push(self.seen[i]);
+            }
+        }
     }
 
     /// The greatest height of what hides all of the triangle, if that is at most `most`.
@@ -177,29 +235,28 @@ impl Cover {
         self.hiding.clear();
         let place = [0, 1].map(|i| (0..3).map(|k| PLACE[k] * view.corners[k][i]).sum());
         let (mut layers, mut highest) = (0, 0.0f64);
-        for seen in &self.seen {
+        for (i, seen) in self.seen.iter().enumerate().skip(self.first) {
             let outside = seen.at.map(|p| view.outside(&p));
             if outside[0] & outside[1] & outside[2] != 0 {
                 continue;
             }
             // Not part of the cover: where others end at it there is a border then.
-            let mut height = seen.at.iter().map(|p| p[2].abs()).fold(0.0, f64::max);
+            let mut height = seen.height();
             // Beside the triangle it may be as high as it likes.
             if height > highest && outside != [0; 3] {
                 height = view.height_over(&seen.at);
             }
-            height += needle_height(&seen.at);
+            height += seen.thin;
             if height > most {
                 continue;
             }
             highest = highest.max(height);
-            self.hiding.push(Hiding { seen: *seen, around: box_around(&seen.at), height });
+            self.hiding.push(Hiding { seen: i, height });
             layers += turns(&seen.at, &place)?;
             let vertices = against.target.vertices[seen.slot as usize];
             for (i, j) in [(0, 1), (1, 2), (2, 0)] {
                 if outside[i] & outside[j] == 0 {
-                    let (a, b) = (vertices[i], vertices[j]);
-                    self.sides.push(([a.min(b), a.max(b)], a < b));
+                    self.sides.push(side_of(vertices[i], vertices[j]));
                 }
             }
         }
@@ -207,10 +264,10 @@ impl Cover {
             return None;
         }
         self.sides.sort_unstable();
-        let all_closed = self.sides.chunk_by(|a, b| a.0 == b.0).all(|same| {
-            let forward = same.iter().filter(|side| side.1).count();
+        let all_closed = self.sides.chunk_by(|a, b| a | 1 == b | 1).all(|same| {
+            let forward = same.iter().filter(|side| *side & 1 == 1).count();
             2 * forward == same.len() || {
-                let ends = same[0].0.map(|v| &against.target.points[v as usize]);
+                let ends = ends_of(same[0]).map(|v| &against.target.points[v as usize]);
                 view.passed_by(triangle, ends)
             }
         });
@@ -230,13 +287,13 @@ impl Cover {
     ) -> bool {
         let around = reach + against.slack;
         self.cells.clear();
-        for seen in self.seen.iter().filter(|seen| !view.apart(&seen.at, around)) {
+        for seen in self.seen[self.first..].iter().filter(|seen| !view.misses(seen, around)) {
             if soon_within(against, triangle, view, seen, around, level) {
                 continue;
             }
             // Not all of the triangle is as far from what hides it as the farthest part.
             let Some(around) = self.around(seen, around, against.slack) else { continue };
-            if view.apart(&seen.at, around) || soon_within(against, triangle, view, seen, around, level) {
+            if view.misses(seen, around) || soon_within(against, triangle, view, seen, around, level) {
                 continue;
             }
             let facet = Facet::new(&against.target.corners(seen.slot));
@@ -249,11 +306,12 @@ impl Cover {
             }
             // Soon found for most: only what is left is worth the cells.
             if self.cells.is_empty() {
-                cut(&mut self.cells, against, triangle, view, one, &self.hiding);
+                let hiding = self.hiding.iter().map(|hiding| &self.seen[hiding.seen]);
+                cut(&mut self.cells, against, triangle, view, one, hiding);
             }
-            let here = box_around(&seen.at);
+            let here = &seen.around;
             debug_assert!(!self.cells.is_empty(), "cells cover the triangle");
-            for cell in self.cells.iter().filter(|cell| meet(&here, &cell.around, around)) {
+            for cell in self.cells.iter().filter(|cell| meet(here, &cell.around, around)) {
                 if let Err(worst) = within(&cell.polygon, CUTS, &mut self.parts) {
                     self.doubt = Some(worst);
                     return false;
@@ -269,10 +327,10 @@ impl Cover {
         if self.hiding.is_empty() {
             return Some(around);
         }
-        let here = box_around(&seen.at);
         let mut around = around;
         for _ in 0..2 {
-            let over = self.hiding.iter().filter(|hiding| meet(&here, &hiding.around, around));
+            let is_over = |hiding: &&Hiding| meet(&seen.around, &self.seen[hiding.seen].around, around);
+            let over = self.hiding.iter().filter(is_over);
             around = around.min(over.map(|hiding| hiding.height).reduce(f64::max)? + slack);
         }
         Some(around)
@@ -288,7 +346,7 @@ impl Cover {
         level: f64,
     ) -> bool {
         let around = reach + against.slack;
-        let mut near = self.seen.iter().filter(|seen| !view.apart(&seen.at, around));
+        let mut near = self.seen[self.first..].iter().filter(|seen| !view.misses(seen, around));
         near.all(|seen| soon_within(against, triangle, view, seen, around, level))
     }
 }
@@ -303,7 +361,10 @@ fn soon_within(
     around: f64,
     level: f64,
 ) -> bool {
-    let most = if extent(&seen.at) < view.size {
+    if against.target.color_range(seen.slot, &view.colors) <= level {
+        return true;
+    }
+    let most = if extent(&seen.around) < view.size {
         Some(view.smaller_differs(against, seen, around))
     } else {
         larger_differs(against, triangle, seen.slot, around)
@@ -312,24 +373,24 @@ fn soon_within(
 }
 
 /// Parts that cover the triangle: what each of those that hide it does, or all of it where `one` triangle is near all.
-fn cut(
+fn cut<'s>(
     cells: &mut Vec<Cell>,
     against: &Against<'_>,
     triangle: &[Corner; 3],
     view: &View,
     one: Option<u32>,
-    hiding: &[Hiding],
+    hiding: impl ExactSizeIterator<Item = &'s Seen>,
 ) {
     let mut cell = |mut polygon: Polygon, slot: u32| {
         polygon.set_reach(against.target.reach(slot));
         if !polygon.is_empty() {
-            cells.push(Cell { around: box_around_places(polygon.iter().map(|c| view.at(&c.at))), polygon });
+            cells.push(Cell { around: around(polygon.iter().map(|c| view.at(&c.at))), polygon });
         }
     };
-    if hiding.is_empty() {
+    if hiding.len() == 0 {
         one.into_iter().for_each(|slot| cell(Polygon::new(*triangle), slot));
     }
-    for Hiding { seen: Seen { slot, at }, .. } in hiding {
+    for Seen { slot, at, .. } in hiding {
         let turn = ((at[1][0] - at[0][0]) * (at[2][1] - at[0][1])
             - (at[1][1] - at[0][1]) * (at[2][0] - at[0][0]))
             .signum();
@@ -348,15 +409,18 @@ fn cut(
     }
 }
 
-fn box_around(at: &[Vec3; 3]) -> Box {
-    box_around_places(at.iter().copied())
+/// The vertices of a side in order, and in which direction it is run through.
+#[inline]
+fn side_of(a: u32, b: u32) -> u64 {
+    u64::from(a.min(b)) << 32 | u64::from(a.max(b)) << 1 | u64::from(a < b)
 }
 
-fn box_around_places(places: impl Iterator<Item = Vec3>) -> Box {
-    around(places).map(|[x, y, _]| [x, y])
+#[inline]
+fn ends_of(side: u64) -> [u32; 2] {
+    [(side >> 32) as u32, side as u32 >> 1]
 }
 
-/// Whether two boxes are no farther apart than `margin` along both axes.
+/// Whether two boxes are no farther apart than `margin` along both axes of the plane.
 #[inline]
 fn meet(a: &Box, b: &Box, margin: f64) -> bool {
     (0..2).all(|i| a[0][i] <= b[1][i] + margin && b[0][i] <= a[1][i] + margin)
@@ -399,6 +463,19 @@ fn larger_differs(against: &Against<'_>, triangle: &[Corner; 3], slot: u32, arou
     Some(most + facet.slope(&colors) * (moved + against.slack))
 }
 
+impl Seen {
+    #[inline]
+    fn new(slot: u32, at: [Vec3; 3]) -> Self {
+        Self { slot, at, around: around(at.into_iter()), thin: needle_height(&at) }
+    }
+
+    /// The greatest height of a corner, above or below.
+    #[inline]
+    fn height(&self) -> f64 {
+        self.around[1][2].max(-self.around[0][2])
+    }
+}
+
 impl View {
     /// None for a needle, whose normal has too few digits.
     fn new(triangle: &[Corner; 3]) -> Option<Self> {
@@ -416,21 +493,29 @@ impl View {
         let axes = [x, cross(&normal, &x), normal];
         let flat = |v: &Vec3| [dot(&axes[0], v), dot(&axes[1], v)];
         let corners = [[0.0; 2], flat(&ab), flat(&ac)];
-        let sides = [0, 1, 2].map(|opposite| {
-            let (from, to) = (corners[(opposite + 1) % 3], corners[(opposite + 2) % 3]);
-            let (along, across) = (to[0] - from[0], to[1] - from[1]);
-            let length = (along * along + across * across).sqrt();
-            let inward = [-across / length, along / length];
-            [inward[0], inward[1], -(inward[0] * from[0] + inward[1] * from[1])]
-        });
+        let sides = sides_of(&corners);
         let [base, to_b, to_c] = [0, 1, 2]
             .map(|i| if i == 0 { triangle[0].color } else { sub(&triangle[i].color, &triangle[0].color) });
         // Corner b is on the first axis.
         let along = to_b.map(|x| x / corners[1][0]);
         let across = add_scaled(&to_c, -corners[2][0], &along).map(|x| x / corners[2][1]);
         let slope = (norm2(&along) + norm2(&across)).sqrt();
-        let size = [ab, ac, sub(&c, &b)].iter().map(norm2).fold(0.0, f64::max).sqrt();
-        Some(Self { origin: a, axes, corners, sides, size, color: [base, along, across], slope })
+        let size = size_of(triangle);
+        let (color, colors) = ([base, along, across], around(triangle.iter().map(|c| c.color)));
+        Some(Self { origin: a, axes, corners, sides, size, whole: size, color, slope, colors })
+    }
+
+    /// That of a part of the triangle, on the same plane.
+    fn part(&self, triangle: &[Corner; 3]) -> Option<Self> {
+        if is_needle(area_and_length(&triangle.map(|c| c.at))) {
+            return None;
+        }
+        let corners = triangle.map(|c| {
+            let [x, y, _] = self.at(&c.at);
+            [x, y]
+        });
+        let (sides, colors) = (sides_of(&corners), around(triangle.iter().map(|c| c.color)));
+        Some(Self { corners, sides, size: size_of(triangle), colors, ..*self })
     }
 
     #[inline]
@@ -465,9 +550,17 @@ impl View {
             || (0..3).any(|side| other.iter().all(|p| self.depth(side, p) < -reach))
     }
 
+    /// The same for what was seen.
+    #[inline]
+    fn misses(&self, Seen { at, around: [low, high], .. }: &Seen, reach: f64) -> bool {
+        low[2] > reach
+            || high[2] < -reach
+            || (0..3).any(|side| at.iter().all(|p| self.depth(side, p) < -reach))
+    }
+
     #[inline]
     fn rounding(&self, p: &Vec3) -> f64 {
-        ROUNDING * (self.size + p[0].abs() + p[1].abs())
+        ROUNDING * (self.whole + p[0].abs() + p[1].abs())
     }
 
     /// Bit i is set where the point is outside of side i, and not by rounding.
@@ -488,8 +581,10 @@ impl View {
             let levels = before.map(|p| self.depth(side, &p) + margin);
             for i in 0..last {
                 let j = if i + 1 < last { i + 1 } else { 0 };
-                let t = levels[i] / (levels[i] - levels[j]);
-                let crossing = || [0, 1, 2].map(|k| before[i][k] + t * (before[j][k] - before[i][k]));
+                let crossing = || {
+                    let t = levels[i] / (levels[i] - levels[j]);
+                    [0, 1, 2].map(|k| before[i][k] + t * (before[j][k] - before[i][k]))
+                };
                 let both = [
                     (levels[i] >= 0.0).then_some(before[i]),
                     ((levels[i] < 0.0) != (levels[j] < 0.0)).then(crossing),
@@ -539,13 +634,28 @@ impl View {
             norm2(&sub(&self.color_at(&[x, y]), &colors[k]))
         });
         // Where heights are above zero all over the triangle, less is left for the way along the plane.
-        let [low, high] =
-            [f64::min, f64::max].map(|pick| seen.at[1..].iter().fold(seen.at[0][2], |m, p| pick(m, p[2])));
+        let [low, high] = seen.around.map(|corner| corner[2]);
         let nearest = low.max(-high).max(0.0).min(around);
         let moved = (around * around - nearest * nearest).sqrt();
         let most = most2.iter().fold(0.0f64, |m, &d| m.max(d)).sqrt();
         most + self.slope * (moved + against.slack)
     }
+}
+
+/// Inward normal of each side of a triangle, and its distance from the origin.
+fn sides_of(corners: &[[f64; 2]; 3]) -> [[f64; 3]; 3] {
+    [0, 1, 2].map(|opposite| {
+        let (from, to) = (corners[(opposite + 1) % 3], corners[(opposite + 2) % 3]);
+        let (along, across) = (to[0] - from[0], to[1] - from[1]);
+        let length = (along * along + across * across).sqrt();
+        let inward = [-across / length, along / length];
+        [inward[0], inward[1], -(inward[0] * from[0] + inward[1] * from[1])]
+    })
+}
+
+/// The length of the longest side.
+fn size_of(triangle: &[Corner; 3]) -> f64 {
+    area_and_length(&triangle.map(|c| c.at)).1.sqrt()
 }
 
 /// Four times the squared area, and the squared length of the longest side.
@@ -597,10 +707,9 @@ fn turns(corners: &[Vec3; 3], place: &[f64; 2]) -> Option<i32> {
     }
 }
 
-/// A length that no side of the triangle is much longer than.
+/// A length that no side of a triangle in this box is much longer than.
 #[inline]
-fn extent(corners: &[Vec3; 3]) -> f64 {
-    let [low, high] = around(corners.iter().copied());
+fn extent([low, high]: &Box) -> f64 {
     (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max)
 }
 

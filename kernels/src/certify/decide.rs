@@ -27,6 +27,8 @@ pub struct Scratch {
 struct Part {
     corners: [Corner; 3],
     near: [u32; 3],
+    /// What was seen of the triangle it is part of.
+    of: Option<[usize; 2]>,
 }
 
 impl Part {
@@ -48,7 +50,7 @@ pub fn decide(
 ) -> Result<Outcome, KernelError> {
     let mut seen = Outcome::new(attained);
     if attained.within(goal.at_most)
-        && parts_proven(against, Part { corners, near }, goal, &mut seen, scratch, progress)?
+        && parts_proven(against, Part { corners, near, of: None }, goal, &mut seen, scratch, progress)?
     {
         return Ok(Outcome { bound: goal.at_most, ..seen });
     }
@@ -73,7 +75,7 @@ fn parts_proven(
     while let Some(part) = parts.pop() {
         progress.check_now_and_then()?;
         seen.pieces += 1;
-        if cover.proves(against, &part.corners, part.near, goal.at_most) {
+        if cover.proves(against, &part.corners, part.near, goal.at_most, part.of) {
             seen.reach = seen.reach.max(cover.reach + against.slack);
             continue;
         }
@@ -86,7 +88,8 @@ fn parts_proven(
         }
         if cover.crowd() > FEW && halved < PARTS && part.is_longer_than(goal.at_most.shape) {
             halved += 1;
-            parts.extend(halves(against, &part, seen));
+            let of = Some(cover.seen_for_parts(against, &part.corners, goal.at_most));
+            parts.extend(halves(against, &Part { of, ..part }, seen));
         } else {
             let mut hint = part.near[0];
             let outcome = refine(against, part.corners, &mut hint, seen.attained, goal, workspace, progress)?;
@@ -106,7 +109,7 @@ fn parts_proven(
 
 /// Both sides of the line from the middle of the longest side to the corner opposite.
 fn halves(against: &Against<'_>, part: &Part, seen: &mut Outcome) -> [Part; 2] {
-    let Part { corners, near } = part;
+    let Part { corners, near, .. } = part;
     let length2 = |i: usize| distance2(&corners[i].at, &corners[(i + 1) % 3].at);
     let i = (0..3).max_by(|&i, &j| length2(i).total_cmp(&length2(j))).unwrap_or(0);
     let j = (i + 1) % 3;

@@ -202,6 +202,13 @@ impl Surface {
         norm2(&[0, 1, 2].map(most)).sqrt()
     }
 
+    /// The most that colours in a box differ from those of the triangle in `slot`.
+    #[inline]
+    pub fn color_range(&self, slot: u32, [low, high]: &[Vec3; 2]) -> f64 {
+        let [from, to] = around(self.corner_colors(slot).into_iter());
+        norm2(&[0, 1, 2].map(|i| (high[i] - from[i]).max(to[i] - low[i]))).sqrt()
+    }
+
     /// Colour at the point of a slot's triangle nearest to `p`.
     pub fn color(&self, slot: u32, p: &Vec3) -> Vec3 {
         blend(&nearest(p, &self.corners(slot)), &self.corner_colors(slot))
