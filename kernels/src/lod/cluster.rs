@@ -93,11 +93,13 @@ pub struct Joint {
     pub length: f64,
 }
 
-/// Two cells that may become one, as they were when this was put down.
+/// Two cells that may become one, as they were when this was put down: the best of all that one of them had then.
 struct Offer {
     cost: f64,
     cells: [u32; 2],
     versions: [u32; 2],
+    /// Which of them.
+    owner: usize,
 }
 
 impl Ord for Offer {
@@ -133,23 +135,34 @@ pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
     // Where the length of the border to each neighbour is added up.
     let mut place = vec![NONE; count];
     neighbours.iter_mut().for_each(|list| add_up(list, &into, NONE, &mut place));
-    let offer = |cells: &[Cell], versions: &[u32], a: u32, b: u32, shared: f64| {
-        let (a, b) = (a.min(b), a.max(b));
+    let offer = |cells: &[Cell], versions: &[u32], own: u32, other: u32, shared: f64| {
+        let (a, b) = (own.min(other), own.max(other));
         let joined = cells[a as usize].joined(&cells[b as usize], shared);
         (joined.count <= most).then(|| Offer {
             cost: joined.cost(),
             cells: [a, b],
             versions: [versions[a as usize], versions[b as usize]],
+            owner: usize::from(own > other),
         })
     };
+    // What the best of all has to offer is that of its newer cell, whose best it is: of each cell the best will do, until
+    // that turns out to be gone.
+    let best = |cells: &[Cell], versions: &[u32], own: u32, list: &[(u32, f64)]| {
+        list.iter().filter_map(|&(other, shared)| offer(cells, versions, own, other, shared)).max()
+    };
     let mut offers = BinaryHeap::new();
-    for (a, list) in (0..).zip(&neighbours) {
-        let later = list.iter().filter(|(b, _)| *b > a);
-        offers.extend(later.filter_map(|&(b, shared)| offer(&cells, &versions, a, b, shared)));
+    for (own, list) in (0..).zip(&neighbours) {
+        offers.extend(best(&cells, &versions, own, list));
     }
-    while let Some(Offer { cells: pair, versions: then, .. }) = offers.pop() {
+    while let Some(Offer { cells: pair, versions: then, owner, .. }) = offers.pop() {
         let [a, b] = pair.map(|c| c as usize);
-        if into[a] != pair[0] || into[b] != pair[1] || [versions[a], versions[b]] != then {
+        let is_there =
+            [0, 1].map(|i| into[pair[i] as usize] == pair[i] && versions[pair[i] as usize] == then[i]);
+        if is_there != [true; 2] {
+            if is_there[owner] {
+                let own = pair[owner];
+                offers.extend(best(&cells, &versions, own, &neighbours[own as usize]));
+            }
             continue;
         }
         let shared = neighbours[a].iter().find(|(c, _)| *c == pair[1]).map_or(0.0, |(_, length)| *length);
@@ -167,8 +180,8 @@ pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
             let theirs = &mut neighbours[c as usize];
             theirs.retain(|(d, _)| *d != pair[0] && *d != pair[1]);
             theirs.push((pair[0], shared));
-            offers.extend(offer(&cells, &versions, pair[0], c, shared));
         }
+        offers.extend(best(&cells, &versions, pair[0], &list));
         neighbours[a] = list;
     }
     numbered(&into)

@@ -6,18 +6,21 @@ use crate::mesh::bvh::Bvh;
 
 /// Sides shared by two triangles. Where a side is of more than two, each is joined to the next.
 pub fn shared_sides<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Vec<Joint> {
-    let mut sides: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * triangles.len());
+    // Both vertices of a side in one number, in order, and its triangle.
+    let mut sides: Vec<(u64, u32)> = Vec::with_capacity(3 * triangles.len());
     for (t, corners) in (0..).zip(triangles) {
         for i in 0..3 {
             let (a, b) = (corners[i], corners[(i + 1) % 3]);
-            sides.push((a.min(b), a.max(b), t));
+            sides.push((u64::from(a.min(b)) << 32 | u64::from(a.max(b)), t));
         }
     }
     sides.sort_unstable();
-    let length =
-        |a: u32, b: u32| distance2(&position(&points[a as usize]), &position(&points[b as usize])).sqrt();
-    let both = sides.windows(2).filter(|pair| (pair[0].0, pair[0].1) == (pair[1].0, pair[1].1));
-    both.map(|pair| Joint { between: [pair[0].2, pair[1].2], length: length(pair[0].0, pair[0].1) }).collect()
+    let length = |side: u64| {
+        let [a, b] = [side >> 32, side & u64::from(u32::MAX)].map(|v| position(&points[v as usize]));
+        distance2(&a, &b).sqrt()
+    };
+    let both = sides.windows(2).filter(|pair| pair[0].0 == pair[1].0);
+    both.map(|pair| Joint { between: [pair[0].1, pair[1].1], length: length(pair[0].0) }).collect()
 }
 
 /// Joints without length, with which the graph is in one piece: from each component of the surface, at its triangle of
