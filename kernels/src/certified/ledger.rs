@@ -25,6 +25,15 @@ const ROUNDING: f64 = 1e-6;
 /// Triangles of the input that are looked at together: what is found of them takes memory.
 const AT_ONCE: usize = 1 << 15;
 
+/// Triangles of parts that are looked at together, at least.
+const TOGETHER: usize = 8 * AT_ONCE;
+
+/// With so many parts for each thread none has to be divided.
+const MANY: usize = 8;
+
+/// Threads that a part is divided among, at most, where others are looked at beside it.
+const BESIDE: usize = 4;
+
 /// A triangle of the input that is not within its part's limit.
 struct Failing {
     triangle: u32,
@@ -48,6 +57,23 @@ struct Part {
     surface: Surface,
     /// What is decided of its triangles, from the first look on.
     limit: Option<Deviation>,
+}
+
+/// What is to be looked at in a part: triangles of the mesh with their places in the result; of the input, all in order of the
+/// part's tree. `left` are all triangles of the mesh.
+struct Asked<'l> {
+    part: usize,
+    left: &'l [u32],
+    own: &'l [(u32, usize)],
+    near: Vec<u32>,
+}
+
+/// What was found there.
+struct Looked {
+    limit: Option<Deviation>,
+    of_mesh: Vec<Verdict>,
+    of_input: Vec<Verdict>,
+    failing: Vec<Failing>,
 }
 
 /// Triangles without a proof where there may be one.
@@ -104,12 +130,18 @@ impl<'a, const D: usize> Ledger<'a, D> {
             place.push([part_of(t), part.len()].map(|i| i as u32));
             part.push(t as u32);
         }
-        let part = |triangles: Vec<u32>| {
-            let (points, threads) = (&original.points, decision.threads);
-            let surface = Surface::of_some(points, &original.triangles, &triangles, threads)?;
-            Ok(Part { triangles, surface, limit: None })
+        let alone = triangles.len() == 1;
+        let part = |triangles: &[u32]| {
+            let threads = if alone { decision.threads } else { 1 };
+            Surface::of_some(&original.points, &original.triangles, triangles, threads)
         };
-        let parts = triangles.into_iter().map(part).collect::<Result<_, KernelError>>()?;
+        let (count, threads) = (triangles.len(), parallel::threads(decision.threads));
+        let parts = map(count, threads, || (), |(), i| part(&triangles[i]));
+        let parts = parts
+            .into_iter()
+            .zip(triangles)
+            .map(|(surface, triangles)| Ok(Part { triangles, surface: surface?, limit: None }));
+        let parts = parts.collect::<Result<_, KernelError>>()?;
         memory::give_back();
         Ok(Self {
             original,
@@ -176,10 +208,31 @@ impl<'a, const D: usize> Ledger<'a, D> {
         self.reach.resize(self.place.len(), f32::INFINITY);
         self.failing.retain(|failing| !near[failing.triangle as usize]);
         let left = self.left_of_parts(&mesh.triangle_source);
-        for (part, (asked, left)) in asked.iter().zip(&left).enumerate() {
-            for (number, verdict) in self.look_at_part(part, mesh, left, asked, &near, progress)? {
-                result[number].verdict = verdict;
+        let mut all = vec![];
+        for (part, (own, left)) in asked.iter().zip(&left).enumerate() {
+            let Part { triangles, surface, .. } = &self.parts[part];
+            // In the order of the tree, so that those looked at together are neighbours.
+            let near = surface.order.iter().copied().filter(|&t| near[triangles[t as usize] as usize]);
+            let near: Vec<u32> = near.collect();
+            if !(own.is_empty() && near.is_empty()) {
+                all.push(Asked { part, left, own, near });
             }
+        }
+        let mut rest = &all[..];
+        while !rest.is_empty() {
+            let (mut count, mut some) = (0, 0);
+            while some < rest.len() && count < TOGETHER {
+                count += rest[some].own.len() + rest[some].near.len();
+                some += 1;
+            }
+            let (now, later) = rest.split_at(some);
+            for (asked, looked) in now.iter().zip(self.look_at_parts(now, mesh, progress)?) {
+                for (&(_, number), verdict) in asked.own.iter().zip(&looked.of_mesh) {
+                    result[number].verdict = *verdict;
+                }
+                self.note(asked, looked);
+            }
+            rest = later;
         }
         self.result = result;
         self.failing.sort_unstable_by_key(|failing| failing.triangle);
@@ -197,35 +250,53 @@ impl<'a, const D: usize> Ledger<'a, D> {
         left
     }
 
-    /// Look at the triangles `asked` of the mesh, and at those of the input that are `near` changes, all in one part, of
-    /// which the triangles `left` are left. Returns what is found of those asked for, by their second number.
-    fn look_at_part(
-        &mut self,
-        part: usize,
+    /// Look at several parts, on all threads.
+    fn look_at_parts(
+        &self,
+        asked: &[Asked<'_>],
         mesh: &Whole<D, Bound>,
-        left: &[u32],
-        asked: &[(u32, usize)],
-        near: &[bool],
-        progress: &mut Progress,
-    ) -> Result<Vec<(usize, Verdict)>, KernelError> {
-        let Part { triangles, surface, limit } = &self.parts[part];
-        // In the order of the tree, so that those looked at together are neighbours.
-        let near: Vec<u32> =
-            surface.order.iter().copied().filter(|&t| near[triangles[t as usize] as usize]).collect();
-        if asked.is_empty() && near.is_empty() {
-            return Ok(vec![]);
+        progress: &Progress,
+    ) -> Result<Vec<Looked>, KernelError> {
+        let threads = parallel::threads(self.decision.threads);
+        let inner = match asked.len() {
+            1 => threads,
+            parts if parts < MANY * threads => threads.min(BESIDE),
+            _ => 1,
+        };
+        // The largest ones first: what comes last is soon done.
+        let mut order: Vec<usize> = (0..asked.len()).collect();
+        order.sort_by_key(|&i| std::cmp::Reverse(asked[i].own.len() + asked[i].near.len()));
+        let one = |(): &mut (), i: usize| {
+            self.look_at_part(&asked[order[i]], mesh, inner, &mut progress.clone()).map(Some)
+        };
+        let looked = map(asked.len(), threads, || (), one);
+        let mut in_order: Vec<Option<Looked>> = (0..asked.len()).map(|_| None).collect();
+        for (i, looked) in order.into_iter().zip(looked) {
+            in_order[i] = looked?;
         }
-        let target = Surface::of_some(&mesh.points, &mesh.triangles, left, self.decision.threads)?;
+        Ok(in_order.into_iter().flatten().collect())
+    }
+
+    fn look_at_part(
+        &self,
+        Asked { part, left, own, near }: &Asked<'_>,
+        mesh: &Whole<D, Bound>,
+        threads: usize,
+        progress: &mut Progress,
+    ) -> Result<Looked, KernelError> {
+        let Part { triangles, surface, limit } = &self.parts[*part];
         let mut limit = *limit;
+        let target = Surface::of_some(&mesh.points, &mesh.triangles, left, threads)?;
         let place = |i: u32| left.partition_point(|&other| other < i) as u32;
-        let mut own: Vec<u32> = asked.iter().map(|&(i, _)| place(i)).collect();
-        let mut found = vec![];
+        let mut own: Vec<u32> = own.iter().map(|&(i, _)| place(i)).collect();
         // Colours are looked at where they are to be bounded, too.
-        let decision = certify::Options { limit: limit.or(self.decision.limit), ..self.decision };
+        let decision = certify::Options { limit: limit.or(self.decision.limit), threads, ..self.decision };
         let decision = match self.close {
             Some(_) => certify::Options { limit: None, ..decision },
             None => decision,
         };
+        let mut found =
+            Looked { limit, of_mesh: vec![], of_input: Vec::with_capacity(near.len()), failing: vec![] };
         let mut rest = near.chunks(AT_ONCE);
         let mut some = rest.next();
         while !own.is_empty() || some.is_some() {
@@ -235,27 +306,40 @@ impl<'a, const D: usize> Ledger<'a, D> {
             let (within, [of_mesh, of_input]) =
                 certify::decide_within(&target, surface, &decision, lists, at_corners, progress)?;
             limit = Some(within);
-            found.extend(asked.iter().map(|a| a.1).zip(of_mesh));
-            for (&t, Verdict { bound, attained, reach }) in now[1].iter().zip(of_input) {
-                let t = triangles[t as usize];
-                // Never more than what is attained.
-                let single = |x: f64| (x as f32).next_down().max(0.0);
-                self.attained[t as usize] = [single(attained.shape), single(attained.color)];
-                self.reach[t as usize] = (reach as f32).next_up();
+            found.of_mesh.extend(of_mesh);
+            for (&t, verdict) in now[1].iter().zip(of_input) {
+                let Verdict { bound, .. } = verdict;
+                found.of_input.push(verdict);
                 if !bound.within(within) {
-                    self.reach[t as usize] = f32::INFINITY;
-                    let within_reach = if bound.within(self.bounds) {
-                        vec![]
-                    } else {
-                        self.within_reach(t, &target, |i| mesh.triangle_source[left[i as usize] as usize])
-                    };
-                    self.failing.push(Failing { triangle: t, bound, within_reach });
+                    let triangle = triangles[t as usize];
+                    let source = |i: u32| mesh.triangle_source[left[i as usize] as usize];
+                    let near = !bound.within(self.bounds);
+                    let within_reach =
+                        if near { self.within_reach(triangle, &target, source) } else { vec![] };
+                    found.failing.push(Failing { triangle, bound, within_reach });
                 }
             }
             some = rest.next();
         }
-        self.parts[part].limit = limit;
+        found.limit = limit;
         Ok(found)
+    }
+
+    /// Keep what was found in a part of the input's triangles.
+    fn note(&mut self, Asked { part, near, .. }: &Asked<'_>, looked: Looked) {
+        let Part { triangles, limit, .. } = &mut self.parts[*part];
+        *limit = looked.limit;
+        for (&t, Verdict { attained, reach, .. }) in near.iter().zip(looked.of_input) {
+            let t = triangles[t as usize] as usize;
+            // Never more than what is attained.
+            let single = |x: f64| (x as f32).next_down().max(0.0);
+            self.attained[t] = [single(attained.shape), single(attained.color)];
+            self.reach[t] = (reach as f32).next_up();
+        }
+        for failing in &looked.failing {
+            self.reach[failing.triangle as usize] = f32::INFINITY;
+        }
+        self.failing.extend(looked.failing);
     }
 
     /// What is decided of a part's triangles whose corners attain so much: the bounds asked for, and colours as closely as
@@ -387,14 +471,16 @@ impl<'a, const D: usize> Ledger<'a, D> {
             let [part, place] = self.place[*triangle as usize];
             failing[part as usize].push(place);
         }
+        let threads = parallel::threads(self.decision.threads);
+        let inner = if self.parts.len() < MANY * threads { threads.min(BESIDE) } else { 1 };
         let one = |(): &mut (), part: usize| match &self.close {
             Some(close) if wanted(part) => {
-                let close = certify::Options { limit: None, threads: 1, ..*close };
+                let close = certify::Options { limit: None, threads: inner, ..*close };
                 self.bound_of_part(part, mesh, &left[part], &own[part], &failing[part], &close, progress)
             }
             _ => Ok(Verdict::UNKNOWN),
         };
-        map(self.parts.len(), parallel::threads(self.decision.threads), || (), one).into_iter().collect()
+        map(self.parts.len(), threads, || (), one).into_iter().collect()
     }
 
     #[allow(clippy::too_many_arguments)]

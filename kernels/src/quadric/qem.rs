@@ -222,7 +222,11 @@ impl<const D: usize, const K: usize> Records<D> for QemRecords<K> {
 
     fn untouched(&self, _: &[u32], inside: &[u32]) -> Option<Vec<f64>> {
         let importance = &self.importance;
-        Some(if importance.is_empty() { vec![] } else { inside.iter().map(|&v| importance[v as usize]).collect() })
+        Some(if importance.is_empty() {
+            vec![]
+        } else {
+            inside.iter().map(|&v| importance[v as usize]).collect()
+        })
     }
 
     fn unload(measure: Qem<D, K>, region: &Mesh<D>) -> Vec<f64> {
