@@ -1,7 +1,7 @@
 //! Does one triangle stay within a limit? The quick proof first, for all of it or for parts; what is left is for `refine`.
 
 use super::cover::Cover;
-use super::piece::{Against, Deviation};
+use super::piece::{Against, Deviation, Wanted};
 use super::polygon::Corner;
 use super::refine::{Goal, Outcome, Workspace, refine};
 use crate::base::errors::KernelError;
@@ -11,6 +11,8 @@ use crate::base::progress::Progress;
 /// With no more triangles than this near a part, or all of them within reach, splitting it helps no more than looking at
 /// its pieces.
 const FEW: usize = 8;
+/// Pieces of the first look at a triangle.
+pub const FIRST: usize = 128;
 /// Parts of one triangle. Where the quick proof is of no use they would become ever smaller.
 const PARTS: usize = 1024;
 
@@ -53,6 +55,11 @@ pub fn decide(
         && parts_proven(against, Part { corners, near, of: None }, goal, &mut seen, scratch, progress)?
     {
         return Ok(Outcome { bound: goal.at_most, ..seen });
+    }
+    if goal.pieces > FIRST && seen.pieces >= goal.pieces && against.wanted == Wanted::None {
+        // A part has used up the pieces that all of it would have now, and what was found with fewer stays.
+        let bound = Deviation { shape: f64::INFINITY, color: f64::INFINITY };
+        return Ok(Outcome { bound, reach: f64::INFINITY, ..seen });
     }
     let mut hint = near[0];
     let Scratch { workspace, .. } = scratch;
@@ -130,7 +137,6 @@ fn halves(against: &Against<'_>, part: &Part, seen: &mut Outcome) -> [Part; 2] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::piece::Wanted;
     use super::super::surface::Surface;
     use super::*;
     use crate::base::progress::Control;

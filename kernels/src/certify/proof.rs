@@ -14,7 +14,7 @@ pub const COLOR_SLACK: f64 = 1.0 / 512.0;
 /// Pieces of one triangle before the greatest bound is known; most need fewer than ten.
 const FIRST_PIECES: usize = 64;
 /// The same for a decision: few that are not decided by then ever are.
-const DECISION_PIECES: usize = 128;
+const DECISION_PIECES: usize = super::decide::FIRST;
 /// Small meshes may cost as much as one of so many triangles.
 const AT_LEAST: usize = 4096;
 /// Each round allows so many times the pieces of the one before.

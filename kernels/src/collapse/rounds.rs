@@ -47,6 +47,9 @@ pub const REGION_TRIANGLES: usize = 8192;
 /// Share of the triangles that one round may remove: more saves rounds, less follows one queue's order closer.
 const SHARE: f64 = 0.75;
 
+/// Free pages stay where only one collapse took place for so many triangles: they are needed again at once.
+const FEW: usize = 16;
+
 type Bound<const D: usize, R> = <<R as Records<D>>::Measure as Measure<D>>::Bound;
 
 pub struct Outcome<const D: usize, R: Records<D>> {
@@ -218,7 +221,7 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
             }
         }
         let (mesh, records) = self.mesh.join(&rim, self.records, done.remains, self.goal.threads);
-        if self.goal.record {
+        if self.goal.record && done.collapsed > mesh.triangles.len() / FEW {
             // Paths stay between what the regions needed for a while.
             memory::give_back();
         }
