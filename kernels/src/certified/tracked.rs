@@ -151,3 +151,69 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
         Self { qem, lists: self.lists.join(sampled), ..self }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::collapse::engine::Refusal;
+    use crate::collapse::partition::Partition;
+    use crate::collapse::region::{Remains, SHARED, Scratch, find_owners};
+    use crate::collapse::whole::Whole;
+    use crate::mesh::legality::Illegal;
+
+    /// A square of 6 by 6 with locked vertices, of which no edge may collapse.
+    fn idle() -> Whole<3, Bound> {
+        let points: Vec<[f64; 3]> =
+            (0..49).map(|v| [f64::from(v % 7), f64::from(v / 7), f64::from(v * v % 5)]).collect();
+        let corners = (0..36).map(|i| 7 * (i / 6) + i % 6);
+        let triangles: Vec<[u32; 3]> = corners.flat_map(|v| [[v, v + 1, v + 8], [v, v + 8, v + 7]]).collect();
+        let locked = (0..49).map(|v| v % 3 == 0).collect();
+        let mut whole = Whole::new(points, triangles, locked).unwrap();
+        whole.refused = vec![[Some(Refusal::Illegal(Illegal::Fold)); 3]; whole.triangles.len()];
+        whole.triangle_source.iter_mut().for_each(|t| *t += 100);
+        whole.vertex_source.iter_mut().for_each(|v| *v += 50);
+        whole
+    }
+
+    #[test]
+    fn what_nothing_happens_to_is_left_as_if_it_had_been_worked_on() {
+        let given = idle();
+        let original = Original::new(given.points.clone(), given.triangles.clone());
+        let limits = Limits { shape: 1.0, color: 1.0, factors: vec![1.0; 49], needle: LEAST_HEIGHT };
+        let partition = Partition::new(&given.points, &given.triangles, 3, 0, 1);
+        let owner = find_owners(49, &given.triangles, &partition, 1);
+        let rim: Vec<bool> = owner.into_iter().map(|owner| owner == SHARED).collect();
+        let both = [false, true].map(|soon| {
+            let whole = idle();
+            let importance = (0..49).map(f64::from).collect();
+            // All samples in a few triangles: their order is kept, too.
+            let mut lists = Lists { starts: vec![0; 73], samples: (0..49).collect() };
+            lists.starts[10..].iter_mut().for_each(|s| *s = 20);
+            lists.starts[50..].iter_mut().for_each(|s| *s = 49);
+            let records =
+                TrackedRecords::<3, 0>::new(&original, &limits, 0.0, importance, lists, Rules::default());
+            let mut scratch = Scratch::new(49);
+            let remains = (0..partition.len())
+                .map(|p| {
+                    let region = partition.region(p);
+                    assert!(whole.is_idle(region, &rim));
+                    if soon {
+                        return whole.untouched(region, &rim, &records, &mut scratch).unwrap();
+                    }
+                    let (mesh, refusals) = whole.cut(region, &rim, &mut scratch).unwrap();
+                    let left = TrackedRecords::unload(records.load(&mesh), &mesh);
+                    Remains::new(&mesh, &whole, |edge| refusals[edge.index()], &[], None, left)
+                })
+                .collect();
+            let (whole, records) = whole.join(&rim, records, remains, 1);
+            let Whole { points, triangles, vertex_source, triangle_source, locked, refused } = whole;
+            let of_mesh = (points, triangles, vertex_source, triangle_source, locked, refused);
+            (of_mesh, records.qem.importance, records.lists.starts, records.lists.samples)
+        });
+        assert_eq!(both[0], both[1]);
+        let mut open = idle();
+        open.refused[40][1] = None;
+        let all: Vec<u32> = (0..72).collect();
+        assert!(!open.is_idle(&all, &[false; 49]) && open.is_idle(&all, &[true; 49]));
+    }
+}

@@ -193,6 +193,20 @@ mod tests {
     }
 
     #[test]
+    fn what_is_soon_found_to_be_beyond_is_no_nearer() {
+        let (mut beyond, mut near) = (0, 0);
+        for i in 0..2000u32 {
+            let p = [i % 13, i / 13 % 11, i % 7].map(|x| f64::from(x) - 5.0);
+            let least = f64::from(i % 17);
+            let distance2 = nearest(&p, &CORNERS).distance2;
+            let told = is_beyond(&CORNERS, &p, least);
+            assert!(!told || distance2 >= least);
+            (beyond, near) = (beyond + u32::from(told), near + u32::from(distance2 < least));
+        }
+        assert!(beyond > 500 && near > 100, "{beyond} {near}");
+    }
+
+    #[test]
     fn the_plane_knows_heights_depths_and_slopes() {
         let facet = Facet::new(&CORNERS).unwrap();
         assert_eq!(facet.height(&[1.0, 1.0, 3.0]).abs(), 3.0);

@@ -295,3 +295,65 @@ pub fn joined(cells: &[Cell], joints: &[Joint], group: &[u32]) -> Vec<Cell> {
     }
     whole.into_iter().flatten().collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The same by looking at all pairs of neighbours, again and again.
+    fn brute(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
+        let mut into: Vec<u32> = (0..cells.len() as u32).collect();
+        let mut borders: std::collections::BTreeMap<[u32; 2], f64> = Default::default();
+        for Joint { between: [a, b], length } in joints {
+            *borders.entry([*a.min(b), *a.max(b)]).or_default() += length;
+        }
+        loop {
+            let cost = |(pair, shared): (&[u32; 2], &f64)| {
+                let joined = cells[pair[0] as usize].joined(&cells[pair[1] as usize], *shared);
+                (joined.count <= most).then(|| (joined.cost(), *pair))
+            };
+            let best = borders.iter().filter_map(cost).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            let Some((_, [a, b])) = best else { return numbered(&into) };
+            let shared = borders.remove(&[a, b]).unwrap_or(0.0);
+            cells[a as usize] = cells[a as usize].joined(&cells[b as usize], shared);
+            into[b as usize] = a;
+            for (pair, length) in std::mem::take(&mut borders) {
+                let [c, d] = pair.map(|c| if c == b { a } else { c });
+                *borders.entry([c.min(d), c.max(d)]).or_default() += length;
+            }
+        }
+    }
+
+    #[test]
+    fn those_that_cost_least_are_joined_first() {
+        let mut state = 7u64;
+        let mut noise = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / f64::from(1u32 << 24)
+        };
+        for size in [2, 5, 9] {
+            // Lengths are sums of powers of two: the same in any order.
+            let place = |i: usize, j: usize, z: f64| [i as f64, j as f64, z];
+            let heights: Vec<f64> = (0..(size + 1) * (size + 1)).map(|_| noise()).collect();
+            let at = |i: usize, j: usize| place(i, j, heights[j * (size + 1) + i]);
+            let mut cells = vec![];
+            let mut joints = vec![];
+            for j in 0..size {
+                for i in 0..size {
+                    let number = cells.len() as u32;
+                    cells.push(Cell::of_triangle([at(i, j), at(i + 1, j), at(i + 1, j + 1)]));
+                    cells.push(Cell::of_triangle([at(i, j), at(i + 1, j + 1), at(i, j + 1)]));
+                    joints.push(Joint { between: [number, number + 1], length: 1.5 });
+                    let right = (i + 1 < size).then_some([number, number + 3]);
+                    let above = (j + 1 < size).then_some([number + 1, number + 2 * size as u32]);
+                    joints.extend(
+                        [right, above].into_iter().flatten().map(|b| Joint { between: b, length: 1.0 }),
+                    );
+                }
+            }
+            for most in [2, 5, 16, 1000] {
+                assert_eq!(cluster(cells.clone(), &joints, most), brute(cells.clone(), &joints, most));
+            }
+        }
+    }
+}

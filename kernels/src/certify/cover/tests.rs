@@ -107,7 +107,7 @@ fn against(target: &Surface, slack: f64) -> Against<'_> {
 fn proves(against: &Against<'_>, triangle: &Triangle, level: f64, cover: &mut Cover) -> bool {
     let near = triangle.map(|c| against.target.nearest(&c.at, 0));
     let triangle = [0, 1, 2].map(|i| Corner { reach: near[i].distance, ..triangle[i] });
-    cover.proves(against, &triangle, near.map(|f| f.slot), Deviation { shape: 9.0, color: level })
+    cover.proves(against, &triangle, near.map(|f| f.slot), Deviation { shape: 9.0, color: level }, None)
 }
 
 /// Corners and other points of a triangle: place and colour.
@@ -206,7 +206,7 @@ fn no_colour_differs_more_from_a_smaller_triangle_than_is_said() {
         // What the target holds, in single precision.
         let colors = target.corner_colors(0);
         let small = [0, 1, 2].map(|i| Corner { color: colors[i], ..small[i] });
-        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
+        let seen = Seen::new(0, small.map(|c| view.at(&c.at)));
         let corners = large.map(|c| c.at);
         let facet = Facet::new(&corners).unwrap();
         let height = small.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
@@ -241,7 +241,7 @@ fn a_colour_can_differ_as_much_from_a_smaller_triangle_as_is_said() {
         let (large, small, beyond, slack) = noise.beyond_the_tip(height, own);
         let (far, truth) = brute(&beyond.at, &beyond.color, &small, slack);
         let (view, target) = (View::new(&large).unwrap(), surface(&[small]));
-        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
+        let seen = Seen::new(0, small.map(|c| view.at(&c.at)));
         let said = view.smaller_differs(&against(&target, slack), &seen, far);
         assert!((said - truth).abs() <= 1e-4 * truth, "{case}: {said}, not {truth}");
     }
@@ -258,7 +258,7 @@ fn a_triangle_through_the_plane_leaves_all_of_the_way_along_it() {
         small[1].at = add_scaled(&small[1].at, lift, &view.axes[2]);
         small[2].at = add_scaled(&small[2].at, if case % 4 < 2 { -lift } else { lift }, &view.axes[2]);
         let target = surface(&[small]);
-        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
+        let seen = Seen::new(0, small.map(|c| view.at(&c.at)));
         let drop = difference(&large[1].color, &large[0].color);
         let said = view.smaller_differs(&against(&target, 0.05), &seen, 0.25);
         let truth = (0.3 + 0.25 + 0.05) * drop;
@@ -438,4 +438,94 @@ fn a_colour_under_a_sheet_that_passes_the_limit_is_never_proven_within() {
     }
     // What is soon found does not tell most of these: parts are what this is about.
     assert!(proven > 150 && cells > 300, "{proven} {cells}");
+}
+
+/// Whether the shape of all of a triangle with these corners is proven to be within `limit` of a surface without colours.
+fn covers(corners: [Vec3; 3], sheet: &[[Vec3; 3]], limit: f64) -> bool {
+    let of = |at: Vec3| Corner { at, color: [0.0; 3], reach: 0.0 };
+    let target = joined(&sheet.iter().map(|t| t.map(of)).collect::<Vec<_>>());
+    let against = Against { with_color: false, ..against(&target, 1e-9) };
+    let near = corners.map(|at| target.nearest(&at, 0));
+    let triangle = [0, 1, 2].map(|i| Corner { reach: near[i].distance, ..of(corners[i]) });
+    let limit = Deviation { shape: limit, color: f64::INFINITY };
+    Cover::default().proves(&against, &triangle, near.map(|f| f.slot), limit, None)
+}
+
+#[test]
+fn a_border_along_the_sides_of_a_triangle_leaves_none_of_it_bare() {
+    let mut noise = Noise(18);
+    let mut compared = 0;
+    for _ in 0..200 {
+        let triangle = noise.large();
+        let [a, b, c] = triangle.map(|c| c.at);
+        let Some(view) = View::new(&triangle) else { continue };
+        if area_and_length(&[a, b, c]).0 < 0.1 {
+            continue;
+        }
+        compared += 1;
+        let height = 0.05;
+        let tip = add_scaled(&combine(&[0.3, 0.3, 0.4], &[a, b, c]), height, &view.axes[2]);
+        let roof = [[a, b, tip], [b, c, tip], [c, a, tip]];
+        assert!(covers([a, b, c], &roof, 1.01 * height));
+        assert!(!covers([a, b, c], &roof, 0.99 * height));
+        // Borders that go on from two corners, away from the triangle.
+        let beyond = add_scaled(&add_scaled(&a, 1.0, &sub(&b, &c)), height, &view.axes[2]);
+        assert!(covers([a, b, c], &[roof[0], roof[1], roof[2], [b, a, beyond]], 1.01 * height));
+        // A hole between two corners and the tip, and one that begins at a corner.
+        assert!(!covers([a, b, c], &roof[1..], 1.01 * height));
+        let side = combine(&[0.5, 0.5, 0.0], &[a, b, c]);
+        assert!(!covers([a, b, c], &[[a, side, tip], roof[1], roof[2]], 1.01 * height));
+    }
+    assert!(compared > 100, "{compared}");
+}
+
+#[test]
+fn parts_see_what_the_whole_does() {
+    let mut noise = Noise(19);
+    let (mut seen, mut proven) = (0, 0);
+    for case in 0..200 {
+        let triangle = noise.large();
+        if View::new(&triangle).is_none() {
+            continue;
+        }
+        let sheet = sheet(&triangle, 6, 0.15, 50.0, &mut noise);
+        let target = joined(&sheet);
+        let against = against(&target, 1e-6);
+        let limit = Deviation { shape: [0.05, 0.1, 0.2][case % 3], color: [20.0, 100.0][case / 3 % 2] };
+        let corner = |c: &Corner| {
+            let found = target.nearest(&c.at, 0);
+            (Corner { reach: found.distance, ..*c }, found.slot)
+        };
+        let mut whole = Cover::default();
+        let [a, b, c] = triangle.each_ref().map(corner);
+        if whole.proves(&against, &[a.0, b.0, c.0], [a.1, b.1, c.1], limit, None) {
+            continue;
+        }
+        let of = whole.seen_for_parts(&against, &[a.0, b.0, c.0], limit);
+        let middle = corner(&Corner {
+            at: midpoint(&a.0.at, &b.0.at),
+            color: midpoint(&a.0.color, &b.0.color),
+            reach: 0.0,
+        });
+        for half in [[a, middle, c], [middle, b, c]] {
+            let (corners, near) = (half.map(|c| c.0), half.map(|c| c.1));
+            let mut alone = Cover::default();
+            let part = whole.proves(&against, &corners, near, limit, Some(of));
+            assert_eq!(part, alone.proves(&against, &corners, near, limit, None), "{case}");
+            proven += usize::from(part);
+            // Never fewer triangles than a search of its own finds, at the same reach.
+            alone.seen_for_parts(&against, &corners, limit);
+            let slots = |cover: &Cover| -> Vec<u32> {
+                let mut slots: Vec<u32> = cover.seen[cover.first..].iter().map(|s| s.slot).collect();
+                slots.sort_unstable();
+                slots
+            };
+            if !part {
+                let (all, own) = (slots(&whole), slots(&alone));
+                assert!(own.iter().all(|s| all.binary_search(s).is_ok()), "{case}");
+                seen += own.len();
+            }
+        }
+    }
+    assert!(seen > 1000 && proven > 50, "{seen} {proven}");
 }
