@@ -31,7 +31,7 @@ from open3d_images import legacy_camera, legacy_image, read_images
 
 from stages._open3d import open3d
 from stages.registration.odometry import one_thread_each
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.scan import Camera, Frame, Pose
 
 _FRAGMENT_FRAMES = 100

@@ -46,7 +46,8 @@ from stages.fusion.posed_depth import rigid_pose
 from stages.registration.motion import angle
 from stages.registration.register import register
 from stages.registration.registered import Registration
-from stages.scans.formats.trajectories import inverted, read_tum
+from stages.scans.formats.trajectories import read_tum
+from stages.scans.poses import inverted
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Pose
 from stages.stereo.depth import DepthMap, depth_scan

@@ -10,7 +10,7 @@ from typing import Any
 from stages.comparing.left_out import left_out
 from stages.picturing.render import write_png
 from stages.progress import Progress, silent
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.scan import Frame
 from stages.surface.mesh import Mesh
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 import stages
-from pipeline.covering import MESH
 from pipeline.deviations import FIGURES, Kept, kept_of, read_deviations
 from pipeline.page_cameras import as_runs_write, cameras_of
+from pipeline.page_coarse import coarsely
 from pipeline.page_coverage import missing_of
 from pipeline.page_paints import confidence_paint, deviation_paint
 from pipeline.page_told import at, deviation_tables, skipped_in, told_of
@@ -59,10 +59,13 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     paints: dict[str, Paint] = {}
     models = {}
     kept = None
+    is_metric = at(report, "scan", "metric", otherwise=True)
     if (folder / "clean.ply").is_file():
         if is_many(promised(folder / "clean.ply", "face")):
             clean = None
-            told["warnings"] = [*told.get("warnings", ()), _without(folder / "clean.ply", warn)]
+            models["clean mesh"] = coarsely(
+                folder / "clean.ply", result.up, "before simplification", is_metric=is_metric
+            )
         else:
             clean = _read(folder / "clean.ply", warn).with_(up=result.up)
             models["clean mesh"] = Shown(clean, "before simplification")
@@ -70,7 +73,6 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     if kept is not None:
         bound, proven = _bounds(folder / REPORT, report)
         away = _NEAR * _size(result)
-        is_metric = at(report, "scan", "metric", otherwise=True)
         with as_runs_write(folder / PICTURES / FIGURES):
             paints["deviation"] = deviation_paint(kept, bound, is_metric=is_metric)
             places = [
@@ -83,12 +85,9 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
                 *deviation_tables(figures, proven, places, is_metric=is_metric),
                 *told.get("tables", ()),
             ]
-    missing = missing_of(folder, result.up, turn, is_metric=at(report, "scan", "metric", otherwise=True))
+    missing = missing_of(folder, result.up, turn, is_metric=is_metric)
     if missing is not None:
-        if missing.shown is None:
-            told["warnings"] = [*told.get("warnings", ()), _without(folder / MESH, warn)]
-        else:
-            models["what is missing"] = missing.shown
+        models["what is missing"] = missing.shown
         told["tables"] = [missing.table, *told.get("tables", ())]
     confidence = confidence_paint(result, folder / MAPS)
     if confidence is not None:
@@ -96,14 +95,6 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     models = {"result": Shown(_with_vertex_colors(folder, result), name, paints=paints), **models}
     cameras = cameras_of(folder / PICTURES, turn, skipped_in(report))
     return packed_page(folder.resolve().name, models, most_bytes, warn, told, cameras)
-
-
-def _without(path: Path, warn: Warn) -> str:
-    """Say that a mesh is too large for the page, and return what the page says of it."""
-    count = promised(path, "face")
-    said = f"its {count:,} triangles are too many for the page, which shows the result without it."
-    warn(f"{path}: {said}")
-    return f"{path.name}: {said}"
 
 
 def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.covering import FILE, MESH
 from pipeline.page_cameras import as_runs_write
+from pipeline.page_coarse import coarsely
 from pipeline.page_paints import spread_paint
 from pipeline.standing import Up
 from stages.files.documents import read_json
@@ -25,9 +26,9 @@ _NEAREST = 2
 
 
 class Missing(NamedTuple):
-    """What the page shows of it: the model, None if it is too large, and the table as `one_file` takes it."""
+    """What the page shows of it: the model, and the table as `one_file` takes it."""
 
-    shown: Shown | None
+    shown: Shown
     table: Mapping[str, Any]
 
 
@@ -70,7 +71,7 @@ def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_met
     ]
     table = {"title": "Where to go again", "head": head, "rows": rows, "places": places}
     if is_many(promised(folder / MESH, "face")):
-        return Missing(None, table)
+        return Missing(coarsely(folder / MESH, up, _in_words(told["places"]), is_metric=is_metric), table)
     mesh = read_ply(folder / MESH).with_(up=up)
     spread, frames = (read_vertex_values(folder / MESH, name) for name in ("spread", "frames"))
     paints = {}

@@ -12,8 +12,8 @@ import numpy as np
 from stages._opencv import require_opencv
 from stages.errors import InputError
 from stages.files.image_bytes import encoded_image
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_photo
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, pinhole
 from stages.scans.threads import threads_to_use

@@ -118,13 +118,12 @@ def make(
     # Distances and pictures ask the same surfaces: to make one takes longer than to draw it.
     box = _around(bounding_box(*small.values()), *(one.box for one in large.values()))
     models = {name: cache(partial(_model, mesh, box)) for name, mesh in small.items()}
-    # Beside pieces there is no room for what is only drawn, before it is.
-    measured_by = [name for name in small if not (large and name == "textured")]
-    made = _side_by_side([models[name] for name in measured_by])
+    # Beside pieces there is no room for what is drawn, before it is.
+    if not large:
+        _side_by_side([*models.values()])
     # What they were read and made ready with has left holes.
     give_back()
-    surfaces = {name: model.surface for name, model in zip(measured_by, made, strict=True)}
-    of = _Measured(surfaces, large, small.get("textured", small["simplified"]), box)
+    of = _Measured(models, large, small, box)
     work: list[Callable[[], Any]] = [
         # The longest first.
         partial(_off_fused, of, compared),
@@ -150,12 +149,15 @@ def make(
 
 
 class _Measured(NamedTuple):
-    """What is measured: surfaces, meshes in pieces, the result, and the box (2, 3) around all."""
+    """What is measured: models, made when asked for, meshes in pieces and others, the box (2, 3) of all."""
 
-    surfaces: Mapping[str, Surface]
+    models: Mapping[str, Callable[[], Model]]
     large: Mapping[str, Piecewise]
-    result: Mesh
+    small: Mapping[str, Mesh]
     box: Floats
+
+    def surface(self, name: str) -> Surface:
+        return self.models[name]().surface
 
 
 def _around(*boxes: Floats) -> Floats:
@@ -184,11 +186,10 @@ def _off_fused(of: _Measured, params: CompareParams) -> dict[str, Any]:
     From the simplified mesh to the fused one (`b_to_a`) is the error of what is there. The other way is
     mostly how far off the islands were that cleaning removed.
     """
-    final = of.surfaces["simplified"]
     if "fused" in of.large:
-        found, _ = compare_in_pieces(of.large["fused"], WithNeedles(final, of.box), params, box=of.box)
+        found, _ = compare_in_pieces(of.large["fused"], of.small["simplified"], params, box=of.box)
         return found.figures()
-    return compare_surfaces(of.surfaces["fused"], final, params).figures()
+    return compare_surfaces(of.surface("fused"), of.surface("simplified"), params).figures()
 
 
 def _off_clean(folder: Path, of: _Measured, params: CompareParams) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -196,23 +197,20 @@ def _off_clean(folder: Path, of: _Measured, params: CompareParams) -> tuple[dict
 
     The clean mesh has no islands that were removed: the error is of simplification alone.
     """
-    final, result = of.surfaces["simplified"].mesh, of.result
+    final = of.small["simplified"]
+    result = of.small.get("textured", final)
     fewer = replace(params, samples=math.ceil(params.samples / 4))
     signed = DeviationParams(signed_samples=SIGNED_SAMPLES)
     found: Deviations | None
     if "clean" in of.large:
         compared, found = compare_in_pieces(
-            of.large["clean"],
-            WithNeedles(of.surfaces["simplified"], of.box),
-            fewer,
-            box=of.box,
-            signed=(result, signed),
+            of.large["clean"], final, fewer, box=of.box, signed=(result, signed)
         )
         assert found is not None, "it was asked for"
     else:
-        box = bounding_box(of.surfaces["clean"].mesh, final, result)
-        clean = WithNeedles(of.surfaces["clean"], box)
-        compared = compare_searched(clean, WithNeedles(of.surfaces["simplified"], box), fewer)
+        box = bounding_box(of.small["clean"], final, result)
+        clean = WithNeedles(of.surface("clean"), box)
+        compared = compare_searched(clean, WithNeedles(of.surface("simplified"), box), fewer)
         found = deviations_from(clean, result, signed)
     return compared.figures(), write_deviations(folder, found)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stages.scans.poses import inverted
 from stages.surface.mesh import Mesh
 from stages.surface.topology import topology
 
@@ -409,7 +410,6 @@ def reconstruction() -> ModuleType:
 def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float, float]:
     """Largest distance, metres, and angle, radians, to true poses, in the first camera's world."""
     from stages.registration.motion import angle
-    from stages.scans.formats.trajectories import inverted
 
     first = inverted(truth[0].world_from_camera)
     off = [inverted(poses[i]) @ first @ frame.world_from_camera for i, frame in enumerate(truth)]

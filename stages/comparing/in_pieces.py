@@ -34,7 +34,7 @@ _SLACK = 1e-9
 
 def compare_in_pieces(
     large: Piecewise,
-    mesh: WithNeedles,
+    mesh: Mesh,
     params: CompareParams,
     *,
     box: Floats,
@@ -54,7 +54,8 @@ def compare_in_pieces(
     InputError
         If the file of the pieces is damaged.
     """
-    light = asked(mesh.mesh, box, mesh)
+    # It is made ready to be searched when no piece is any more: there is no room for both.
+    light = asked(mesh, box)
     colored = large.has_colors and light.has_color
     rng, count = np.random.default_rng((params.seed, 1)), params.samples
     samples = [light.spread(rows, count, rng, colored=colored) for rows in chunks(count)]
@@ -71,10 +72,12 @@ def compare_in_pieces(
         sums_of(one.colors, question.nearest(rows))
         for one, rows in zip(points, _rows_of(points), strict=True)
     ]
-    forward = one_way(_InPieces(large), light, params.samples, (params.seed, 0))
     backward = all_sums(colored, sums[: len(samples)], sums[len(samples) :])
-    comparison = comparison_of(forward, backward, large.box, params.samples)
-    return comparison, None if off is None else off.deviations()
+    deviating = None if off is None else off.deviations()
+    # The other way, the mesh is searched, which takes the room that its points had.
+    del samples, corners, points, question, off
+    forward = one_way(_InPieces(large), light, params.samples, (params.seed, 0))
+    return comparison_of(forward, backward, large.box, params.samples), deviating
 
 
 def _rows_of(points: list[Points]) -> Iterator[slice]:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth, read_photo
+from stages.scans.poses import inverted
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
+from stages.scans.poses import inverted
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
 
 RESULT_VERSION = 2

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stages.registration.looks import Look, read_look, read_looks, same_within
 from stages.registration.motion import angle
 from stages.registration.still import Mask
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, Frame, Pose
 

@@ -23,7 +23,7 @@ from stages.registration.motion import (
     refined,
 )
 from stages.registration.view import View, read_view
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Pose, SkippedFrame
 

@@ -16,7 +16,7 @@ from stages.registration.motion import Motion
 from stages.registration.odometry import meeting
 from stages.registration.placing import placed_pieces
 from stages.registration.points import step_of
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.scan import Pose
 
 # Fewer loops than this are not asked what they say of each other.

@@ -15,7 +15,7 @@ from stages.registration.chain import Chain
 from stages.registration.features import recognise
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion, NoMotion, by_points, by_surface, is_near
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Pose
 

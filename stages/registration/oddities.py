@@ -9,7 +9,7 @@ import numpy as np
 from stages.registration.chain import Chain
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion, angle
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.scan import Frame, Pose, SkippedFrame
 
 _STILL_M, _STILL_RAD = 0.005, np.radians(0.5)

@@ -11,7 +11,7 @@ import numpy as np
 
 from stages.registration.chain import Chain
 from stages.registration.graph import Edge, optimised
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.scan import Pose
 
 # Surfaces count as the same within this share of the median depth.

@@ -27,8 +27,8 @@ from stages.registration.odometry import one_thread_each
 from stages.registration.params import RegisterKeywords, RegisterParams
 from stages.registration.registered import Registration
 from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
+from stages.scans.poses import inverted
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:

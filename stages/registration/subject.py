@@ -19,8 +19,8 @@ from stages.registration.looks import Look, read_look, read_looks
 from stages.registration.still import Backdrop, Mask, backdrop_of, something_moves, stands_still
 from stages.registration.turning import first_poses
 from stages.registration.view import read_view
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_mask
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Pose
 

@@ -15,7 +15,7 @@ from stages.registration.looks import Look
 from stages.registration.marks import Plate, marked_motion, marks_on, moving_marks, plates_of
 from stages.registration.motion import Motion, agree
 from stages.registration.still import Backdrop
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Pose
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_photo
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, scaled
 from stages.scans.tags import FAMILIES, find_tags

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.progress import Progress
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_photo
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
 from stages.scans.sharpness import sharpness

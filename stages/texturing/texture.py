@@ -22,7 +22,7 @@ from stages.files.image_bytes import encoded_image
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.prefetch import both
 from stages.scans.scan import Frame, Scan, SkippedFrame
 from stages.surface.convert import MeshLike, as_mesh

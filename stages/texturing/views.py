@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.errors import InputError
 from stages.fusion.plan import MAX_ANGLE, MAX_ANGLE_ALONE
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
+from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, pinhole, scaled
 from stages.surface.mesh import Mesh

@@ -73,14 +73,17 @@ def test_the_report_tells_what_it_would_of_meshes_that_are_read_at_once(made: An
     assert all((out / name).is_file() for name in result.report["pictures"])
 
 
-def test_the_page_shows_the_result_without_the_clean_mesh_and_says_so(made: Any) -> None:
+def test_the_page_shows_coarsely_what_is_too_large_for_memory(made: Any) -> None:
     _, out, _, said = made
     page = shown((out / "report.html").read_bytes())
-    assert [one["name"] for one in page["models"]] == ["result", "deviation"]
-    warning = "are too many for the page, which shows the result without it."
-    for name in ("clean.ply", "coverage.ply"):
-        assert sum(text.startswith(name) and text.endswith(warning) for text in page["warnings"]) == 1
-        assert sum(name in text and warning in text for text in said) == 1
+    models = {one["name"]: one for one in page["models"]}
+    assert list(models) == ["result", "clean mesh", "what is missing", "deviation"]
+    for name, file in (("clean mesh", "clean"), ("what is missing", "coverage")):
+        count = len(read_ply(out / f"{file}.ply").triangles)
+        assert models[name]["triangles"] < count
+        assert "each cell of" in models[name]["note"]
+        assert f"of {count:,}, for this page" in models[name]["note"]
+    assert not any("page" in text for text in (*said, *page["warnings"]))
 
 
 def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) -> None:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from cli.app import app
 from pipeline.config import Config
 from pipeline.run import CACHE_VARIABLE, run
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan
 from stages.stereo.views_depth import views_depth

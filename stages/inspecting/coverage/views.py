@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.fusion.posed_depth import rigid_pose
-from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth, read_seen
+from stages.scans.poses import inverted
 from stages.scans.scan import Camera, DepthImage, Frame, pinhole
 
 Floats = NDArray[np.float64]

@@ -66,13 +66,14 @@ class Shown(NamedTuple):
     """A model of a page before it is packed; see `PageModel`.
 
     Looks are the paints, by their names, up to MOST_PAINTS of them, and the vertex colours of a mesh that has
-    a texture, too.
+    a texture, too. `complete` are the triangles that it had before it was made coarser, if it was.
     """
 
     mesh: Mesh
     note: str = ""
     scale: PageScale | None = None
     paints: Mapping[str, Paint] = {}
+    complete: int = 0
 
 
 # By their names, the most important first.
@@ -177,7 +178,7 @@ class _Plan:
     @classmethod
     def of(cls, name: str, shown: Shown) -> _Plan:
         count = len(shown.mesh.triangles)
-        return cls(name, shown, count, count, preset("web").image_size)
+        return cls(name, shown, shown.complete or count, count, preset("web").image_size)
 
     def is_least(self, made: int) -> bool:
         """Whether it is made no lighter than with so many triangles, which may be more than it may have.
@@ -211,7 +212,7 @@ def _packed(plan: _Plan) -> tuple[Shown, PageModel]:
     shown = plan.shown
     if plan.triangles < len(shown.mesh.triangles):
         shown = _simplified(shown, plan.triangles)
-    mesh, note, scale, paints = shown
+    mesh, note, scale, paints, _ = shown
     count = len(mesh.triangles)
     words = f"of {plan.complete:,}, for this page" if count < plan.complete else ""
     looks = [

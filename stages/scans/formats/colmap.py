@@ -21,9 +21,9 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import content_of, opened
-from stages.scans.formats import trajectories
 from stages.scans.formats.calibration import checked
 from stages.scans.formats.fov_lens import fisheye_of_fov
+from stages.scans.poses import inverted, pose_from_quaternion
 from stages.scans.scan import Camera, Pose
 
 
@@ -236,8 +236,8 @@ def _view(
     if camera not in cameras:
         raise InputError(f"image {name}: there is no camera {camera}.", path)
     documents.require_inside(name, path, "an image")
-    pose = trajectories.pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
-    return View(identity, name, cameras[camera], None if pose is None else trajectories.inverted(pose))
+    pose = pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
+    return View(identity, name, cameras[camera], None if pose is None else inverted(pose))
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:

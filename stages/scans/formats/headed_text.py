@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import trajectories
+from stages.scans.poses import inverted, rigid
 from stages.scans.scan import Pose
 
 # What a heading is of: all words of a row stand in it, in any case.
@@ -77,13 +78,13 @@ def read_headed_text(path: Path) -> HeadedText:
             raise InputError(f"{where} is not 3x3, 3x4 or 4x4.", path)
         frame, direction = _FRAME.search(heading), _pose_direction(heading)
         if frame is not None and direction:
-            pose = trajectories.rigid(_four_rows(matrix, where, path), path, where)
+            pose = rigid(_four_rows(matrix, where, path), path, where)
             if frame[0] in poses:
                 raise InputError(f"there are two poses of {frame[0]}.", path)
             is_inverse = direction == "world-to-camera"
-            poses[frame[0]] = trajectories.inverted(pose) if is_inverse and pose is not None else pose
+            poses[frame[0]] = inverted(pose) if is_inverse and pose is not None else pose
         elif _DEPTH_TO_COLOR.search(heading):
-            color_from_depth = trajectories.rigid(_four_rows(matrix, where, path), path, where)
+            color_from_depth = rigid(_four_rows(matrix, where, path), path, where)
         elif (camera := _INTRINSIC.search(heading)) is not None:
             cameras["depth" if camera[2] else "color"] = matrix[:3, :3]
         else:

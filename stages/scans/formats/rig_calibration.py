@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
-from stages.scans.formats import orb_slam, trajectories
+from stages.scans.formats import orb_slam
 from stages.scans.formats.calibration import (
     MATRIX_AND_BASELINE,
     TEXTS,
@@ -27,6 +27,7 @@ from stages.scans.formats.calibration import (
 from stages.scans.formats.contradictions import tell_of_rectified, tell_of_rig, tell_of_two_relations
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import matrix_in, number_of, table_in
+from stages.scans.poses import inverted, matrix_of, rigid
 from stages.scans.scan import Camera, Pose, StereoRig
 
 # Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
@@ -133,12 +134,12 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
     cameras = [kalibr_camera(values, side, width, height, path) for side in ("cam0", "cam1")]
     if "T_cn_cnm1" not in values["cam1"] and "T_cam_imu" in values["cam1"]:
         left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
-        return cameras[0], cameras[1], right @ trajectories.inverted(left)
-    matrix = trajectories.matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
+        return cameras[0], cameras[1], right @ inverted(left)
+    matrix = matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
     right_from_left = _finite_pose(matrix, "cam1.T_cn_cnm1", path)
     if all("T_cam_imu" in values[side] for side in ("cam0", "cam1")):
         left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
-        by_body = right @ trajectories.inverted(left)
+        by_body = right @ inverted(left)
         tell_of_two_relations(right_from_left, by_body, "cam1.T_cn_cnm1 and T_cam_imu", path)
     return cameras[0], cameras[1], right_from_left
 
@@ -191,9 +192,7 @@ def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
         If it is not there or not rigid.
     """
     name = f"{side}.T_cam_imu"
-    return _finite_pose(
-        trajectories.matrix_of(table_in(values, side, path).get("T_cam_imu"), path, name), name, path
-    )
+    return _finite_pose(matrix_of(table_in(values, side, path).get("T_cam_imu"), path, name), name, path)
 
 
 def _projections(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
@@ -222,7 +221,7 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
         given = matrix_in(values, "left_from_right", path)
         if given.shape != (4, 4):
             raise InputError("the relation of the cameras must be 4x4.", path)
-        return trajectories.inverted(_finite_pose(given, "the relation of the cameras", path))
+        return inverted(_finite_pose(given, "the relation of the cameras", path))
     matrix = np.eye(4)
     rotation = next((key for key in ("R", "rotation") if key in values), None)
     translation = next((key for key in ("T", "translation", "t") if key in values), None)
@@ -287,7 +286,7 @@ def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool
 
 
 def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
-    pose = trajectories.rigid(matrix, path, name)
+    pose = rigid(matrix, path, name)
     if pose is None:
         raise InputError(f"{name} is not finite.", path)
     return pose

@@ -6,7 +6,6 @@ row- or column-major) is undone once, by the reader of that form.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,15 +19,8 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
+from stages.scans.poses import LARGEST_VALUE, inverted, matrix_of, pose_from_quaternion, rigid
 from stages.scans.scan import Pose
-
-# How far a rotation may be from orthonormal: files round to about six digits.
-RIGID_TOLERANCE = 1e-3
-# Metres or radians; nobody carries a camera so far.
-_LARGEST_VALUE = 1e9
-
-# From a camera with y up and z back (OpenGL) to one with y down and z forward.
-_FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 
 T = TypeVar("T")
 
@@ -229,7 +221,7 @@ def read_traj(path: Path) -> Trajectory:
         if not np.isfinite(values).all():
             poses.append(None)
             continue
-        if np.abs(values).max() > _LARGEST_VALUE:
+        if np.abs(values).max() > LARGEST_VALUE:
             raise InputError(f"line {number}: a value of {np.abs(values).max():g} cannot be right.", path)
         camera_from_world = np.eye(4)
         camera_from_world[:3, :3] = Rotation.from_rotvec(values[:3]).as_matrix()
@@ -320,92 +312,6 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
     )
 
 
-def inverted(pose: Pose) -> Pose:
-    """Return the inverse of a rigid (4, 4) pose: the other direction of the same relation."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = pose[:3, :3].T
-    inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
-    return inverse
-
-
-def from_opengl(pose: Pose) -> Pose:
-    """Return the world_from_camera of a camera whose own axes were OpenGL's: x right, y up, z back."""
-    return np.asarray(pose @ _FLIP)
-
-
-def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | None:
-    """Return a valid 4x4 rigid pose from a 3x4 or 4x4 matrix; None when all of it is infinite or NaN (lost).
-
-    Raises
-    ------
-    InputError
-        If only some values are not finite, the rotation is not orthonormal to 1e-3 or mirrors (det -1), or
-        the last row is not 0 0 0 1.
-    """
-    at = f"{where}: " if where else ""
-    top = np.asarray(matrix, np.float64)[:3]
-    finite = np.isfinite(top)
-    if not finite.any():
-        return None
-    if not finite.all():
-        raise InputError(
-            f"{at}the pose holds a value that is not finite; correct it or remove its frame.", path
-        )
-    if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=RIGID_TOLERANCE):
-        raise InputError(
-            f"{at}the last row of the pose is {_words(matrix[3])}, not 0 0 0 1; is it stored column-major?",
-            path,
-        )
-    rotation = top[:, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    # Numbers that overflow leave NaN, which is not within the tolerance either.
-    if not deviation <= RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
-        kind = "mirrors (determinant -1)" if deviation <= RIGID_TOLERANCE else "is not a rotation"
-        raise InputError(
-            f"{at}the pose is not rigid: its 3x3 part {kind}, off by {deviation:.2g} where 0.001 is allowed.",
-            path,
-        )
-    if np.abs(top[:, 3]).max() > _LARGEST_VALUE:
-        raise InputError(f"{at}a place of {np.abs(top[:, 3]).max():g} cannot be right.", path)
-    pose = np.eye(4)
-    pose[:3] = top
-    return pose
-
-
-def pose_from_quaternion(
-    translation: Sequence[float], quaternion: Sequence[float], path: Path, where: str
-) -> Pose | None:
-    """Return the pose of a translation and a quaternion x y z w of any length near 1; None when lost."""
-    x, y, z, w = quaternion
-    if not any(math.isfinite(value) for value in (*translation, *quaternion)):
-        return None
-    length = math.sqrt(x * x + y * y + z * z + w * w)
-    # Real files round to four digits and more; far from unit length it is no rotation.
-    if not 0.99 < length < 1.01:
-        raise InputError(f"{where}: the quaternion has length {length:.4g}, not 1.", path)
-    x, y, z, w = x / length, y / length, z / length, w / length
-    rotation = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), translation[0]],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), translation[1]],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), translation[2]],
-    ]
-    return rigid(np.array(rotation), path, where)
-
-
-def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
-    """Return a (4, 4) float64 matrix from nested rows or 16 numbers in a row."""
-    try:
-        matrix = np.asarray(value, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.empty(0)
-    if matrix.shape == (3, 4):
-        matrix = np.vstack([matrix, (0, 0, 0, 1)])
-    if matrix.size != 16:
-        raise InputError(f"{where} is not a 4x4 matrix.", path)
-    return matrix.reshape(4, 4)
-
-
 def read_times(path: Path, names: Sequence[str]) -> list[int | None]:
     """Return the nanoseconds of each frame from a file of seconds, one a line; None without the file."""
     if not path.exists():
@@ -454,7 +360,3 @@ def numbers_of(text: str, number: int, path: Path) -> list[float]:
         return numbers_on(text)
     except ValueError as error:
         raise InputError(f"line {number} holds something that is not a number.", path) from error
-
-
-def _words(values: NDArray[np.float64]) -> str:
-    return " ".join(f"{value:g}" for value in values)

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.files.images import read_stored
-from stages.scans.formats import calibration, rig_calibration, trajectories
+from stages.scans.formats import calibration, rig_calibration
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import number_row
+from stages.scans.poses import inverted, matrix_of, rigid
 from stages.scans.reading.files import common_size, first_existing, has
 from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
@@ -141,7 +142,7 @@ def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[Ster
         document = documents.read_document(path)
         cameras.append(_camera(document, size, options, path))
         body_from_camera.append(_mounting(document, path))
-    right_from_left = trajectories.inverted(body_from_camera[1]) @ body_from_camera[0]
+    right_from_left = inverted(body_from_camera[1]) @ body_from_camera[0]
     if options.baseline is not None:
         right_from_left = rig_calibration.with_baseline(right_from_left, options.baseline)
     return StereoRig(cameras[0], cameras[1], right_from_left, rectified=False), body_from_camera[0]
@@ -176,7 +177,7 @@ def _chained(
     stated = options.camera(*size)
     if stated is not None:
         rig = replace(rig, left=stated, right=stated)
-    return (rig, warnings), trajectories.inverted(rig_calibration.camera_from_body(document, "cam0", path))
+    return (rig, warnings), inverted(rig_calibration.camera_from_body(document, "cam0", path))
 
 
 def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingParams, path: Path) -> Camera:
@@ -203,7 +204,7 @@ def _mounting(document: dict[str, Any], path: Path) -> Pose:
     """Return T_BS: camera to body, row-major."""
     matrix = document.get("T_BS")
     data = matrix.get("data") if isinstance(matrix, dict) else matrix
-    pose = trajectories.rigid(trajectories.matrix_of(data, path, "T_BS"), path, "T_BS")
+    pose = rigid(matrix_of(data, path, "T_BS"), path, "T_BS")
     if pose is None:
         raise InputError("T_BS is not finite.", path)
     return pose

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files.images import read_array, read_stored
 from stages.scans.formats import calibration, trajectories
+from stages.scans.poses import rigid
 from stages.scans.reading.files import images, numbers
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -88,7 +89,7 @@ def _rows(path: Path) -> list[NDArray[np.float64]]:
 
 def _pose(row: NDArray[np.float64], path: Path, where: str) -> Pose | None:
     down, right, back, at = row[:15].reshape(3, 5).T[:4]
-    return trajectories.rigid(np.column_stack([right, down, -back, at]), path, where)
+    return rigid(np.column_stack([right, down, -back, at]), path, where)
 
 
 def _camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path: Path) -> Camera:

@@ -12,6 +12,7 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import trajectories
 from stages.scans.formats.calibration import matrix_camera
+from stages.scans.poses import inverted, rigid
 from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -89,8 +90,8 @@ def _camera(matrix: NDArray[np.float64], size: tuple[int, int], par: Path, name:
 
 def _world_from_camera(values: NDArray[np.float64], par: Path, name: str) -> Pose | None:
     camera_from_world = np.column_stack([values[9:18].reshape(3, 3), values[18:]])
-    pose = trajectories.rigid(camera_from_world, par, name)
-    return None if pose is None else trajectories.inverted(pose)
+    pose = rigid(camera_from_world, par, name)
+    return None if pose is None else inverted(pose)
 
 
 def _box(folder: Path) -> NDArray[np.float64] | None:

@@ -21,6 +21,7 @@ from stages.files import documents
 from stages.files.images import has_alpha, read_alpha
 from stages.files.telling import tell
 from stages.scans.formats import calibration, trajectories
+from stages.scans.poses import from_opengl, inverted, matrix_of, rigid
 from stages.scans.reading.files import IMAGES, common_size, numbers
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moved import found_file, found_images
@@ -341,23 +342,23 @@ def _depth_cameras(cameras: Sequence[Camera], depths: Sequence[Path], path: Path
 
 def _poses(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Path) -> list[Pose | None]:
     """Return the poses in the original world, with OpenCV's axes."""
-    applied = trajectories.rigid(
-        trajectories.matrix_of(document.get("applied_transform", np.eye(4)), path, "applied_transform"),
+    applied = rigid(
+        matrix_of(document.get("applied_transform", np.eye(4)), path, "applied_transform"),
         path,
         "applied_transform",
     )
     scale = _number(document, "applied_scale", path, 1.0)
     if applied is None or scale <= 0:
         raise InputError("applied_transform and applied_scale must be finite, the scale positive.", path)
-    original = trajectories.inverted(applied)
+    original = inverted(applied)
     poses: list[Pose | None] = []
     for entry in entries:
         where = f"frame {_name(entry)}"
-        matrix = trajectories.matrix_of(entry.get("transform_matrix"), path, f"{where}: transform_matrix")
-        pose = trajectories.rigid(matrix, path, where)
+        matrix = matrix_of(entry.get("transform_matrix"), path, f"{where}: transform_matrix")
+        pose = rigid(matrix, path, where)
         if pose is not None:
             pose[:3, 3] /= scale
-            pose = trajectories.from_opengl(original @ pose)
+            pose = from_opengl(original @ pose)
         poses.append(pose)
     return poses
 

@@ -13,6 +13,7 @@ from typing import Any
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
+from stages.scans.poses import from_opengl, matrix_of, rigid
 from stages.scans.reading.black_border import border_mask
 from stages.scans.reading.files import IMAGES, common_size, images, numbers
 from stages.scans.reading.layout import Layout
@@ -133,8 +134,8 @@ def _pose(table: dict[str, Any], file: Path) -> Pose | None:
     rows = [[table.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
     if any(value is None for row in rows for value in row):
         raise InputError("it lacks some of t_00 to t_23, the rows of the pose.", file)
-    pose = trajectories.rigid(trajectories.matrix_of(rows, file, "t_00 to t_23"), file)
-    return None if pose is None else trajectories.from_opengl(pose)
+    pose = rigid(matrix_of(rows, file, "t_00 to t_23"), file)
+    return None if pose is None else from_opengl(pose)
 
 
 def _nanoseconds(stem: str) -> int | None:

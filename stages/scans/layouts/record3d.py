@@ -23,6 +23,7 @@ from stages.files.images import decode_color, read_raw_depth
 from stages.files.zip_archives import entry_content, opened_archive
 from stages.scans.formats import calibration, trajectories
 from stages.scans.formats.table_values import number_row
+from stages.scans.poses import from_opengl, pose_from_quaternion
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, first_existing, images, numbers, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -274,8 +275,8 @@ def _pose(entry: object, path: Path, where: str) -> Pose | None:
     row = number_row(entry, f"the pose of {where}", path)
     if len(row) != 7:
         raise InputError(f"the pose of {where} must be 7 numbers: qx qy qz qw tx ty tz.", path)
-    pose = trajectories.pose_from_quaternion(row[4:], row[:4], path, where)
-    return None if pose is None else trajectories.from_opengl(pose)
+    pose = pose_from_quaternion(row[4:], row[:4], path, where)
+    return None if pose is None else from_opengl(pose)
 
 
 def _nanoseconds(seconds: object, path: Path, name: str) -> int | None:

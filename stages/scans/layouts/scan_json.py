@@ -45,6 +45,7 @@ import numpy as np
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
+from stages.scans.poses import matrix_of, rigid
 from stages.scans.reading.files import inside
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -234,7 +235,7 @@ def _pose(entry: dict[str, Any], key: str, name: str, path: Path) -> Pose | None
     if value is None:
         return None
     where = f"frame {name}" if key == "world_from_camera" else f"frame {name}: {key}"
-    return trajectories.rigid(trajectories.matrix_of(value, path, where), path, where)
+    return rigid(matrix_of(value, path, where), path, where)
 
 
 def _least_confidence(entry: dict[str, Any], options: ReadingParams, name: str, path: Path) -> int:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.scans.formats import calibration, sens, trajectories
+from stages.scans.poses import rigid
 from stages.scans.reading.axis_alignment import up_of_scannet
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -97,7 +98,7 @@ def _poses(
 def _pose(frame: sens.SensFrame, number: int, path: Path) -> Pose | SkippedFrame | None:
     # Nobody can correct one pose in a packed file.
     try:
-        return trajectories.rigid(frame.pose, path, f"frame {number}")
+        return rigid(frame.pose, path, f"frame {number}")
     except InputError as error:
         return SkippedFrame(_name(number), str(error))
 

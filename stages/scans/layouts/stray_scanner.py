@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
+from stages.scans.poses import pose_from_quaternion
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, images, numbers
 from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
@@ -150,7 +151,7 @@ def _row(row: dict[str, float], position: int, line: int, path: Path) -> _Row:
     time = row.get("timestamp")
     return _Row(
         int(number),
-        trajectories.pose_from_quaternion((x, y, z), quaternion, path, f"line {line}"),
+        pose_from_quaternion((x, y, z), quaternion, path, f"line {line}"),
         None if time is None else trajectories.nanoseconds(time, path, line),
         (row["fx"], row["fy"], row["cx"], row["cy"]) if has_own else None,
     )

@@ -17,7 +17,8 @@ from typing import Any
 
 from stages.errors import InputError
 from stages.files import documents
-from stages.scans.formats import calibration, trajectories
+from stages.scans.formats import calibration
+from stages.scans.poses import matrix_of, rigid
 from stages.scans.scan import Camera, Frame, Pose, Scan
 
 
@@ -73,7 +74,7 @@ def _color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] |
 
 
 def _pose(value: object, where: str, path: Path) -> Pose:
-    pose = trajectories.rigid(trajectories.matrix_of(value, path, where), path, where)
+    pose = rigid(matrix_of(value, path, where), path, where)
     if pose is None:
         raise InputError(f"{where} is not finite.", path)
     return pose

@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.files import documents
-from stages.scans.formats import trajectories
+from stages.scans.poses import rigid
 from stages.scans.scan import Pose, Scan
 from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
@@ -71,7 +71,7 @@ def _alignment(folder: Path) -> tuple[Path, Pose]:
             values = []
         if len(values) != 16:
             raise InputError("its axisAlignment is not 16 numbers.", path)
-        pose = trajectories.rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
+        pose = rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
         if pose is None:
             raise InputError("its axisAlignment is not finite.", path)
         return path, pose

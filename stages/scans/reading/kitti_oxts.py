@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
-from stages.scans.formats import trajectories
+from stages.scans.poses import inverted, rigid
 from stages.scans.reading.files import first_existing, numbers
 from stages.scans.scan import Pose
 
@@ -64,7 +64,7 @@ def unit_poses(folder: Path, names: Sequence[str], cameras: Path) -> tuple[list[
     cam0_from_unit = rectified @ found["calib_velo_to_cam.txt"] @ found["calib_imu_to_velo.txt"]
     files = sorted(data.glob("*.txt"), key=lambda path: (numbers(path.stem), path.name))
     world_from_unit = _unit_poses(files)
-    unit_from_cam0 = trajectories.inverted(cam0_from_unit)
+    unit_from_cam0 = inverted(cam0_from_unit)
     return [
         None if (pose := world_from_unit.get(numbers(name))) is None else pose @ unit_from_cam0
         for name in names
@@ -116,7 +116,7 @@ def _place(path: Path) -> Pose:
 
 
 def _rigid(turn: NDArray[np.float64], shift: NDArray[np.float64], path: Path) -> Pose:
-    pose = trajectories.rigid(np.column_stack([turn, shift]), path)
+    pose = rigid(np.column_stack([turn, shift]), path)
     if pose is None:
         raise InputError("its numbers are not finite.", path)
     return pose

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scans.formats import trajectories
+from stages.scans.poses import pose_from_quaternion
 from stages.scans.scan import Pose
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def read_transforms(data: bytes, source: Path, *, is_cdr: bool = False) -> list[
 def _pose(said: Any, source: Path) -> Pose:
     place = [getattr(said.translation, axis) for axis in "xyz"]
     turn = [getattr(said.rotation, axis) for axis in "xyzw"]
-    pose = trajectories.pose_from_quaternion(place, turn, source, "a transform")
+    pose = pose_from_quaternion(place, turn, source, "a transform")
     if pose is None:
         raise InputError("a transform is not finite.", source)
     return pose

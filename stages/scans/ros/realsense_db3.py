@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.errors import InputError
-from stages.scans.formats import trajectories
+from stages.scans.poses import rigid
 from stages.scans.ros.images import topic_images
 from stages.scans.ros.messages import CameraMessage, read_text
 from stages.scans.ros.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream, accelerometers_of
@@ -94,7 +94,7 @@ def _places(recording: Recording, name: str) -> dict[str, Pose]:
             # Column by column, as the maker's library has it.
             turn = np.reshape(_numbers(said, "rotation", 9, recording.path), (3, 3)).T
             shift = np.reshape(_numbers(said, "translation", 3, recording.path), (3, 1))
-            pose = trajectories.rigid(np.hstack([turn, shift]), recording.path, topic)
+            pose = rigid(np.hstack([turn, shift]), recording.path, topic)
             assert pose is not None
             found[topic.removeprefix(start)] = pose
     return found

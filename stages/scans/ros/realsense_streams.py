@@ -16,7 +16,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.scans.formats import calibration, rig_calibration
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig
 from stages.scans.reading.streams import (

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.reading.streams import Accelerometer
 from stages.scans.ros.messages import (
     COMPRESSED_IMAGE,

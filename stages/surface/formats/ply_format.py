@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,72 @@ def promised(path: Path, element: str) -> int:
     except _MalformedError as error:
         raise InputError(str(error), path) from None
     return sum(one.count for one in header.elements if one.name == element)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Where the rows of a table are in a binary file, all as long as each other.
+
+    Attributes
+    ----------
+    dtype : of a row.
+    start : of the first, in bytes from the start of the file.
+    """
+
+    path: Path
+    dtype: np.dtype[Any]
+    start: int
+    count: int
+
+    def some(self, at_once: int) -> Iterator[NDArray[Any]]:
+        """Read so many rows at a time."""
+        for first in range(0, self.count, at_once):
+            count = min(at_once, self.count - first)
+            with opened(self.path) as file:
+                file.seek(self.start + first * self.dtype.itemsize)
+                rows = np.frombuffer(file.read(count * self.dtype.itemsize), self.dtype)
+            if len(rows) != count:
+                raise InputError(_DAMAGED, self.path)
+            yield rows
+
+
+# Columns of the rows of triangles: how many corners a face has, and these.
+LENGTH, CORNERS = "length", "corners"
+
+
+def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
+    """Return where vertices and triangles are in a binary file that has both, in this order, and no more.
+
+    Rows of triangles have LENGTH, which must be 3 in all if the others are to mean anything, and CORNERS.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened, is no such file, or shorter or longer than its header promises.
+    """
+    try:
+        with opened(path) as file:
+            header = parse_header(file.read(_LONGEST_HEADER))
+        size = path.stat().st_size
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+    except _MalformedError as error:
+        raise InputError(str(error), path) from None
+    match header.elements:
+        case [Element("vertex", vertices, columns), Element("face", faces, [Property() as corners])] if (
+            header.encoding != "ascii"
+            and corners.length is not None
+            and all(column.length is None for column in columns)
+            and {"x", "y", "z"} <= {column.name for column in columns}
+        ):
+            row = np.dtype([(column.name, column.dtype) for column in columns])
+            face = np.dtype([(LENGTH, corners.length), (CORNERS, corners.dtype, (3,))])
+        case _:
+            raise InputError("it is not a binary file of vertices and triangles alone.", path)
+    end = header.size + vertices * row.itemsize
+    if size != end + faces * face.itemsize:
+        raise InputError(f"it is not as long as its header promises of triangles; {_DAMAGED}", path)
+    return Rows(path, row, header.size, vertices), Rows(path, face, end, faces)
 
 
 class _MalformedError(Exception):

@@ -20,7 +20,7 @@ from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Pieces, Written
 from stages.surface.piecewise import Piecewise
-from stages.surface.raycasting import Floats, Surface
+from stages.surface.raycasting import Floats
 
 PARAMS = CompareParams(samples=20_000)
 SIGNED = DeviationParams(signed_samples=5_000)
@@ -35,8 +35,7 @@ def whole(large: Path) -> Mesh:
 
 def measured(path: Path, whole: Mesh, mesh: Mesh) -> tuple[Any, Any]:
     box: Floats = box_of(whole, mesh)
-    light = WithNeedles(Surface(mesh, box), box)
-    return compare_in_pieces(Piecewise(Pieces(path)), light, PARAMS, box=box, signed=(mesh, SIGNED))
+    return compare_in_pieces(Piecewise(Pieces(path)), mesh, PARAMS, box=box, signed=(mesh, SIGNED))
 
 
 def is_near(found: Any, expected: Any) -> None:

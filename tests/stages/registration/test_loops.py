@@ -17,7 +17,7 @@ from stages.registration.graph import Edge, pieces
 from stages.registration.motion import Motion, angle, motion_between
 from stages.registration.odometry import one_thread_each
 from stages.registration.register import register
-from stages.scans.formats.trajectories import inverted
+from stages.scans.poses import inverted
 from stages.scans.scan import Frame, Pose
 from tests.made.room_of_posters import STEP, turning
 

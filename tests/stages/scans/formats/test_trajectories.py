@@ -12,10 +12,10 @@ from stages.scans.formats.trajectories import (
     by_number,
     in_order,
     interpolate,
-    inverted,
     read_pose,
     read_trajectory,
 )
+from stages.scans.poses import inverted
 
 
 def written(folder, name, text):

@@ -1,0 +1,152 @@
+"""A coarse mesh of a file too large to be read: what lies in a cell of a grid becomes one vertex.
+
+Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993; a vertex is the
+mean of its cell. Nothing is proven of it: it is for pictures, where reading all would take too much memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.surface.formats.ply_format import CORNERS, LENGTH, Rows, rows_of_triangles
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Floats
+
+Keys = NDArray[np.int64]
+
+# Rows that are read at a time: some 100 bytes each.
+_AT_ONCE = 1_000_000
+# The finest grid has so many cells along the longest side; a coordinate takes as many bits of a key.
+_BITS = 11
+# Vertices by which three corners are one number.
+_MOST = 1 << 20
+_AXES, _COLORS = ("x", "y", "z"), ("red", "green", "blue")
+
+
+@dataclass(frozen=True, eq=False)
+class Clustered:
+    """A mesh whose vertices are the means of cells.
+
+    Attributes
+    ----------
+    mesh : triangles whose corners were in three cells, each once; colours if the file has them.
+    cell : side of a cell, metres.
+    triangle_count : of the file.
+    """
+
+    mesh: Mesh
+    cell: float
+    triangle_count: int
+
+
+def clustered(path: Path, most: int) -> Clustered:
+    """Read a binary PLY file of triangles as a mesh of at most `most` vertices.
+
+    Memory holds 4 bytes for each vertex of the file, and some 200 for each that is left.
+
+    Parameters
+    ----------
+    most : up to 1,048,576. A cell's side is 1/2048 of the longest side of the box, doubled until no more are
+        left.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is damaged, or is not binary with triangles alone.
+    """
+    vertices, faces = rows_of_triangles(path)
+    low, side = _box(vertices)
+    cell = max(side, np.finfo(np.float64).tiny) / (1 << _BITS)
+    found = [np.unique(_keys(rows, low, cell)) for rows in vertices.some(_AT_ONCE)]
+    keys = np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
+    halvings = 0
+    while len(keys) > min(most, _MOST):
+        halvings += 1
+        keys = np.unique(_coarser(keys, 1))
+    places, colors, of = _means(vertices, low, cell, keys, halvings)
+    triangles = _triangles(faces, of, path)
+    used, rows = np.unique(triangles, return_inverse=True)
+    mesh = Mesh(
+        places[used],
+        rows.reshape(-1, 3).astype(np.int32),
+        None if colors is None else np.rint(colors[used]).astype(np.uint8),
+    )
+    return Clustered(mesh, cell * (1 << halvings), faces.count)
+
+
+def _places(rows: NDArray[Any]) -> Floats:
+    return np.stack([rows[axis].astype(np.float64) for axis in _AXES])
+
+
+def _box(vertices: Rows) -> tuple[Floats, float]:
+    """Return the lowest corner (3,) and the longest side."""
+    lows, highs = [], []
+    for rows in vertices.some(_AT_ONCE):
+        places = _places(rows)
+        lows.append(places.min(axis=1))
+        highs.append(places.max(axis=1))
+    if not lows:
+        return np.zeros(3), 0.0
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    if not np.isfinite([low, high]).all():
+        raise InputError("a vertex is not finite; the file is damaged.", vertices.path)
+    return low, float((high - low).max())
+
+
+def _keys(rows: NDArray[Any], low: Floats, cell: float) -> Keys:
+    """Return the cell of each place as one number: a coordinate after the other."""
+    x, y, z = ((_places(rows) - low[:, None]) / cell).astype(np.int64).clip(0, (1 << _BITS) - 1)
+    return np.asarray((x << 2 * _BITS) | (y << _BITS) | z)
+
+
+def _coarser(keys: Keys, halvings: int) -> Keys:
+    """Return the cells of a grid whose cells are that many times twice as long."""
+    mask = (1 << _BITS) - 1
+    x, y, z = (((keys >> shift) & mask) >> halvings for shift in (2 * _BITS, _BITS, 0))
+    return np.asarray((x << 2 * _BITS) | (y << _BITS) | z)
+
+
+def _means(
+    vertices: Rows, low: Floats, cell: float, keys: Keys, halvings: int
+) -> tuple[Floats, Floats | None, NDArray[np.int32]]:
+    """Return the mean place (k, 3) and colour (k, 3) in each cell, and the cell of each vertex (n,)."""
+    has_colors = set(_COLORS) <= set(vertices.dtype.names or ())
+    sums = np.zeros((3 + 3 * has_colors, len(keys)))
+    counts = np.zeros(len(keys))
+    of = np.empty(vertices.count, np.int32)
+    end = 0
+    for rows in vertices.some(_AT_ONCE):
+        at = np.searchsorted(keys, _coarser(_keys(rows, low, cell), halvings))
+        of[end : end + len(rows)] = at
+        end += len(rows)
+        counts += np.bincount(at, minlength=len(keys))
+        for total, name in zip(sums, (*_AXES, *_COLORS), strict=False):
+            total += np.bincount(at, rows[name].astype(np.float64), len(keys))
+    means = (sums / counts).T
+    return np.ascontiguousarray(means[:, :3]), means[:, 3:] if has_colors else None, of
+
+
+def _triangles(faces: Rows, of: NDArray[np.int32], path: Path) -> NDArray[np.int64]:
+    """Return triangles whose corners are in three cells, each once, by its least corner first."""
+    found = [np.zeros(0, np.int64)]
+    for rows in faces.some(_AT_ONCE):
+        corners = rows[CORNERS]
+        if (rows[LENGTH] != 3).any():
+            raise InputError("it has faces that are no triangles.", path)
+        if corners.min() < 0 or corners.max() >= len(of):
+            raise InputError("the file is damaged: a triangle names a vertex that is not there.", path)
+        a, b, c = (of[corners[:, i]].astype(np.int64) for i in range(3))
+        is_one = (a != b) & (b != c) & (c != a)
+        a, b, c = a[is_one], b[is_one], c[is_one]
+        # Turned so that its orientation stays.
+        first = np.where((a < b) & (a < c), 0, np.where(b < c, 1, 2))
+        a, b, c = (np.choose(first, turned) for turned in ((a, b, c), (b, c, a), (c, a, b)))
+        found.append(np.unique((a << 40) | (b << 20) | c))
+    codes = np.unique(np.concatenate(found))
+    return np.stack([codes >> 40, (codes >> 20) & (_MOST - 1), codes & (_MOST - 1)], axis=1)
