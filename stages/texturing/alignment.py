@@ -68,7 +68,8 @@ def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray
         ((np.linspace(0, of - 1, cells) + 0.5) * (smaller / of) - 0.5).astype(np.float32)
         for of, smaller, cells in ((width, size[0], columns), (height, size[1], rows))
     )
-    grid = cv2.remap(mean, *np.meshgrid(across, down), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    x, y = np.meshgrid(across, down)
+    grid = cv2.remap(mean, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.ascontiguousarray(grid.clip(-most, most), np.float16)
 
 
