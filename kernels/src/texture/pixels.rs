@@ -94,7 +94,7 @@ impl Photo {
 }
 
 mod plain {
-    use super::{BRIGHT, DARK, Levels, Photo, catmull_rom, cell};
+    use crate::texture::pixels::{BRIGHT, DARK, Levels, Photo, catmull_rom, cell};
 
     pub fn colors_at(photo: &Photo, blurred: &Photo, place: [f64; 2]) -> (Levels, bool) {
         let color = cubic(photo, place);
@@ -136,7 +136,7 @@ mod plain {
 mod wide {
     use std::arch::x86_64::*;
 
-    use super::{BRIGHT, DARK, Levels, Photo, catmull_rom, cell};
+    use crate::texture::pixels::{BRIGHT, DARK, Levels, Photo, catmull_rom, cell};
 
     #[target_feature(enable = "avx2")]
     pub fn colors_at(photo: &Photo, blurred: &Photo, [x, y]: [f64; 2]) -> (Levels, bool) {
