@@ -87,6 +87,7 @@ class LimitGuard:
         self._warn = warn
         self._peak = peak
         self._written = 0
+        self._told = 0
         self._has_begun = False
         self._looked = {"memory": -math.inf, "disk": -math.inf}
 
@@ -151,19 +152,21 @@ class LimitGuard:
             self._require_disk(stage, 2 * _bytes_in(folder), share)
 
     def kept(self, stage: str, entry: Entry) -> None:
-        """Count what a stage that worked has written: its entry, and the copies of it among the results.
-
-        What it took of memory after its last word of progress is told: stopped it cannot be any more.
-        """
-        limit, taken = self._limits.memory, self._peak()
-        if limit is not None and taken > limit:
-            most = _size(limit)
-            self._warn(
-                f"{stage} has taken {_size(taken)} of memory as it ended, more than the limit of {most}."
-            )
+        """Count what a stage that worked has written: its entry, and the copies of it among the results."""
+        self.ended(stage)
         size = 2 * sum(about["size"] for about in entry.manifest["files"].values())
         self._require_disk(stage, size)
         self._written += size
+
+    def ended(self, what: str) -> None:
+        """Tell what was taken of memory after the last word of progress: stopped it cannot be any more."""
+        limit, taken = self._limits.memory, self._peak()
+        if limit is not None and taken > max(limit, self._told):
+            self._told = taken
+            most = _size(limit)
+            self._warn(
+                f"{what} has taken {_size(taken)} of memory as it ended, more than the limit of {most}."
+            )
 
     def _require_disk(self, stage: str, more: int, share: float = 1.0) -> None:
         limit = self._limits.disk

@@ -35,6 +35,7 @@ from stages.picturing.show import Page
 from stages.printing import counted, line, rows_table
 from stages.scans.read import read_scan, require_complete
 from stages.scans.scan import Scan
+from stages.surface.memory import give_back
 
 CACHE_VARIABLE = "SCANLOOM_CACHE"
 
@@ -244,6 +245,7 @@ def run_wanted(
     sources = sources_of(
         scan, config, wanted.photos, lambda done, total: events(StageProgress("scan", done, total))
     )
+    guard = _guard(wanted, config, cache, limits, events)
     with Engine(
         wanted.plan,
         config,
@@ -253,7 +255,7 @@ def run_wanted(
         events,
         overwrite=overwrite,
         megapixels=megapixels(scan),
-        guard=_guard(wanted, config, cache, limits, events),
+        guard=guard,
     ) as engine:
         if scan.folder is not None:
             engine.results.note(Asked(scan.folder.absolute(), from_anywhere(config), planned[-1]).record())
@@ -264,6 +266,8 @@ def run_wanted(
         report = compose(scan, outcomes, {} if final is None else final.figures, out)
         written = engine.results.write_report(report)
         page = _page(out, config.report, written, engine.results, events)
+        if guard is not None:
+            guard.ended("the page")
     if config.cache.max_bytes is not None:
         cache.limit(config.cache.max_bytes)
     return RunResult(out, cache.folder, outcomes, written, page)
@@ -288,6 +292,8 @@ def _page(
     if results.holds_page(_decides_page(params)):
         return out / PAGE
     events(StageProgress("page", 0, 1))
+    # What the last stage has left free in holes.
+    give_back()
     try:
         page = page_of_run(out, int(1e6 * params.page_size), lambda text: events(Warned(f"page: {text}")))
     except InputError as error:

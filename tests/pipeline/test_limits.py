@@ -89,6 +89,14 @@ def test_a_stage_that_took_more_as_it_ended_is_told(peak: int, is_told: bool):
     assert warned == ([expected] if is_told else [])
 
 
+def test_what_the_page_took_is_told_once() -> None:
+    warned: list[str] = []
+    taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB, warned=warned)
+    taken.ended("the page")
+    taken.ended("the page")
+    assert warned == ["the page has taken 500 MB of memory as it ended, more than the limit of 400 MB."]
+
+
 @pytest.mark.parametrize(("share", "times"), [(1.0, "1.5"), (0.5, "2"), (0.25, "2.9"), (0.01, "2.9")])
 def test_what_would_fit_is_told_by_the_share_that_was_done(tmp_path: Path, share: float, times: str):
     taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)

@@ -36,6 +36,10 @@ _MOST_BESIDE = 100_000
 _LAST = 2
 # A model is made no lighter than this share of itself at once.
 _AT_ONCE = 0.5
+# No triangle takes fewer bytes of a page.
+_BYTES_EACH = 5
+# Of more triangles, one model is made lighter after the other: that takes about 500 bytes for each.
+_MANY = 1_000_000
 # More is left out than must be, so that it fits at once: the fewer triangles, the more bytes each takes.
 _SPARE = 1.4
 # Of the page, photos may take one part of so many.
@@ -99,12 +103,16 @@ def packed_page(
     if photos:
         warn(f"{photos} of the photos are left out of the page, which may take {most_bytes:,} bytes.")
     first, *others = (_Plan.of(name, shown) for name, shown in models.items())
-    plans = [first, *(one.lighter(_MOST_BESIDE / max(one.triangles, 1)) for one in others)]
+    plans = [
+        first.lighter(most_bytes / (_BYTES_EACH * max(first.triangles, 1))),
+        *(one.lighter(_MOST_BESIDE / max(one.triangles, 1)) for one in others),
+    ]
     done: dict[_Plan, tuple[Shown, PageModel]] = {}
     for attempt in range(_ATTEMPTS):
         changed = [plan for plan in plans if plan not in done]
-        made = read_ahead(_packed, changed, threads=workers(), ahead=len(changed))
-        done |= zip(changed, made, strict=True)
+        is_many = sum(len(plan.shown.mesh.triangles) for plan in changed) > _MANY
+        made = read_ahead(_packed, changed, threads=1 if is_many else workers(), ahead=len(changed))
+        done = {plan: done[plan] for plan in plans if plan in done} | dict(zip(changed, made, strict=True))
         packed = [done[plan][1] for plan in plans]
         page = one_file(title, packed, told, cameras)
         if len(page) <= most_bytes:
