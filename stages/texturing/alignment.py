@@ -23,6 +23,8 @@ Shifts = NDArray[np.float16]
 _MOST = 6 / 640
 _SMOOTH = 10 / 640
 _CELLS = 80
+# It is smoothed in images that are smaller by this.
+_SHARE = 4
 # What holds shifts to 0 where there is little to see: squared levels a pixel.
 _PRIOR = 20.0
 # Differences of levels, after the shift, beyond which a pixel shows something else.
@@ -51,14 +53,23 @@ def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray
     most = _MOST * width
     sound = shown & (rest < _ELSE) & (np.abs(flow[0]) < most) & (np.abs(flow[1]) < most)
     weight = np.where(sound, np.minimum(detail, 4e3), 0).astype(np.float32)
-    spread = _SMOOTH * width
-    total = cv2.GaussianBlur(weight, (0, 0), spread) + np.float32(_PRIOR)
-    mean = cv2.merge([cv2.GaussianBlur(weight * one, (0, 0), spread) / total for one in flow])
+    size = (max(round(width / _SHARE), 2), max(round(height / _SHARE), 2))
+
+    def smoothed(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        smaller = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.GaussianBlur(smaller, (0, 0), _SMOOTH * size[0]), np.float32)
+
+    total = smoothed(weight) + np.float32(_PRIOR)
+    mean = cv2.merge([smoothed(weight * one) / total for one in flow])
     columns = _CELLS + 1
     rows = max(round(_CELLS * height / width), 1) + 1
-    across = np.linspace(0, width - 1, columns, dtype=np.float32)
-    down = np.linspace(0, height - 1, rows, dtype=np.float32)
-    grid = cv2.remap(mean, *np.meshgrid(across, down), cv2.INTER_LINEAR)
+    # The corners of the grid lie in the corners of the photo, in the middle of its pixels.
+    across, down = (
+        ((np.linspace(0, of - 1, cells) + 0.5) * (smaller / of) - 0.5).astype(np.float32)
+        for of, smaller, cells in ((width, size[0], columns), (height, size[1], rows))
+    )
+    x, y = np.meshgrid(across, down)
+    grid = cv2.remap(mean, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.ascontiguousarray(grid.clip(-most, most), np.float16)
 
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _ROUNDS = 6
-# Points are enough for all photos of a scan.
-_MOST_POINTS = 40_000
+# Points are enough for all photos of a scan, and to tell whether there is a vignette.
+_MOST_POINTS, _FEW_POINTS = 40_000, 10_000
 # Levels beyond which a difference counts less and less (Huber), and levels that are cut off.
 _HUBER = 8.0
 _USABLE = (4.0, 250.0)
@@ -132,12 +132,12 @@ def exposures(
     radii2 : (n, k) squared distance from the photo's middle, 1 in its corners.
     count : photos.
     """
-    found = _solved(views, colors, radii2, count, vignetted=True)
+    step = max(len(views) // _FEW_POINTS, 1)
+    found = _solved(views[::step], colors[::step], radii2[::step], count, vignetted=True)
     middle, corner = _light_at(np.array([0.0, 1.0]), found.photos[0].vignette)
     is_of_lens = _LEAST_LIGHT * middle <= corner <= _MOST_LIGHT * middle
-    if is_of_lens and abs(1 - corner) >= _LEAST_VIGNETTE:
-        return found
-    return _solved(views, colors, radii2, count, vignetted=False)
+    is_vignetted = bool(is_of_lens and abs(1 - corner) >= _LEAST_VIGNETTE)
+    return _solved(views, colors, radii2, count, vignetted=is_vignetted)
 
 
 def _solved(
@@ -163,15 +163,17 @@ def _solved(
     _, point = np.unique(point, return_inverse=True)
     samples = np.bincount(view, minlength=count)
     known = samples >= _LEAST_SAMPLES
-    gain, bias = np.ones((count, 3)), np.zeros((count, 3))
+    # Of each channel.
+    gain, bias = np.ones((3, count)), np.zeros((3, count))
     vignette = _NO_VIGNETTE
     weights = [np.ones_like(radius2)] * 3
     before = 0.0
     for turn in range(_ROUNDS + 1):
         light = _light_at(radius2, vignette)
         there = [level / light for level in levels]
-        means = [_mean(point, there[k], weights[k], gain[view, k], bias[view, k])[point] for k in range(3)]
-        shown = [gain[view, k] * means[k] + bias[view, k] for k in range(3)]
+        gains, biases = ([np.take(one, view) for one in of] for of in (gain, bias))
+        means = [_mean(point, there[k], weights[k], gains[k], biases[k])[point] for k in range(3)]
+        shown = [gains[k] * means[k] + biases[k] for k in range(3)]
         differences = [np.abs(levels[k] - shown[k] * light) for k in range(3)]
         if turn == 0:
             before = float(np.median(differences))
@@ -183,17 +185,19 @@ def _solved(
             light = _light_at(radius2, vignette)
             there = [level / light for level in levels]
         for k in range(3):
-            gain[:, k], bias[:, k] = _fitted(view, means[k], there[k], weights[k], count)
-        gain[~known], bias[~known] = 1.0, 0.0
+            gain[k], bias[k] = _fitted(view, means[k], there[k], weights[k], count)
+        gain[:, ~known], bias[:, ~known] = 1.0, 0.0
         if known.any():
             # Only ratios are seen: the mean stays as it is. What all have in common is scaled and shifted for
             # that, so that each photo's bias moves by its own gain.
-            gain[known] /= np.exp(np.log(gain[known]).mean(axis=0))
-            bias[known] -= gain[known] * (bias[known].mean(axis=0) / gain[known].mean(axis=0))
+            gain[:, known] /= np.exp(np.log(gain[:, known]).mean(axis=1, keepdims=True))
+            middle = bias[:, known].mean(axis=1, keepdims=True) / gain[:, known].mean(axis=1, keepdims=True)
+            bias[:, known] -= gain[:, known] * middle
     largest = functools.reduce(np.maximum, differences)
-    each = [largest[view == number] for number in range(count)]
+    by_view = np.argsort(view, kind="stable")
+    each = np.split(largest[by_view], np.cumsum(samples)[:-1])
     return Exposures(
-        photos=tuple(Exposure(gain[i], bias[i], vignette) for i in range(count)),
+        photos=tuple(Exposure(gain[:, i].copy(), bias[:, i].copy(), vignette) for i in range(count)),
         before=before,
         after=float(np.median(differences)),
         differences=np.array([float(np.median(one)) if len(one) else 0.0 for one in each]),

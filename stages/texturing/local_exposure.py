@@ -56,10 +56,13 @@ def local_exposure_of(
         shown = cv2.resize(shown.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         height, width = shown.shape
     moved = shifted(photo, shifts)
-    apart = cv2.absdiff(drawn, moved).max(axis=2)
+    # OpenCV's functions: NumPy is slow over a last axis of three.
+    red, green, blue = cv2.split(cv2.absdiff(drawn, moved))
+    apart = cv2.max(cv2.max(red, green), blue)
     sound = np.maximum(1 - (np.arange(256, dtype=np.float32) / _ELSE) ** 2, 0) ** 2
-    weight = np.where(shown, sound[apart], np.float32(0))
-    weight[(moved.max(axis=2) > _BRIGHT) | (moved.min(axis=2) < _DARK)] *= np.float32(_CUT_OFF)
+    weight = np.where(shown, cv2.LUT(apart, sound), np.float32(0))
+    is_whole = cv2.inRange(moved, np.full(3, float(_DARK)), np.full(3, float(_BRIGHT))) > 0
+    weight = np.where(is_whole, weight, weight * np.float32(_CUT_OFF))
     size = (max(round(width / _SHARE), 2), max(round(height / _SHARE), 2))
     difference = cv2.subtract(drawn, moved, dtype=cv2.CV_32F)
     weighed = cv2.multiply(difference, cv2.merge([weight] * 3))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.files.image_bytes import encoded_gray_png
+from stages.scans.prefetch import read_ahead, workers
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import unit_normals
@@ -25,7 +26,7 @@ from stages.surface.topology import areas
 from stages.texturing.texture import Textured
 
 _NO_PHOTO = 255
-# Texels that are measured at a time: each takes some hundred bytes.
+# Texels that are measured at a time, by all threads: each takes some hundred bytes.
 _AT_ONCE = 1_000_000
 
 
@@ -43,8 +44,9 @@ def write_maps(folder: Path, textured: Textured) -> None:
             "obliquity": obliquity,
             "texel": width,
         }
-        for name, image in maps.items():
-            (folder / f"{name}-{number + 1}.png").write_bytes(encoded_gray_png(image))
+        files = read_ahead(encoded_gray_png, maps.values(), threads=workers(), ahead=workers())
+        for name, data in zip(maps, files, strict=True):
+            (folder / f"{name}-{number + 1}.png").write_bytes(data)
     document = {
         "photos": {str(number): name for number, name in enumerate(textured.photos, 1)},
         "texel_size_m": textured.texel_size,
@@ -63,8 +65,8 @@ def _measured(
     normals = unit_normals(mesh)
     of_triangles = [mesh.vertices[:, axis][mesh.triangles] for axis in range(3)]
     obliquity = np.full(labels.size, _NO_PHOTO, np.uint8)
-    for start in range(0, len(pixels), _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
+
+    def angles(part: slice) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
         label = labels.reshape(-1)[pixels[part]]
         shown = label >= 0
         of, label, weights = triangles[part][shown], label[shown], shares[part][shown]
@@ -76,7 +78,13 @@ def _measured(
             far2 += way**2
         cosines = towards / np.maximum(np.sqrt(far2), 1e-12)
         degrees = np.degrees(np.arccos(cosines.clip(0, 1)))
-        obliquity[pixels[part][shown]] = np.rint(degrees).astype(np.uint8)
+        return pixels[part][shown], np.rint(degrees).astype(np.uint8)
+
+    threads = workers()
+    step = _AT_ONCE // threads
+    parts = [slice(start, start + step) for start in range(0, len(pixels), step)]
+    for at, degrees in read_ahead(angles, parts, threads=threads, ahead=threads):
+        obliquity[at] = degrees
     flat = np.abs(signed_areas(corners))
     wide = 1e6 * np.sqrt(areas(mesh.vertices, mesh.triangles) / np.maximum(flat, 1e-12))
     sizes = np.zeros(labels.size, np.uint16)

@@ -79,7 +79,8 @@ def survey(
     """
     of, shares = _points(mesh)
     points = _kernels.SurfacePoints(mesh.vertices, normals, mesh.triangles, of, shares, kept=kept)
-    shown = see(points, drawn, photos, [no_exposure()] * len(photos), None, progress)
+    none = [no_exposure()] * len(photos)
+    shown = see(points, drawn, photos, none, None, progress, is_blended=False)
     views, colors = points.samples()[:2]
     if (views < 0).all():
         raise InputError(

@@ -45,7 +45,7 @@ from stages.texturing.views import Correction, DrawnMesh, drawn_mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 11
+RESULT_VERSION = 12
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.

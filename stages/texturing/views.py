@@ -87,6 +87,7 @@ def see(
     *,
     numbers: Sequence[int] | None = None,
     remember: bool = False,
+    is_blended: bool = True,
 ) -> list[NDArray[np.uint32]]:
     """Look at points of a mesh with one photo after another.
 
@@ -96,6 +97,7 @@ def see(
     progress : called after each photo.
     numbers : the photos to look with, in this order; all by default.
     remember : for `see_again`.
+    is_blended : what photos show is to be blended; else only asked for.
 
     Returns
     -------
@@ -107,7 +109,8 @@ def see(
 
     def prepared(number: int) -> _kernels.View:
         photo = photos.read(number)
-        colors = _colors(photo, exposures[number], None if corrections is None else corrections[number])
+        correction = None if corrections is None else corrections[number]
+        colors = _colors(photo, exposures[number], correction, is_blended=is_blended)
         return _view(photo, colors, mesh, worth=float(photos.worths[number]), flattest=flattest)
 
     shown = []
@@ -147,14 +150,17 @@ def _each(prepared: Callable[[int], T], numbers: Sequence[int]) -> Iterator[T]:
     return read_ahead(prepared, numbers, threads=workers(), ahead=workers() + 1)
 
 
-def _colors(photo: Photo, exposure: Exposure, correction: Correction | None) -> _kernels.Photo:
+def _colors(
+    photo: Photo, exposure: Exposure, correction: Correction | None, *, is_blended: bool = True
+) -> _kernels.Photo:
     image = exposure.corrected(photo.image)
     camera = kernel_camera(photo.camera, photo.camera_from_world)
     warp = None
     if correction is not None:
         warp = correction.shifts.astype(np.float32)
         image = image if correction.exposure is None else made_even(image, correction.exposure)
-    return _kernels.Photo(camera, image, _blurred(image, photo.seen), warp=warp)
+    blurred = _blurred(image, photo.seen) if is_blended else image
+    return _kernels.Photo(camera, image, blurred, warp=warp)
 
 
 def _view(

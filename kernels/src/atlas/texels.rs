@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::neighbours::NONE;
 use crate::base::geometry::Vec3;
+use crate::base::parallel::{collect, threads};
 
 /// How far beyond the border of a chart texels take its colours, so that what lies between two texels is right at the
 /// border, too.
@@ -87,21 +88,24 @@ pub fn texels(
             }
         }
     }
-    let mut order: Vec<(u32, u32)> =
-        (0..owner.len()).filter(|&i| owner[i] != NONE).map(|i| (owner[i], i as u32)).collect();
-    order.sort_unstable();
-    let shares = order
-        .iter()
-        .map(|&(t, i)| {
-            let centre = [(i as usize % width) as f64 + 0.5, (i as usize / width) as f64 + 0.5];
-            shares(&corners[t as usize], centre).map(|share| share as f32)
-        })
-        .collect();
-    Texels {
-        pixels: order.iter().map(|o| o.1).collect(),
-        triangles: order.iter().map(|o| o.0).collect(),
-        shares,
+    drop((inside, nearest));
+    // Where those of each triangle begin.
+    let mut next = vec![0usize; corners.len() + 1];
+    owner.iter().filter(|&&t| t != NONE).for_each(|&t| next[t as usize + 1] += 1);
+    (0..corners.len()).for_each(|t| next[t + 1] += next[t]);
+    let count = next[corners.len()];
+    let (mut pixels, mut triangles) = (vec![0; count], vec![0; count]);
+    for (i, &t) in (0..).zip(&owner).filter(|&(_, &t)| t != NONE) {
+        let place = &mut next[t as usize];
+        (pixels[*place], triangles[*place]) = (i, t);
+        *place += 1;
     }
+    let shares = collect(count, threads(0), |k| {
+        let i = pixels[k] as usize;
+        let centre = [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
+        shares(&corners[triangles[k] as usize], centre).map(|share| share as f32)
+    });
+    Texels { pixels, triangles, shares }
 }
 
 /// The shares of the corners of the place in a triangle that is nearest to a point.

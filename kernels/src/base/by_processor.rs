@@ -3,9 +3,9 @@
 /// A function that is compiled twice, and called in the version that the processor has instructions for. The results are
 /// the same to the bit: of whole numbers anyway, and of others because each product, sum and quotient is rounded by itself.
 macro_rules! by_processor {
-    ($(#[$meta:meta])* fn $name:ident($($arg:ident: $kind:ty),* $(,)?) $(-> $result:ty)? = $inner:path) => {
+    ($(#[$meta:meta])* $visible:vis fn $name:ident($($arg:ident: $kind:ty),* $(,)?) $(-> $result:ty)? = $inner:path) => {
         $(#[$meta])*
-        fn $name($($arg: $kind),*) $(-> $result)? {
+        $visible fn $name($($arg: $kind),*) $(-> $result)? {
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx2,popcnt")]

@@ -55,7 +55,7 @@ pub fn lay_out(
             Ok((charts, packed))
         })?;
         let numbers = |values: Vec<i32>| PyArray1::from_vec(py, values).unbind();
-        let corners = packed.corners.into_iter().flatten().flatten().collect();
+        let corners = packed.corners.into_flattened().into_flattened();
         let corners = Array3::from_shape_vec((triangles.len(), 3, 2), corners).map_err(shape)?;
         Ok(LaidOut {
             charts: numbers(charts.of.iter().map(|&c| if c == NONE { -1 } else { c as i32 }).collect()),
@@ -85,8 +85,7 @@ pub fn texels(
         }
         let found = py.detach(|| under::texels(&corners, |t| pages[t] == page, width, height));
         let count = found.pixels.len();
-        let shares = Array2::from_shape_vec((count, 3), found.shares.into_iter().flatten().collect())
-            .map_err(shape)?;
+        let shares = Array2::from_shape_vec((count, 3), found.shares.into_flattened()).map_err(shape)?;
         Ok((
             PyArray1::from_vec(py, found.pixels).unbind(),
             PyArray1::from_vec(py, found.triangles).unbind(),

@@ -13,13 +13,14 @@ use super::arrays::{rows, triangles_from};
 use super::atlas::{shape, triangle_corners};
 use super::detached::detached;
 use super::guarded::guarded;
-use crate::base::parallel::threads;
+use crate::base::parallel::{collect, threads};
 use crate::texture::blend::{NO_VIEW, Weights, blend};
 use crate::texture::clusters::Clusters;
 use crate::texture::pinhole::Pinhole;
+use crate::texture::pixels::Photo as Pixels;
 use crate::texture::shade::{Textured, shade as shaded};
-use crate::texture::surface_points::SurfacePoints as Points;
-use crate::texture::view::{Colors, Depths, Look, Photo as Pixels, View as Photographed, Warp};
+use crate::texture::surface_points::{MOST_KEPT, SurfacePoints as Points};
+use crate::texture::view::{Colors, Depths, Look, View as Photographed, Warp};
 use crate::texture::zbuffer::{NOTHING, zbuffer as drawn};
 
 /// fx, fy, cx, cy, width, height; and the (4, 4) matrix that takes the world to the camera.
@@ -146,7 +147,10 @@ impl View {
             .transpose()?;
         let colors = Arc::clone(&photo.0);
         let place = colors.camera.place();
-        Ok(Self(Photographed { colors, place, mesh, triangles, measured, worth, flattest }))
+        let is_drawn_in_size = mesh.camera.is_same_but_for_its_place(&colors.camera);
+        let view =
+            Photographed { colors, place, mesh, triangles, is_drawn_in_size, measured, worth, flattest };
+        Ok(Self(view))
     }
 }
 
@@ -170,7 +174,8 @@ fn depths(camera: &Camera<'_>, nearest: &Map<'_>, exact: &Map<'_>, reach: f64) -
     if [&nearest, &exact].iter().any(|map| map.shape() != [camera.height, camera.width]) {
         return Err(PyValueError::new_err("depth is of another size than its camera"));
     }
-    let [nearest, exact] = [nearest, exact].map(|map| map.iter().copied().collect());
+    let [nearest, exact] = [nearest, exact]
+        .map(|map| map.as_slice().map_or_else(|| map.iter().copied().collect(), <[f32]>::to_vec));
     Ok(Depths { camera, nearest, exact, reach })
 }
 
@@ -209,7 +214,11 @@ impl SurfacePoints {
             crate::mesh::connect::check_indices(points.len(), &triangles)?;
             let (of, shares) = (of.as_array().to_vec(), rows::<f32, 3>(&shares)?);
             let is_sorted = of.is_sorted() && of.last().is_none_or(|&t| (t as usize) < triangles.len());
-            if !is_sorted || of.len() != shares.len() || normals.len() != points.len() || kept == 0 {
+            if !is_sorted
+                || of.len() != shares.len()
+                || normals.len() != points.len()
+                || !(1..=MOST_KEPT).contains(&kept)
+            {
                 return Err(PyValueError::new_err("points do not go with their mesh"));
             }
             let mut first = vec![0u32; triangles.len() + 1];
@@ -217,13 +226,14 @@ impl SurfacePoints {
             for t in 0..triangles.len() {
                 first[t + 1] += first[t];
             }
-            let at = |values: &[[f64; 3]]| -> Vec<[f64; 3]> {
-                let corners = |t: u32| triangles[t as usize].map(|v| values[v as usize]);
-                of.iter().zip(&shares).map(|(&t, s)| crate::atlas::texels::mixed(s, &corners(t))).collect()
+            let at = |values: &[[f64; 3]], i: usize| {
+                let corners = triangles[of[i] as usize].map(|v| values[v as usize]);
+                crate::atlas::texels::mixed(&shares[i], &corners)
             };
-            let places = at(&points);
-            let normals =
-                at(&normals).iter().map(|n| crate::base::geometry::unit(n).map(|x| x as f32)).collect();
+            let places = collect(of.len(), threads(0), |i| at(&points, i));
+            let normals = collect(of.len(), threads(0), |i| {
+                crate::base::geometry::unit(&at(&normals, i)).map(|x| x as f32)
+            });
             Ok(Self(Mutex::new(Points::new(&places, normals, first, triangles, points.len(), kept)?)))
         })
     }
@@ -260,12 +270,20 @@ impl SurfacePoints {
     /// Views (n, k) in the order of their scores, −1 for none; colours (n, k, 3) and scores (n, k).
     fn samples(&self, py: Python<'_>) -> PyResult<Samples> {
         let points = self.locked();
-        let (samples, kept) = points.all_samples();
-        guarded(samples.len(), || {
-            let (n, k) = (points.len(), kept);
-            let views = samples.iter().map(|s| if s.score > 0.0 { s.view.into() } else { -1 }).collect();
-            let colors = samples.iter().flat_map(|s| s.color).collect();
-            let scores = samples.iter().map(|s| s.score).collect();
+        let (n, k) = (points.len(), points.kept());
+        guarded(n * k, || {
+            let (mut views, mut colors, mut scores) = (vec![-1; n * k], vec![0; n * k * 3], vec![0.0; n * k]);
+            let mut order = Vec::with_capacity(k);
+            for point in 0..n {
+                let samples = points.samples(point);
+                order.clear();
+                order.extend(0..samples.len());
+                order.sort_by(|&a, &b| samples.is_better(b, a).cmp(&samples.is_better(a, b)));
+                for (i, &sample) in (point * k..).zip(&order) {
+                    (views[i], scores[i]) = (samples.views[sample].into(), samples.scores[sample]);
+                    colors[3 * i..][..3].copy_from_slice(&samples.colors[sample][0]);
+                }
+            }
             Ok((
                 Array2::from_shape_vec((n, k), views).map_err(shape)?.into_pyarray(py).unbind(),
                 Array3::from_shape_vec((n, k, 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
@@ -302,7 +320,7 @@ impl SurfacePoints {
             let found = detached(py, None, false, |progress| {
                 blend(&points, &weights, threads(wanted_threads), progress)
             })?;
-            let colors = found.colors.into_iter().flatten().collect();
+            let colors = found.colors.into_flattened();
             let labels = found.labels.into_iter().map(|l| if l == NO_VIEW { -1 } else { l.into() }).collect();
             Ok((
                 Array2::from_shape_vec((points.len(), 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
@@ -375,7 +393,7 @@ impl TexturedSurface {
                 shaded(&mesh, &seen, &camera)
             });
             let (h, w) = (camera.height, camera.width);
-            let colors = colors.into_iter().flatten().collect();
+            let colors = colors.into_flattened();
             Ok((
                 Array3::from_shape_vec((h, w, 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
                 Array2::from_shape_vec((h, w), shown).map_err(shape)?.into_pyarray(py).unbind(),

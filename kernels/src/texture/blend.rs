@@ -5,7 +5,7 @@
 //! left, the details, is a mean in which the best photo counts most, so that small misplacements do not blur it. Both
 //! weights change smoothly over the surface.
 
-use super::surface_points::{Sample, SurfacePoints};
+use super::surface_points::{MOST_KEPT as MOST, Samples, SurfacePoints};
 use crate::base::errors::KernelError;
 use crate::base::parallel::each;
 use crate::base::progress::Progress;
@@ -58,9 +58,17 @@ pub fn blend(
         .enumerate()
         .collect();
     each(parts, threads, |(number, ((colors, labels), views))| {
-        for i in 0..colors.len() {
-            if let Some((color, label, used)) = weights.of(points.samples(number * PART + i)) {
-                (colors[i], labels[i], views[i]) = (color, label, used);
+        for start in (0..colors.len()).step_by(TOGETHER) {
+            let count = TOGETHER.min(colors.len() - start);
+            let mut samples = [Samples::default(); TOGETHER];
+            for (i, samples) in samples[..count].iter_mut().enumerate() {
+                *samples = points.samples(number * PART + start + i);
+            }
+            let agreeing = weights.agreeing(&samples);
+            for (i, samples) in samples[..count].iter().enumerate() {
+                if let Some((color, label, used)) = weights.of(samples, &agreeing[i]) {
+                    (colors[start + i], labels[start + i], views[start + i]) = (color, label, used);
+                }
             }
         }
     });
@@ -68,85 +76,148 @@ pub fn blend(
     Ok(blended)
 }
 
-/// More samples of a point than this are never kept.
-const MOST: usize = 16;
+/// Points that are blended together: the same steps bring their samples into order.
+const TOGETHER: usize = 8;
+/// A value of each of them.
+type Lanes = [i16; TOGETHER];
 
 impl Weights {
-    /// The colour of samples, the best of them first; the best photo, and how many count.
-    fn of(&self, samples: &[Sample]) -> Option<([f32; 3], u16, u8)> {
-        let count = samples
-            .iter()
-            .take(MOST)
-            .position(|sample| sample.score <= 0.0)
-            .unwrap_or(samples.len().min(MOST));
-        let samples = &samples[..count];
-        let best = samples.first()?.score;
-        let agreeing = self.agreeing(samples);
+    /// The colour of samples that agree so much; the best photo that does, and how many count.
+    fn of(&self, samples: &Samples<'_>, agreeing: &[f32; MOST]) -> Option<([f32; 3], u16, u8)> {
+        let best = samples.scores.iter().copied().reduce(f32::max)?;
         let (mut base, mut base_weight) = ([0.0; 3], 0.0);
         let (mut details, mut details_weight) = ([0.0; 3], 0.0);
-        let (mut label, mut used) = (NO_VIEW, 0);
-        for (sample, agreeing) in samples.iter().zip(agreeing) {
+        let (mut first, mut used) = (None, 0);
+        for (i, &agreeing) in agreeing[..samples.len()].iter().enumerate() {
             if agreeing <= 0.0 {
                 continue;
             }
             used += 1;
-            let share = sample.score / best;
+            let share = samples.scores[i] / best;
             let (low, high) = (agreeing * share.powi(self.blurred), agreeing * share.powi(self.details));
+            let [color, blurred] = samples.colors[i];
             for k in 0..3 {
-                let blurred = f32::from(sample.blurred[k]);
+                let blurred = f32::from(blurred[k]);
                 base[k] += low * blurred;
-                details[k] += high * (f32::from(sample.color[k]) - blurred);
+                details[k] += high * (f32::from(color[k]) - blurred);
             }
             base_weight += low;
             details_weight += high;
-            // The best are first.
-            if label == NO_VIEW {
-                label = sample.view;
+            if first.is_none_or(|first| samples.is_better(i, first)) {
+                first = Some(i);
             }
         }
+        let label = first.map_or(NO_VIEW, |first| samples.views[first]);
         let color =
             [0, 1, 2].map(|k| (base[k] / base_weight + details[k] / details_weight).clamp(0.0, 255.0));
         Some((color, label, used))
     }
 
-    /// How far each sample agrees with the others, 0 to 1; falls to 0 smoothly, so that no border is seen. Of two or fewer all
-    /// agree.
-    fn agreeing(&self, samples: &[Sample]) -> [f32; MOST] {
-        let mut agreeing = [1.0; MOST];
-        let count = samples.len();
-        if count < 3 {
-            return agreeing;
-        }
-        let middle = [0, 1, 2].map(|k| {
-            let mut levels = [0.0; MOST];
-            for (level, sample) in levels.iter_mut().zip(samples) {
-                *level = f32::from(sample.blurred[k]);
+    /// How far each sample of some points agrees with the others, 0 to 1; falls to 0 smoothly, so that no border is seen. Of two or
+    /// fewer all agree.
+    fn agreeing(&self, points: &[Samples<'_>; TOGETHER]) -> [[f32; MOST]; TOGETHER] {
+        let counts = points.each_ref().map(Samples::len);
+        let mut levels = [[[i16::MAX; TOGETHER]; MOST]; 3];
+        for (i, samples) in points.iter().enumerate() {
+            for (k, [_, blurred]) in samples.colors.iter().enumerate() {
+                for (channel, levels) in levels.iter_mut().enumerate() {
+                    levels[k][i] = blurred[channel].into();
+                }
             }
-            median(&mut levels[..count])
-        });
-        let mut apart = [0.0f32; MOST];
-        for (apart, sample) in apart.iter_mut().zip(samples) {
-            *apart = (0..3).map(|k| (f32::from(sample.blurred[k]) - middle[k]).abs()).fold(0.0, f32::max);
         }
-        let mut sorted = apart;
-        let limit = (self.deviations * OF_MEDIAN * median(&mut sorted[..count])).max(self.levels);
-        for (agreeing, apart) in agreeing.iter_mut().zip(&apart[..count]) {
-            let rest = (1.0 - (apart / limit).powi(2)).max(0.0);
-            *agreeing = rest * rest;
+        // Twice as much each, which is whole.
+        let middle = levels.map(|levels| doubled_medians(levels, &counts));
+        let mut apart = [[i16::MAX; TOGETHER]; MOST];
+        for (i, samples) in points.iter().enumerate() {
+            for (apart, [_, blurred]) in apart.iter_mut().zip(samples.colors) {
+                let off = |channel: usize| 2 * i16::from(blurred[channel]) - middle[channel][i];
+                apart[i] = off(0).abs().max(off(1).abs()).max(off(2).abs());
+            }
+        }
+        let medians = doubled_medians(apart, &counts);
+        let mut agreeing = [[1.0; MOST]; TOGETHER];
+        for i in (0..TOGETHER).filter(|&i| counts[i] > 2) {
+            let median = 0.25 * f32::from(medians[i]);
+            let limit = (self.deviations * OF_MEDIAN * median).max(self.levels);
+            for (agreeing, apart) in agreeing[i].iter_mut().zip(&apart[..counts[i]]) {
+                let rest = (1.0 - (0.5 * f32::from(apart[i]) / limit).powi(2)).max(0.0);
+                *agreeing = rest * rest;
+            }
         }
         agreeing
     }
 }
 
-/// The median of a few values, the mean of the middle two if there are; they are sorted.
-fn median(values: &mut [f32]) -> f32 {
-    for i in 1..values.len() {
-        let mut j = i;
-        while j > 0 && values[j - 1] > values[j] {
-            values.swap(j - 1, j);
-            j -= 1;
+/// Twice the medians of the first rows, so many of each column; of an even number the mean of the middle two. Below are the
+/// largest values there are.
+fn doubled_medians(mut rows: [Lanes; MOST], counts: &[usize; TOGETHER]) -> Lanes {
+    let are_few = counts.iter().all(|&count| count <= MOST / 2);
+    for &[i, j] in if are_few { &OF_FEW[..] } else { &OF_ALL } {
+        let (a, b) = (rows[usize::from(i)], rows[usize::from(j)]);
+        for k in 0..TOGETHER {
+            rows[usize::from(i)][k] = a[k].min(b[k]);
+            rows[usize::from(j)][k] = a[k].max(b[k]);
         }
     }
-    let half = values.len() / 2;
-    if values.len() % 2 == 1 { values[half] } else { 0.5 * (values[half - 1] + values[half]) }
+    std::array::from_fn(|k| {
+        let count = counts[k].max(1);
+        // Of none it is asked for in vain.
+        rows[(count - 1) / 2][k].wrapping_add(rows[count / 2][k])
+    })
+}
+
+/// Pairs that are brought into order one after another: no step depends on what was found, and all columns go at once.
+const OF_ALL: [[u8; 2]; 63] = pairs(MOST);
+const OF_FEW: [[u8; 2]; 19] = pairs(MOST / 2);
+
+/// Those of Batcher's odd-even merge sort, of so many values: a power of two.
+const fn pairs<const COUNT: usize>(size: usize) -> [[u8; 2]; COUNT] {
+    let mut pairs = [[0; 2]; COUNT];
+    let mut count = 0;
+    let mut run = 1;
+    while run < size {
+        let mut step = run;
+        while step >= 1 {
+            let mut i = step % run;
+            while i + step < size {
+                let is_first = (i - step % run) / step % 2 == 0;
+                if is_first && i / (2 * run) == (i + step) / (2 * run) {
+                    pairs[count] = [i as u8, (i + step) as u8];
+                    count += 1;
+                }
+                i += 1;
+            }
+            step /= 2;
+        }
+        run *= 2;
+    }
+    assert!(count == COUNT);
+    pairs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_are_those_of_sorted_values() {
+        let mut state = 1u32;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 24) as i16
+        };
+        for most in (1..=MOST).cycle().take(500) {
+            let counts = [(); TOGETHER].map(|()| 1 + next() as usize % most);
+            let mut rows = [[i16::MAX; TOGETHER]; MOST];
+            for (k, &count) in counts.iter().enumerate() {
+                rows[..count].iter_mut().for_each(|row| row[k] = next());
+            }
+            let found = doubled_medians(rows, &counts);
+            for (k, &count) in counts.iter().enumerate() {
+                let mut column: Vec<i16> = rows[..count].iter().map(|row| row[k]).collect();
+                column.sort_unstable();
+                assert_eq!(found[k], column[(count - 1) / 2] + column[count / 2]);
+            }
+        }
+    }
 }

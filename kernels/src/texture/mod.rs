@@ -5,6 +5,7 @@
 //! | [`pinhole`] | cameras and where they stand |
 //! | [`clusters`] | the mesh in parts, of which a camera looks at few |
 //! | [`zbuffer`] | which triangle a camera sees at each pixel |
+//! | [`pixels`] | colours between pixels |
 //! | [`view`] | a photo with what its camera sees, and the colour of a point in it |
 //! | [`surface_points`] | points of the surface, each with its best few views |
 //! | [`blend`] | one colour of many |
@@ -13,6 +14,7 @@
 pub mod blend;
 pub mod clusters;
 pub mod pinhole;
+pub mod pixels;
 pub mod shade;
 pub mod surface_points;
 pub mod view;

@@ -39,6 +39,12 @@ impl Pinhole {
         [0, 1, 2].map(|i| -(0..3).map(|k| self.turn[k][i] * self.shift[k]).sum::<f64>())
     }
 
+    /// Whether a point in camera axes appears at the same pixel in another camera.
+    pub fn is_same_but_for_its_place(&self, other: &Self) -> bool {
+        let of = |camera: &Self| (camera.focal, camera.centre, camera.width, camera.height);
+        of(self) == of(other)
+    }
+
     /// The number of the pixel nearest to a place in the image; none beyond its edge.
     #[inline]
     pub fn nearest(&self, [x, y]: [f64; 2]) -> Option<usize> {

@@ -1,8 +1,9 @@
 //! The textured mesh as a camera sees it.
 
 use super::pinhole::Pinhole;
-use super::view::Photo;
+use super::pixels::Photo;
 use super::zbuffer::{NOTHING, ZBuffer};
+use crate::base::by_processor::by_processor;
 use crate::base::geometry::{Vec3, cross, dot, norm2, sub};
 
 /// A mesh laid out in images.
@@ -17,39 +18,66 @@ pub struct Textured<'a> {
     pub images: &'a [Photo],
 }
 
-/// Colours of the pixels, and whether each shows a triangle with an image.
-pub fn shade(mesh: &Textured<'_>, seen: &ZBuffer, camera: &Pinhole) -> (Vec<[u8; 3]>, Vec<bool>) {
+/// Colours, and whether there is one.
+type Shaded = (Vec<[u8; 3]>, Vec<bool>);
+
+by_processor! {
+    /// Colours of the pixels, and whether each shows a triangle with an image.
+    pub fn shade(mesh: &Textured<'_>, seen: &ZBuffer, camera: &Pinhole) -> Shaded = shaded
+}
+
+#[inline(always)]
+fn shaded(mesh: &Textured<'_>, seen: &ZBuffer, camera: &Pinhole) -> Shaded {
     let mut colors = vec![[0; 3]; seen.depth.len()];
     let mut shown = vec![false; seen.depth.len()];
     let mut last = NOTHING;
-    let mut corners = [[0.0; 3]; 3];
-    for (i, &triangle) in seen.triangle.iter().enumerate() {
-        if triangle == NOTHING {
-            continue;
+    let mut triangle_there = Shares::default();
+    for y in 0..camera.height {
+        for x in 0..camera.width {
+            let i = y * camera.width + x;
+            let triangle = seen.triangle[i];
+            if triangle == NOTHING {
+                continue;
+            }
+            let Some(image) = mesh.images.get(usize::from(mesh.pages[triangle as usize])) else { continue };
+            if triangle != last {
+                let corners =
+                    mesh.triangles[triangle as usize].map(|v| camera.in_camera(&mesh.points[v as usize]));
+                triangle_there = Shares::of(&corners);
+                last = triangle;
+            }
+            let shares = triangle_there.at(&camera.point(x, y, f64::from(seen.depth[i])));
+            let corners = &mesh.corners[triangle as usize];
+            let place = [0, 1].map(|k| (0..3).map(|c| shares[c] * corners[c][k]).sum::<f64>() - 0.5);
+            let [red, green, blue, _] = image.linear(place);
+            colors[i] = [red, green, blue];
+            shown[i] = true;
         }
-        let Some(image) = mesh.images.get(usize::from(mesh.pages[triangle as usize])) else { continue };
-        if triangle != last {
-            corners = mesh.triangles[triangle as usize].map(|v| camera.in_camera(&mesh.points[v as usize]));
-            last = triangle;
-        }
-        let point = camera.point(i % camera.width, i / camera.width, f64::from(seen.depth[i]));
-        let shares = barycentric(&corners, &point);
-        let place = [0, 1]
-            .map(|k| (0..3).map(|c| shares[c] * mesh.corners[triangle as usize][c][k]).sum::<f64>() - 0.5);
-        colors[i] = image.linear(place).map(|level| (level + 0.5) as u8);
-        shown[i] = true;
     }
     (colors, shown)
 }
 
-/// What share each corner has of a point in the plane of a triangle.
-fn barycentric([a, b, c]: &[Vec3; 3], p: &Vec3) -> [f64; 3] {
-    let normal = cross(&sub(b, a), &sub(c, a));
-    let area2 = norm2(&normal);
-    if area2 == 0.0 {
-        return [1.0, 0.0, 0.0];
+/// What share the second and third corner of a triangle have of the points of its plane: linear.
+#[derive(Default)]
+struct Shares([(f64, Vec3); 2]);
+
+impl Shares {
+    fn of([a, b, c]: &[Vec3; 3]) -> Self {
+        let normal = cross(&sub(b, a), &sub(c, a));
+        let area2 = norm2(&normal);
+        if area2 == 0.0 {
+            return Self::default();
+        }
+        // Of the triangle that a point makes with an edge.
+        Self([(c, a), (a, b)].map(|(from, to)| {
+            let along = cross(&sub(from, to), &normal);
+            (dot(&cross(from, to), &normal) / area2, along.map(|x| x / area2))
+        }))
     }
-    let v = dot(&cross(&sub(c, p), &sub(a, p)), &normal) / area2;
-    let w = dot(&cross(&sub(a, p), &sub(b, p)), &normal) / area2;
-    [1.0 - v - w, v, w].map(|share| share.clamp(0.0, 1.0))
+
+    #[inline]
+    fn at(&self, p: &Vec3) -> [f64; 3] {
+        let [v, w] = self.0.each_ref().map(|(rest, along)| rest + dot(along, p));
+        [1.0 - v - w, v, w].map(|share| share.clamp(0.0, 1.0))
+    }
 }

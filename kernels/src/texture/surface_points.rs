@@ -1,9 +1,12 @@
 //! Points of the surface, each with the few photos that show it best.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
-use super::view::{Colors, Known, Look, Seen, View};
+use super::pixels::Levels;
+use super::view::{Appear, Colors, Known, Look, Places, TOGETHER, View};
 use super::zbuffer::NOTHING;
+use crate::base::by_processor::by_processor;
 use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
 use crate::base::parallel::each;
@@ -12,33 +15,56 @@ use crate::base::progress::Progress;
 /// Points a thread takes at a time, in whole triangles.
 const PART: u32 = 1 << 14;
 
+/// More photos than this are never kept of a point.
+pub const MOST_KEPT: usize = 16;
+
 /// Some of the triangles: of 64 that follow each other, which are meant; none where nothing is.
 type Bits = Vec<(u32, u64)>;
 
-/// A point in one photo.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sample {
-    /// 0 where there is none.
-    pub score: f32,
-    pub view: u16,
-    pub color: [u8; 3],
-    pub blurred: [u8; 3],
+/// A point in the photos that show it best: their scores and numbers, and what they show, themselves and blurred.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Samples<'a> {
+    pub scores: &'a [f32],
+    pub views: &'a [u16],
+    pub colors: &'a [[[u8; 3]; 2]],
+}
+
+impl Samples<'_> {
+    pub fn len(&self) -> usize {
+        self.scores.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.scores.is_empty()
+    }
+
+    /// Whether one is better than another; of equals the first photo.
+    #[inline]
+    pub fn is_better(&self, one: usize, other: usize) -> bool {
+        let [this, that] = [one, other].map(|i| (self.scores[i], std::cmp::Reverse(self.views[i])));
+        this > that
+    }
 }
 
 /// Points of a mesh's surface, by their triangles.
 #[derive(Debug)]
 pub struct SurfacePoints {
-    places: Vec<[f32; 3]>,
-    normals: Vec<[f32; 3]>,
-    /// Places are stored from here.
+    /// Of each axis, from the origin.
+    places: [Vec<f32>; 3],
+    normals: [Vec<f32>; 3],
     origin: Vec3,
     /// The first point of each triangle, and the number of points.
     first: Vec<u32>,
     triangles: Vec<[u32; 3]>,
     around: Around,
-    /// Of each point, the best first.
-    samples: Vec<Sample>,
+    /// So many photos of each point are kept, in no order: their scores, 0 where there is none, their numbers, and what they
+    /// show, in the photo and in the blurred one.
     kept: usize,
+    scores: Vec<f32>,
+    views: Vec<u16>,
+    colors: Vec<[[u8; 3]; 2]>,
+    /// The least score of each point: what another must be above.
+    least: Vec<f32>,
     /// The triangles that each view may show, of those that are to be remembered.
     looked_at: BTreeMap<u16, Bits>,
     /// Pixels a metre in the photo that is nearest; 0 where none shows the point.
@@ -48,7 +74,7 @@ pub struct SurfacePoints {
 }
 
 impl SurfacePoints {
-    /// Points in the order of their triangles.
+    /// Points in the order of their triangles; `kept` is [`MOST_KEPT`] or less.
     ///
     /// # Errors
     /// [`KernelError::OutOfMemory`] if there is no room for `kept` samples of each.
@@ -61,45 +87,51 @@ impl SurfacePoints {
         kept: usize,
     ) -> Result<Self, KernelError> {
         let origin = points.first().copied().unwrap_or_default();
-        let mut samples = vec![];
-        samples.try_reserve_exact(points.len() * kept).map_err(|_| KernelError::OutOfMemory)?;
-        samples.resize(points.len() * kept, Sample::default());
-        let places = points.iter().map(|p| [0, 1, 2].map(|i| (p[i] - origin[i]) as f32)).collect();
-        let density = vec![0.0; points.len()];
-        let looks = vec![Look::None; points.len()];
-        let looked_at = BTreeMap::new();
-        let around = Around::new(&triangles, vertices);
+        let samples = points.len() * kept;
+        let places = [0, 1, 2].map(|k| points.iter().map(|p| (p[k] - origin[k]) as f32).collect());
         Ok(Self {
             places,
-            normals,
+            normals: [0, 1, 2].map(|k| normals.iter().map(|n| n[k]).collect()),
             origin,
+            kept,
+            scores: filled(samples)?,
+            views: filled(samples)?,
+            colors: filled(samples)?,
+            least: filled(points.len())?,
+            looked_at: BTreeMap::new(),
+            density: filled(points.len())?,
+            looks: filled(points.len())?,
+            around: Around::new(&triangles, vertices),
             first,
             triangles,
-            around,
-            samples,
-            kept,
-            looked_at,
-            density,
-            looks,
         })
     }
 
     pub fn len(&self) -> usize {
-        self.places.len()
+        self.looks.len()
     }
 
     pub fn is_empty(&self) -> bool {
-        self.places.is_empty()
+        self.looks.is_empty()
     }
 
-    /// The samples of a point, the best first; those of score 0 stand for none.
-    pub fn samples(&self, point: usize) -> &[Sample] {
-        &self.samples[point * self.kept..][..self.kept]
+    /// How many samples of each point are kept.
+    pub fn kept(&self) -> usize {
+        self.kept
     }
 
-    /// All samples, those of a point together.
-    pub fn all_samples(&self) -> (&[Sample], usize) {
-        (&self.samples, self.kept)
+    /// The samples of a point, in no order.
+    #[inline]
+    pub fn samples(&self, point: usize) -> Samples<'_> {
+        let all = point * self.kept..(point + 1) * self.kept;
+        let scores = &self.scores[all.clone()];
+        // The first places are taken first.
+        let count = scores.iter().filter(|&&score| score > 0.0).count();
+        Samples {
+            scores: &scores[..count],
+            views: &self.views[all.clone()][..count],
+            colors: &self.colors[all][..count],
+        }
     }
 
     /// Look at all points from one more camera, which `see_again` knows if it is to be remembered. Returns the triangles
@@ -116,20 +148,7 @@ impl SurfacePoints {
         progress: &Progress,
     ) -> Result<Vec<u32>, KernelError> {
         let looked_at = self.looked_at(view);
-        self.over(&looked_at, threads, |point| {
-            let least = point.samples[point.samples.len() - 1].score;
-            let known = Known { look: *point.look, score: least, density: *point.density };
-            let Some(seen) = view.of(&point.place, &point.normal.map(f64::from), &known) else { return };
-            if seen.look != *point.look {
-                // The first one, or a better one than all before: these count no more.
-                point.samples.fill(Sample::default());
-                (*point.look, *point.density) = (seen.look, 0.0);
-            }
-            *point.density = point.density.max(seen.density);
-            if seen.score > point.samples[point.samples.len() - 1].score {
-                insert(point.samples, &seen, number);
-            }
-        });
+        self.over(&looked_at, threads, Appear::default, |some, appear| see(view, number, some, appear));
         progress.check()?;
         let triangles = looked_at.iter().flat_map(|&word| numbers(word)).collect();
         if remember {
@@ -150,12 +169,7 @@ impl SurfacePoints {
         progress: &Progress,
     ) -> Result<(), KernelError> {
         let looked_at = self.looked_at.remove(&number).unwrap_or_default();
-        self.over(&looked_at, threads, |point| {
-            if let Some(sample) = point.samples.iter_mut().find(|s| s.view == number && s.score > 0.0) {
-                let (color, blurred) = colors.of(&point.place);
-                (sample.color, sample.blurred) = (color.map(level), blurred.map(level));
-            }
-        });
+        self.over(&looked_at, threads, || (), |some, ()| see_again(colors, number, some));
         self.looked_at.insert(number, looked_at);
         progress.check()
     }
@@ -172,9 +186,14 @@ impl SurfacePoints {
         self.around.marked()
     }
 
-    /// Do something at each point of some triangles, on several threads.
-    fn over(&mut self, triangles: &[(u32, u64)], threads: usize, change: impl Fn(Point<'_>) + Sync) {
-        let (origin, kept) = (self.origin, self.kept);
+    /// Do something at the points of some triangles, those of triangles that follow each other together, on several threads.
+    fn over<S>(
+        &mut self,
+        triangles: &[(u32, u64)],
+        threads: usize,
+        scratch: impl Fn() -> S + Sync,
+        change: impl Fn(Points<'_>, &mut S) + Sync,
+    ) {
         let mut rest = triangles;
         let mut parts = self.parts();
         // Most are elsewhere.
@@ -183,54 +202,169 @@ impl SurfacePoints {
             rest = &rest[before..];
             rest.first().is_some_and(|&(word, _)| (word as usize) * 64 < part.start + part.first.len() - 1)
         });
-        each(parts, threads, |part: Part<'_>| {
+        each(parts, threads, |mut part: Part<'_>| {
             let end = part.start + part.first.len() - 1;
             let from = triangles.partition_point(|&(word, _)| (word as usize + 1) * 64 <= part.start);
             let words = triangles[from..].iter().take_while(|&&(word, _)| (word as usize) * 64 < end);
-            for t in words.flat_map(|&word| numbers(word)).map(|t| t as usize) {
-                if t < part.start || t >= end {
-                    continue;
+            let here = words.flat_map(|&word| numbers(word)).map(|t| t as usize);
+            let (mut points, mut scratch) = (0..0, scratch());
+            for t in here.filter(|t| (part.start..end).contains(t)) {
+                let [begin, end] = [0, 1].map(|k| (part.first[t - part.start + k] - part.first[0]) as usize);
+                if begin != points.end {
+                    change(part.points.some(points), &mut scratch);
+                    points = begin..begin;
                 }
-                let ends = [part.first[t - part.start], part.first[t - part.start + 1]];
-                let [begin, end] = ends.map(|point| (point - part.first[0]) as usize);
-                for i in begin..end {
-                    change(Point {
-                        place: [0, 1, 2].map(|k| origin[k] + f64::from(part.places[i][k])),
-                        normal: &part.normals[i],
-                        samples: &mut part.samples[i * kept..][..kept],
-                        density: &mut part.density[i],
-                        look: &mut part.looks[i],
-                    });
-                }
+                points.end = end;
             }
+            change(part.points.some(points), &mut scratch);
         });
     }
 
     /// All points in parts for threads, whole triangles each.
     fn parts(&mut self) -> Vec<Part<'_>> {
-        let kept = self.kept;
-        let (mut places, mut normals) = (self.places.as_slice(), self.normals.as_slice());
-        let (mut samples, mut density) = (self.samples.as_mut_slice(), self.density.as_mut_slice());
-        let mut looks = self.looks.as_mut_slice();
+        let mut rest = Points {
+            places: Places {
+                origin: self.origin,
+                places: self.places.each_ref().map(Vec::as_slice),
+                normals: self.normals.each_ref().map(Vec::as_slice),
+            },
+            kept: self.kept,
+            scores: &mut self.scores,
+            views: &mut self.views,
+            colors: &mut self.colors,
+            least: &mut self.least,
+            density: &mut self.density,
+            looks: &mut self.looks,
+        };
         let (mut parts, mut start) = (vec![], 0);
         while start < self.triangles.len() {
             let begin = self.first[start];
             let more = self.first[start + 1..].partition_point(|&point| point - begin < PART);
             let end = (start + 1 + more).min(self.triangles.len());
             let size = (self.first[end] - begin) as usize;
-            parts.push(Part {
-                start,
-                first: &self.first[start..=end],
-                places: split(&mut places, size),
-                normals: split(&mut normals, size),
-                samples: split_mut(&mut samples, size * kept),
-                density: split_mut(&mut density, size),
-                looks: split_mut(&mut looks, size),
-            });
-            start = end;
+            let (points, after) = rest.split(size);
+            parts.push(Part { start, first: &self.first[start..=end], points });
+            (rest, start) = (after, end);
         }
         parts
     }
+}
+
+by_processor! {
+    fn see(view: &View, number: u16, points: Points<'_>, appear: &mut Appear) = look
+}
+
+#[inline(always)]
+fn look(view: &View, number: u16, mut points: Points<'_>, appear: &mut Appear) {
+    let count = points.looks.len();
+    for start in (0..count).step_by(TOGETHER) {
+        let some = points.some(start..(start + TOGETHER).min(count));
+        view.find(&some.places, appear);
+        for i in 0..some.looks.len() {
+            let known = Known { look: some.looks[i], score: some.least[i], density: some.density[i] };
+            let Some(seen) = view.of(appear, i, &known) else { continue };
+            let samples = i * some.kept..(i + 1) * some.kept;
+            if seen.look != some.looks[i] {
+                // The first one, or a better one than all before: these count no more.
+                some.scores[samples.clone()].fill(0.0);
+                (some.looks[i], some.density[i], some.least[i]) = (seen.look, 0.0, 0.0);
+            }
+            some.density[i] = some.density[i].max(seen.density);
+            if seen.score > some.least[i] {
+                let (scores, views) = (&mut some.scores[samples.clone()], &mut some.views[samples.clone()]);
+                let worst = worst(scores, views, some.least[i]);
+                (scores[worst], views[worst]) = (seen.score, number);
+                some.colors[samples.start + worst] = stored(seen.levels);
+                some.least[i] = least(scores);
+            }
+        }
+    }
+}
+
+by_processor! {
+    fn see_again(colors: &Colors, number: u16, points: Points<'_>) = look_again
+}
+
+#[inline(always)]
+fn look_again(colors: &Colors, number: u16, points: Points<'_>) {
+    let kept = points.kept;
+    let mut found = [0; TOGETHER];
+    let mut places = [[0.0; TOGETHER]; 3];
+    let mut count = 0;
+    let mut take = |found: &[usize], places: &[[f64; TOGETHER]; 3]| {
+        let mut pixels = [[0.0; TOGETHER]; 2];
+        for i in 0..found.len() {
+            let place = [0, 1, 2].map(|k| places[k][i]);
+            [pixels[0][i], pixels[1][i]] = colors.camera.pixel(&colors.camera.in_camera(&place));
+        }
+        for (i, &sample) in found.iter().enumerate() {
+            points.colors[sample] = stored(colors.at([pixels[0][i], pixels[1][i]]).0);
+        }
+    };
+    for (i, views) in points.views.chunks_exact(kept).enumerate() {
+        let is_here = matching(views.iter().map(|&view| view == number));
+        if is_here == 0 {
+            continue;
+        }
+        let sample = i * kept + is_here.trailing_zeros() as usize;
+        if points.scores[sample] <= 0.0 {
+            continue;
+        }
+        for (k, place) in points.places.of(i).into_iter().enumerate() {
+            places[k][count] = place;
+        }
+        found[count] = sample;
+        count += 1;
+        if count == TOGETHER {
+            take(&found, &places);
+            count = 0;
+        }
+    }
+    take(&found[..count], &places);
+}
+
+/// A bit for each that is.
+#[inline(always)]
+fn matching(all: impl Iterator<Item = bool>) -> u32 {
+    (0..).zip(all).fold(0, |bits, (k, is)| bits | u32::from(is) << k)
+}
+
+#[inline(always)]
+fn stored(levels: Levels) -> [[u8; 3]; 2] {
+    levels.map(|[red, green, blue, _]| [red, green, blue])
+}
+
+/// Which sample goes: the worst, of equals the last.
+#[inline(always)]
+fn worst(scores: &[f32], views: &[u16], least: f32) -> usize {
+    let is_least = |k: &usize| scores[*k] == least;
+    let first = (0..scores.len()).find(is_least).unwrap_or(0);
+    if least == 0.0 {
+        return first;
+    }
+    (first + 1..scores.len())
+        .filter(is_least)
+        .fold(first, |worst, k| if views[k] > views[worst] { k } else { worst })
+}
+
+/// Of numbers that are not negative, as whole ones, whose order is the same: four are compared at once.
+#[inline(always)]
+fn least(scores: &[f32]) -> f32 {
+    let (fours, rest) = scores.as_chunks::<4>();
+    let least = fours
+        .iter()
+        .fold([u32::MAX; 4], |least, four| std::array::from_fn(|k| least[k].min(four[k].to_bits())));
+    let all = least.into_iter().chain(rest.iter().map(|score| score.to_bits()));
+    f32::from_bits(all.fold(u32::MAX, u32::min))
+}
+
+/// # Errors
+/// [`KernelError::OutOfMemory`] if there is no room.
+fn filled<T: Clone + Default>(count: usize) -> Result<Vec<T>, KernelError> {
+    let mut values = vec![];
+    values.try_reserve_exact(count).map_err(|_| KernelError::OutOfMemory)?;
+    values.resize(count, T::default());
+    Ok(values)
 }
 
 /// The numbers that a word of bits stands for.
@@ -299,48 +433,72 @@ impl Around {
     }
 }
 
-fn split<'a, T>(rest: &mut &'a [T], size: usize) -> &'a [T] {
-    let (part, after) = rest.split_at(size);
-    *rest = after;
-    part
-}
-
-fn split_mut<'a, T>(rest: &mut &'a mut [T], size: usize) -> &'a mut [T] {
-    let (part, after) = std::mem::take(rest).split_at_mut(size);
-    *rest = after;
-    part
-}
-
 /// The points of a few triangles.
 struct Part<'a> {
     /// The first triangle; the first point of each, and the one after the last.
     start: usize,
     first: &'a [u32],
-    places: &'a [[f32; 3]],
-    normals: &'a [[f32; 3]],
-    samples: &'a mut [Sample],
+    points: Points<'a>,
+}
+
+/// Points that follow each other, with what is remembered of them.
+struct Points<'a> {
+    places: Places<'a>,
+    kept: usize,
+    scores: &'a mut [f32],
+    views: &'a mut [u16],
+    colors: &'a mut [[[u8; 3]; 2]],
+    least: &'a mut [f32],
     density: &'a mut [f32],
     looks: &'a mut [Look],
 }
 
-/// One of them, with what is remembered of it.
-struct Point<'a> {
-    place: Vec3,
-    normal: &'a [f32; 3],
-    samples: &'a mut [Sample],
-    density: &'a mut f32,
-    look: &'a mut Look,
-}
+impl<'a> Points<'a> {
+    /// The first ones, and the others.
+    fn split(self, count: usize) -> (Self, Self) {
+        let kept = self.kept;
+        let [first, after] = [0..count, count..self.looks.len()].map(|range| Places {
+            origin: self.places.origin,
+            places: self.places.places.map(|axis| &axis[range.clone()]),
+            normals: self.places.normals.map(|axis| &axis[range.clone()]),
+        });
+        let scores = self.scores.split_at_mut(count * kept);
+        let views = self.views.split_at_mut(count * kept);
+        let colors = self.colors.split_at_mut(count * kept);
+        let least = self.least.split_at_mut(count);
+        let density = self.density.split_at_mut(count);
+        let looks = self.looks.split_at_mut(count);
+        let one = |places, scores, views, colors, least, density, looks| Self {
+            places,
+            kept,
+            scores,
+            views,
+            colors,
+            least,
+            density,
+            looks,
+        };
+        (
+            one(first, scores.0, views.0, colors.0, least.0, density.0, looks.0),
+            one(after, scores.1, views.1, colors.1, least.1, density.1, looks.1),
+        )
+    }
 
-/// The nearest whole level.
-fn level(value: f32) -> u8 {
-    (value + 0.5) as u8
-}
-
-/// Put a sample where it belongs, the worst one goes. Of equals the earlier one is the better.
-fn insert(samples: &mut [Sample], seen: &Seen, view: u16) {
-    let Some(place) = samples.iter().position(|sample| seen.score > sample.score) else { return };
-    samples[place..].rotate_right(1);
-    samples[place] =
-        Sample { score: seen.score, view, color: seen.color.map(level), blurred: seen.blurred.map(level) };
+    fn some(&mut self, range: Range<usize>) -> Points<'_> {
+        let samples = range.start * self.kept..range.end * self.kept;
+        Points {
+            places: Places {
+                origin: self.places.origin,
+                places: self.places.places.map(|axis| &axis[range.clone()]),
+                normals: self.places.normals.map(|axis| &axis[range.clone()]),
+            },
+            kept: self.kept,
+            scores: &mut self.scores[samples.clone()],
+            views: &mut self.views[samples.clone()],
+            colors: &mut self.colors[samples],
+            least: &mut self.least[range.clone()],
+            density: &mut self.density[range.clone()],
+            looks: &mut self.looks[range],
+        }
+    }
 }

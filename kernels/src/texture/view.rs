@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::pinhole::Pinhole;
+use super::pixels::{Levels, Photo, cell, colors_at};
 use crate::base::geometry::{Vec3, dot, norm2, sub};
 
 /// What a surface shows that is seen flatter than at this cosine is taken only where no photo shows it better.
@@ -14,21 +15,10 @@ const SAME_MEASURED_DEPTH: f64 = 0.03;
 const MOST_TANGENT: f64 = 4.0;
 /// Of the image's width, where views begin to fade out.
 const FADE: f64 = 0.03;
-/// Levels beyond which a channel is cut off, and what such a view is worth.
-const DARK: f32 = 4.0;
-const BRIGHT: f32 = 250.0;
+/// What a view is worth of which a channel is cut off.
 const CUT_OFF: f32 = 0.3;
 /// What a view is worth where its own camera measured no depth.
 const UNMEASURED: f32 = 0.5;
-
-/// An image of three channels, a row after another.
-#[derive(Debug)]
-pub struct Photo {
-    pub width: usize,
-    pub height: usize,
-    /// Red, green, blue, and nothing: four at a time are read at once.
-    pub pixels: Vec<[u8; 4]>,
-}
 
 /// What a camera measured or would see: a depth a pixel, the least one around it.
 #[derive(Debug)]
@@ -60,17 +50,13 @@ pub struct Colors {
 }
 
 impl Colors {
-    /// The colours of a point that is known to appear.
-    pub fn of(&self, place: &Vec3) -> ([f32; 3], [f32; 3]) {
-        self.at(self.camera.pixel(&self.camera.in_camera(place)))
+    /// The colours at a pixel, and whether a channel of the photo is cut off.
+    #[inline(always)]
+    pub fn at(&self, pixel: [f64; 2]) -> (Levels, bool) {
+        colors_at(&self.photo, &self.blurred, self.warped(pixel))
     }
 
-    /// The colour at a pixel, and that of the blurred photo.
-    fn at(&self, pixel: [f64; 2]) -> ([f32; 3], [f32; 3]) {
-        let place = self.warped(pixel);
-        (self.photo.cubic(place), self.blurred.linear(place))
-    }
-
+    #[inline(always)]
     fn warped(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let Some(warp) = &self.warp else { return [x, y] };
         let across = x / (self.camera.width as f64 - 1.0) * (warp.columns - 1) as f64;
@@ -92,6 +78,8 @@ pub struct View {
     /// The mesh from where the photo was taken, in any size, and the triangle at each pixel.
     pub mesh: Depths,
     pub triangles: Vec<u32>,
+    /// Whether that is the photo's size.
+    pub is_drawn_in_size: bool,
     /// What the frame measured, if it did.
     pub measured: Option<Depths>,
     /// How much it is worth beside other photos: blurred ones less.
@@ -118,38 +106,114 @@ pub struct Known {
     pub density: f32,
 }
 
-/// A point in a photo; without colours, and of score 0, where the photo is not among the best.
+/// A point in a photo; of score 0, and without colours, where the photo is not among the best.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
     /// Not [`Look::None`].
     pub look: Look,
     pub score: f32,
-    pub color: [f32; 3],
-    pub blurred: [f32; 3],
+    pub levels: Levels,
     /// Pixels a metre, across the slope.
     pub density: f32,
 }
 
+/// Points that are looked at together: what of them is the same sum for all is worked out for several at once.
+pub const TOGETHER: usize = 64;
+
+/// Points of the surface with their normals, a slice for each axis.
+#[derive(Clone, Copy, Debug)]
+pub struct Places<'a> {
+    pub origin: Vec3,
+    /// From the origin.
+    pub places: [&'a [f32]; 3],
+    pub normals: [&'a [f32]; 3],
+}
+
+impl Places<'_> {
+    #[inline(always)]
+    pub fn of(&self, i: usize) -> Vec3 {
+        [0, 1, 2].map(|k| self.origin[k] + f64::from(self.places[k][i]))
+    }
+}
+
+type Numbers = [f64; TOGETHER];
+
+/// Where points appear that are looked at together.
+#[derive(Debug)]
+pub struct Appear {
+    /// In front of the camera, within the photo and not seen too flat.
+    is_seen: [bool; TOGETHER],
+    /// In camera axes, and in the photo.
+    points: [Numbers; 3],
+    pixels: [Numbers; 2],
+    cosines: Numbers,
+    /// Of the score, without what the photo is worth.
+    values: [f32; TOGETHER],
+    densities: [f32; TOGETHER],
+    /// In the image that the frame measured: its pixel and depth.
+    measured: [Numbers; 3],
+}
+
+impl Default for Appear {
+    fn default() -> Self {
+        let none = [0.0; TOGETHER];
+        Self {
+            is_seen: [false; TOGETHER],
+            points: [none; 3],
+            pixels: [none; 2],
+            cosines: none,
+            values: [0.0; TOGETHER],
+            densities: [0.0; TOGETHER],
+            measured: [none; 3],
+        }
+    }
+}
+
 impl View {
-    /// How a point of the surface appears, if it does, in front, not hidden, where it was measured, and tells more than is known.
-    pub fn of(&self, place: &Vec3, normal: &Vec3, known: &Known) -> Option<Seen> {
+    /// Where points appear, [`TOGETHER`] or fewer.
+    #[inline(always)]
+    pub fn find(&self, points: &Places<'_>, appear: &mut Appear) {
+        let count = points.places[0].len().min(TOGETHER);
+        let [xs, ys, zs] = points.places.map(|axis| &axis[..count]);
+        let normals = points.normals.map(|axis| &axis[..count]);
         let camera = &self.colors.camera;
-        let p = camera.in_camera(place);
-        if p[2] <= 0.0 {
-            return None;
-        }
-        let pixel @ [x, y] = camera.pixel(&p);
         let (width, height) = (camera.width as f64, camera.height as f64);
-        let edge = (x + 0.5).min(y + 0.5).min(width - 0.5 - x).min(height - 0.5 - y);
-        if edge < 1.0 {
+        for i in 0..count {
+            let place = [0, 1, 2].map(|k| points.origin[k] + f64::from([xs, ys, zs][k][i]));
+            let p = camera.in_camera(&place);
+            let [x, y] = camera.pixel(&p);
+            let edge = (x + 0.5).min(y + 0.5).min(width - 0.5 - x).min(height - 0.5 - y);
+            let towards = sub(&self.place, &place);
+            let distance2 = norm2(&towards);
+            let cosine = dot(&towards, &normals.map(|axis| f64::from(axis[i]))) / distance2.sqrt();
+            let fade = (edge / (FADE * width)).min(1.0);
+            let density2 = camera.focal[0] * camera.focal[1] / distance2;
+            appear.is_seen[i] = (p[2] > 0.0) & (edge >= 1.0) & (cosine >= self.flattest);
+            for (axis, place) in appear.points.iter_mut().zip(p) {
+                axis[i] = place;
+            }
+            (appear.pixels[0][i], appear.pixels[1][i]) = (x, y);
+            appear.cosines[i] = cosine;
+            appear.values[i] = (cosine * fade * density2) as f32;
+            appear.densities[i] = (camera.focal[0] / p[2]) as f32;
+        }
+        let Some(measured) = &self.measured else { return };
+        for i in 0..count {
+            let place = [0, 1, 2].map(|k| points.origin[k] + f64::from([xs, ys, zs][k][i]));
+            let p = measured.camera.in_camera(&place);
+            let [x, y] = measured.camera.pixel(&p);
+            (appear.measured[0][i], appear.measured[1][i], appear.measured[2][i]) = (x, y, p[2]);
+        }
+    }
+
+    /// How one of the points that were found appears, if it does, in front, not hidden, where it was measured, and tells more than
+    /// is known.
+    #[inline(always)]
+    pub fn of(&self, appear: &Appear, i: usize, known: &Known) -> Option<Seen> {
+        if !appear.is_seen[i] {
             return None;
         }
-        let towards = sub(&self.place, place);
-        let distance2 = norm2(&towards);
-        let cosine = dot(&towards, normal) / distance2.sqrt();
-        if cosine < self.flattest {
-            return None;
-        }
+        let cosine = appear.cosines[i];
         let look = if cosine < FLAT { Look::Flat } else { Look::Straight };
         let (least, most) = match (look, known.look) {
             (Look::Flat, Look::Straight) => return None,
@@ -157,59 +221,49 @@ impl View {
             (Look::Straight, Look::Flat) => (0.0, 0.0),
             _ => (known.score, known.density),
         };
-        let fade = (edge / (FADE * width)).min(1.0);
-        let density2 = camera.focal[0] * camera.focal[1] / distance2;
-        let value = (cosine * fade * density2) as f32;
-        let density = (camera.focal[0] / p[2]) as f32;
+        let (value, density) = (appear.values[i], appear.densities[i]);
         if value * self.worth * self.worth <= least && density <= most {
             return None;
         }
         let tangent = (1.0 - cosine * cosine).max(0.0).sqrt() / cosine;
+        let pixel = [appear.pixels[0][i], appear.pixels[1][i]];
         // The mesh was drawn from where the photo was taken.
-        if self.mesh.difference(&p, tangent, look)? < -SAME_DEPTH {
+        let p = [0, 1, 2].map(|k| appear.points[k][i]);
+        let drawn = if self.is_drawn_in_size { pixel } else { self.mesh.camera.pixel(&p) };
+        if self.mesh.difference(drawn, p[2], tangent, look)? < -SAME_DEPTH {
             return None;
         }
         let mut worth = self.worth;
-        match self
-            .measured
-            .as_ref()
-            .and_then(|measured| measured.difference(&measured.camera.in_camera(place), tangent, look))
-        {
-            None if self.measured.is_some() => worth *= UNMEASURED,
-            Some(difference) if difference.abs() > SAME_MEASURED_DEPTH => return None,
-            _ => {}
+        if let Some(measured) = &self.measured {
+            let [x, y, depth] = [0, 1, 2].map(|k| appear.measured[k][i]);
+            let difference =
+                if depth > 0.0 { measured.difference([x, y], depth, tangent, look) } else { None };
+            match difference {
+                None => worth *= UNMEASURED,
+                Some(difference) if difference.abs() > SAME_MEASURED_DEPTH => return None,
+                _ => {}
+            }
         }
         let mut score = value * worth * worth;
         if score <= least {
-            return Some(Seen { look, score: 0.0, density, color: [0.0; 3], blurred: [0.0; 3] });
+            return Some(Seen { look, score: 0.0, levels: [[0; 4]; 2], density });
         }
-        let (color, blurred) = self.colors.at(pixel);
-        if color.iter().any(|level| !(DARK..=BRIGHT).contains(level)) {
+        let (levels, is_cut_off) = self.colors.at(pixel);
+        if is_cut_off {
             score *= CUT_OFF;
         }
-        Some(Seen { look, score, density, color, blurred })
+        Some(Seen { look, score, levels, density })
     }
 }
 
-/// The cell of a row of `count` values that a place is in, and how far.
-#[inline]
-fn cell(place: f64, count: usize) -> (usize, f64) {
-    // Of 32 bits, which processors convert at once.
-    let i = (place.max(0.0) as i32).min(count as i32 - 2);
-    (i as usize, (place - f64::from(i)).clamp(0.0, 1.0))
-}
-
 impl Depths {
-    /// How far behind a point in camera axes the nearest surface around its pixel is, as a share of its depth: negative where something is
-    /// in front. None where nothing is known. A surface of the point's own slope counts as no difference.
+    /// How far behind a point of such a depth the nearest surface around its pixel is, as a share of that: negative where something is in
+    /// front. None where nothing is known. A surface of the point's own slope counts as no difference.
     ///
     /// Around a point that is seen flat, its own surface is much nearer: only what is in its pixel tells, if there is anything.
-    #[inline]
-    fn difference(&self, p: &Vec3, tangent: f64, look: Look) -> Option<f64> {
-        if p[2] <= 0.0 {
-            return None;
-        }
-        let pixel = self.camera.nearest(self.camera.pixel(p))?;
+    #[inline(always)]
+    fn difference(&self, pixel: [f64; 2], at: f64, tangent: f64, look: Look) -> Option<f64> {
+        let pixel = self.camera.nearest(pixel)?;
         let [nearest, exact] = [&self.nearest, &self.exact].map(|depths| f64::from(depths[pixel]));
         let is_there = |depth: f64| depth > 0.0 && depth.is_finite();
         if !is_there(nearest) {
@@ -218,78 +272,13 @@ impl Depths {
         let focal = self.camera.focal[0];
         if look == Look::Flat {
             let (depth, pixels) = if is_there(exact) { (exact, 1.0) } else { (nearest, self.reach + 0.5) };
-            let difference = depth / p[2] - 1.0;
+            let difference = depth / at - 1.0;
             let slope = pixels / focal * tangent;
             // To both sides: within a pixel there is all between.
             return Some(difference.signum() * (difference.abs() - slope).max(0.0));
         }
         let slope = (self.reach + 0.5) / focal * tangent.min(MOST_TANGENT);
-        let difference = nearest / p[2] - 1.0;
+        let difference = nearest / at - 1.0;
         Some(if difference < 0.0 { (difference + slope).min(0.0) } else { difference })
     }
-}
-
-impl Photo {
-    /// Between four pixels.
-    pub fn linear(&self, place: [f64; 2]) -> [f32; 3] {
-        let [red, green, blue, _] = self.of_four(place);
-        [red, green, blue]
-    }
-
-    /// Between sixteen pixels, by Catmull and Rom's cubic, which keeps details that four would blur.
-    pub fn cubic(&self, place: [f64; 2]) -> [f32; 3] {
-        let [red, green, blue, _] = self.of_sixteen(place);
-        [red, green, blue].map(|level| level.clamp(0.0, 255.0))
-    }
-
-    /// Not inlined: where it is seen that the fourth channel is not needed, the three are computed one by one.
-    #[inline(never)]
-    fn of_four(&self, [x, y]: [f64; 2]) -> [f32; 4] {
-        let (i, s) = cell(x, self.width);
-        let (j, t) = cell(y, self.height);
-        let (s, t) = (s as f32, t as f32);
-        let mut sum = [0.0; 4];
-        for (row, weight) in [(j, 1.0 - t), (j + 1, t)] {
-            let pair = &self.pixels[row * self.width + i..][..2];
-            add(&mut sum, weight * (1.0 - s), &pair[0].map(f32::from));
-            add(&mut sum, weight * s, &pair[1].map(f32::from));
-        }
-        sum
-    }
-
-    /// Likewise.
-    #[inline(never)]
-    fn of_sixteen(&self, [x, y]: [f64; 2]) -> [f32; 4] {
-        let (i, s) = cell(x, self.width);
-        let (j, t) = cell(y, self.height);
-        let (along, down) = (catmull_rom(s as f32), catmull_rom(t as f32));
-        let columns = [0, 1, 2, 3].map(|k| (i + k).saturating_sub(1).min(self.width - 1));
-        let mut sum = [0.0; 4];
-        for (k, weight) in down.iter().enumerate() {
-            let row = (j + k).saturating_sub(1).min(self.height - 1) * self.width;
-            let line = &self.pixels[row..row + self.width];
-            for (&column, share) in columns.iter().zip(&along) {
-                add(&mut sum, weight * share, &line[column].map(f32::from));
-            }
-        }
-        sum
-    }
-}
-
-/// sum + t·color
-#[inline]
-fn add(sum: &mut [f32; 4], t: f32, color: &[f32; 4]) {
-    for (sum, level) in sum.iter_mut().zip(color) {
-        *sum += t * level;
-    }
-}
-
-fn catmull_rom(t: f32) -> [f32; 4] {
-    let (t2, t3) = (t * t, t * t * t);
-    [
-        0.5 * (-t3 + 2.0 * t2 - t),
-        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
-        0.5 * (-3.0 * t3 + 4.0 * t2 + t),
-        0.5 * (t3 - t2),
-    ]
 }

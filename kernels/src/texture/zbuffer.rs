@@ -2,6 +2,7 @@
 
 use super::clusters::Clusters;
 use super::pinhole::Pinhole;
+use crate::base::by_processor::by_processor;
 use crate::base::geometry::{Vec3, add_scaled, sub};
 
 /// What stands in a pixel that sees nothing.
@@ -15,8 +16,13 @@ pub struct ZBuffer {
     pub triangle: Vec<u32>,
 }
 
-/// Draw a mesh, either side of its triangles; of two at one depth the first is seen. What is nearer than `near` is cut off.
-pub fn zbuffer(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer {
+by_processor! {
+    /// Draw a mesh, either side of its triangles; of two at one depth the first is seen. What is nearer than `near` is cut off.
+    pub fn zbuffer(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer = draw
+}
+
+#[inline(always)]
+fn draw(mesh: &Clusters, camera: &Pinhole, near: f64) -> ZBuffer {
     let corner = |p: Vec3| Corner { pixel: camera.pixel(&p), depth: p[2] };
     let pixels = camera.width * camera.height;
     let mut buffer = ZBuffer { depth: vec![f32::INFINITY; pixels], triangle: vec![NOTHING; pixels] };
@@ -70,6 +76,7 @@ fn cut_off(corners: &[Vec3; 3], near: f64) -> ([Vec3; 4], usize) {
 }
 
 impl ZBuffer {
+    #[inline(always)]
     fn draw(&mut self, corners: &[Corner; 3], number: u32, camera: &Pinhole) {
         let [a, b, c] = corners.map(|corner| corner.pixel);
         let between = |axis: usize, size: usize| {

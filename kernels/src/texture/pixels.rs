@@ -1,0 +1,244 @@
+//! Colours between the pixels of photos.
+//!
+//! Most of the time that a texture takes goes by here. Compilers do not find the wide instructions for it by themselves, so
+//! it is written twice; both give the same to the bit, since each product and sum is rounded by itself.
+
+/// An image of three channels, a row after another.
+#[derive(Debug)]
+pub struct Photo {
+    pub width: usize,
+    pub height: usize,
+    /// Red, green, blue, and nothing: four at a time are read at once.
+    pub pixels: Vec<[u8; 4]>,
+}
+
+/// Red, green, blue and nothing in a photo, and in the blurred one.
+pub type Levels = [[u8; 4]; 2];
+
+/// Levels beyond which a channel is cut off.
+const DARK: f32 = 4.0;
+const BRIGHT: f32 = 250.0;
+
+/// The colour at a place in a photo, by Catmull and Rom's cubic, which keeps details that lines between four pixels would blur;
+/// that of the blurred one; and whether a channel of the first is cut off.
+#[inline]
+pub fn colors_at(photo: &Photo, blurred: &Photo, place: [f64; 2]) -> (Levels, bool) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has these instructions.
+        return unsafe { wide::colors_at(photo, blurred, place) };
+    }
+    plain::colors_at(photo, blurred, place)
+}
+
+/// The cell of a row of `count` values that a place is in, and how far.
+#[inline(always)]
+pub fn cell(place: f64, count: usize) -> (usize, f64) {
+    // Of 32 bits, which processors convert at once.
+    let i = (place.max(0.0) as i32).min(count as i32 - 2);
+    (i as usize, (place - f64::from(i)).clamp(0.0, 1.0))
+}
+
+/// What each of four pixels in a row counts.
+#[inline(always)]
+fn catmull_rom(t: f32) -> [f32; 4] {
+    let (t2, t3) = (t * t, t * t * t);
+    [
+        0.5 * (-t3 + 2.0 * t2 - t),
+        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+        0.5 * (-3.0 * t3 + 4.0 * t2 + t),
+        0.5 * (t3 - t2),
+    ]
+}
+
+impl Photo {
+    /// The colour at a place, by lines between four pixels.
+    #[inline]
+    pub fn linear(&self, place: [f64; 2]) -> [u8; 4] {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has these instructions.
+            return unsafe { wide::linear(self, place) };
+        }
+        plain::linear(self, place)
+    }
+
+    /// Two pixels beside each other.
+    #[inline(always)]
+    fn two(&self, row: usize, column: usize) -> [u8; 8] {
+        let two = &self.pixels[row * self.width + column..][..2];
+        let ([a, b, c, d], [e, f, g, h]) = (two[0], two[1]);
+        [a, b, c, d, e, f, g, h]
+    }
+
+    /// Four pixels of a row from the one before a column on, each pair beside each other; those beyond the edge are as the last.
+    #[inline(always)]
+    fn four(&self, row: usize, column: usize) -> [[u8; 8]; 2] {
+        if column >= 1 && column + 2 < self.width {
+            return [self.two(row, column - 1), self.two(row, column + 1)];
+        }
+        let pixel =
+            |k: usize| self.pixels[row * self.width + (column + k).saturating_sub(1).min(self.width - 1)];
+        let two = |k: usize| {
+            let ([a, b, c, d], [e, f, g, h]) = (pixel(k), pixel(k + 1));
+            [a, b, c, d, e, f, g, h]
+        };
+        [two(0), two(2)]
+    }
+
+    /// A row, the last one in place of those beyond.
+    #[inline(always)]
+    fn row(&self, row: usize, k: usize) -> usize {
+        (row + k).saturating_sub(1).min(self.height - 1)
+    }
+}
+
+mod plain {
+    use crate::texture::pixels::{BRIGHT, DARK, Levels, Photo, catmull_rom, cell};
+
+    pub fn colors_at(photo: &Photo, blurred: &Photo, place: [f64; 2]) -> (Levels, bool) {
+        let color = cubic(photo, place);
+        let is_cut_off = color[..3].iter().any(|level| !(DARK..=BRIGHT).contains(level));
+        ([color.map(|level| (level + 0.5) as u8), linear(blurred, place)], is_cut_off)
+    }
+
+    fn cubic(photo: &Photo, [x, y]: [f64; 2]) -> [f32; 4] {
+        let (i, s) = cell(x, photo.width);
+        let (j, t) = cell(y, photo.height);
+        let (along, down) = (catmull_rom(s as f32), catmull_rom(t as f32));
+        let mut sum = [0.0; 8];
+        for (k, weight) in down.iter().enumerate() {
+            let [left, right] = photo.four(photo.row(j, k), i);
+            for c in 0..8 {
+                let side = c / 4;
+                sum[c] += weight * (along[side] * f32::from(left[c]) + along[2 + side] * f32::from(right[c]));
+            }
+        }
+        [0, 1, 2, 3].map(|k| (sum[k] + sum[k + 4]).clamp(0.0, 255.0))
+    }
+
+    pub fn linear(photo: &Photo, [x, y]: [f64; 2]) -> [u8; 4] {
+        let (i, s) = cell(x, photo.width);
+        let (j, t) = cell(y, photo.height);
+        let (s, t) = (s as f32, t as f32);
+        let mut sum = [0.0; 8];
+        for (row, weight) in [(j, 1.0 - t), (j + 1, t)] {
+            let two = photo.two(row, i);
+            for c in 0..8 {
+                sum[c] += weight * ([1.0 - s, s][c / 4] * f32::from(two[c]));
+            }
+        }
+        [0, 1, 2, 3].map(|k| (sum[k] + sum[k + 4] + 0.5) as u8)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod wide {
+    use std::arch::x86_64::*;
+
+    use crate::texture::pixels::{BRIGHT, DARK, Levels, Photo, catmull_rom, cell};
+
+    #[target_feature(enable = "avx2")]
+    pub fn colors_at(photo: &Photo, blurred: &Photo, [x, y]: [f64; 2]) -> (Levels, bool) {
+        let (i, s) = cell(x, photo.width);
+        let (j, t) = cell(y, photo.height);
+        let (s, t) = (s as f32, t as f32);
+        let (along, down) = (catmull_rom(s), catmull_rom(t));
+        let (first, second) = (beside(along[0], along[1]), beside(along[2], along[3]));
+        let mut sum = _mm256_setzero_ps();
+        for (k, &weight) in down.iter().enumerate() {
+            let [left, right] = photo.four(photo.row(j, k), i);
+            let row = _mm256_add_ps(_mm256_mul_ps(first, levels(left)), _mm256_mul_ps(second, levels(right)));
+            sum = _mm256_add_ps(sum, _mm256_mul_ps(_mm256_set1_ps(weight), row));
+        }
+        let color = _mm_min_ps(_mm_max_ps(folded(sum), _mm_setzero_ps()), _mm_set1_ps(255.0));
+        let outside =
+            _mm_or_ps(_mm_cmplt_ps(color, _mm_set1_ps(DARK)), _mm_cmpgt_ps(color, _mm_set1_ps(BRIGHT)));
+        // The fourth channel is none.
+        let is_cut_off = _mm_movemask_ps(outside) & 7 != 0;
+        ([whole(color), linear(blurred, [x, y])], is_cut_off)
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    pub fn linear(photo: &Photo, [x, y]: [f64; 2]) -> [u8; 4] {
+        let (i, s) = cell(x, photo.width);
+        let (j, t) = cell(y, photo.height);
+        let (s, t) = (s as f32, t as f32);
+        let along = beside(1.0 - s, s);
+        let mut sum = _mm256_setzero_ps();
+        for (row, weight) in [(j, 1.0 - t), (j + 1, t)] {
+            let row = _mm256_mul_ps(along, levels(photo.two(row, i)));
+            sum = _mm256_add_ps(sum, _mm256_mul_ps(_mm256_set1_ps(weight), row));
+        }
+        whole(folded(sum))
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn beside(one: f32, other: f32) -> __m256 {
+        _mm256_set_m128(_mm_set1_ps(other), _mm_set1_ps(one))
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn levels(two: [u8; 8]) -> __m256 {
+        _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128(i64::from_le_bytes(two))))
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn folded(sum: __m256) -> __m128 {
+        _mm_add_ps(_mm256_castps256_ps128(sum), _mm256_extractf128_ps::<1>(sum))
+    }
+
+    /// The nearest whole levels.
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn whole(levels: __m128) -> [u8; 4] {
+        let whole = _mm_cvttps_epi32(_mm_add_ps(levels, _mm_set1_ps(0.5)));
+        let words = _mm_packus_epi32(whole, whole);
+        _mm_cvtsi128_si32(_mm_packus_epi16(words, words)).to_le_bytes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wide_instructions_give_the_same_to_the_bit() {
+        let mut state = 1u32;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            state >> 8
+        };
+        for [width, height] in [[2, 2], [3, 2], [5, 7], [40, 30]] {
+            let mut image = || {
+                let pixels = (0..width * height).map(|_| [0; 4].map(|_: u8| next() as u8)).collect();
+                Photo { width, height, pixels }
+            };
+            let (photo, blurred) = (image(), image());
+            for step in 0..2000 {
+                let place = [0, 1].map(|k| {
+                    let size = [width, height][k] as f64;
+                    f64::from(next()) / f64::from(1u32 << 24) * (size + 2.0) - 1.5
+                        + f64::from(step % 2) * 1e-9
+                });
+                assert_eq!(colors_at(&photo, &blurred, place), plain::colors_at(&photo, &blurred, place));
+            }
+        }
+    }
+
+    #[test]
+    fn a_plane_of_levels_is_kept() {
+        let level = |x: f64, y: f64| 20.0 + 3.0 * x + 2.0 * y;
+        let pixels = (0..30 * 20).map(|i| [level(f64::from(i % 30), f64::from(i / 30)) as u8; 4]).collect();
+        let photo = Photo { width: 30, height: 20, pixels };
+        for place in [[1.0, 1.0], [7.3, 5.6], [27.0, 17.9]] {
+            let ([color, blurred], is_cut_off) = colors_at(&photo, &photo, place);
+            let wanted = (level(place[0], place[1]) + 0.5) as u8;
+            assert_eq!((color, blurred, is_cut_off), ([wanted; 4], [wanted; 4], false));
+        }
+    }
+}
