@@ -17,11 +17,9 @@
 use super::facet::Facet;
 use super::piece::{Against, Deviation};
 use super::polygon::{Corner, Polygon};
-use super::surface::{NEEDLE, combine, difference};
-use crate::base::geometry::{Vec3, add_scaled, around, cross, dot, norm2, sub};
-
-/// Share of the lengths in it that the position in a view may be wrong by: far more than rounding makes it.
-const ROUNDING: f64 = 1e-12;
+use super::surface::{combine, difference};
+use super::view::{Box, ROUNDING, Seen, View, area_and_length, extent, is_needle};
+use crate::base::geometry::{Vec3, around};
 
 /// Times that a part is cut to find what of it a triangle is nearest to.
 const CUTS: usize = 16;
@@ -31,39 +29,6 @@ const HIGHER: f64 = 2.0;
 
 /// What of T is looked at to count the layers over it: a point where few meshes have a side or a corner.
 const PLACE: Vec3 = [0.381_966_011_250_105, 0.351_407_320_124_931, 0.266_626_668_624_964];
-
-/// The plane of a triangle: coordinates in it, and height. For a part of that triangle they are the same.
-#[derive(Clone, Copy)]
-struct View {
-    origin: Vec3,
-    axes: [Vec3; 3],
-    /// Corners of the triangle.
-    corners: [[f64; 2]; 3],
-    /// Inward normal of each side, and its distance from the origin.
-    sides: [[f64; 3]; 3],
-    size: f64,
-    /// That of the triangle this one is part of.
-    whole: f64,
-    /// Colour at the origin, and what it changes along both axes.
-    color: [Vec3; 3],
-    slope: f64,
-    /// The box around all colours.
-    colors: [Vec3; 2],
-}
-
-/// A triangle of the other surface, as seen.
-#[derive(Clone, Copy)]
-struct Seen {
-    slot: u32,
-    /// Two coordinates and the height of each corner, and the box around them.
-    at: [Vec3; 3],
-    around: Box,
-    /// As [`needle_height`].
-    thin: f64,
-}
-
-/// Lowest and highest coordinates.
-type Box = [Vec3; 2];
 
 /// A triangle of the other surface that hides some of the one viewed, by its place in what was seen, and its greatest height
 /// over that.
@@ -463,221 +428,6 @@ fn larger_differs(against: &Against<'_>, triangle: &[Corner; 3], slot: u32, arou
     Some(most + facet.slope(&colors) * (moved + against.slack))
 }
 
-impl Seen {
-    #[inline]
-    fn new(slot: u32, at: [Vec3; 3]) -> Self {
-        Self { slot, at, around: around(at.into_iter()), thin: needle_height(&at) }
-    }
-
-    /// The greatest height of a corner, above or below.
-    #[inline]
-    fn height(&self) -> f64 {
-        self.around[1][2].max(-self.around[0][2])
-    }
-}
-
-impl View {
-    /// None for a needle, whose normal has too few digits.
-    fn new(triangle: &[Corner; 3]) -> Option<Self> {
-        let [a, b, c] = triangle.map(|c| c.at);
-        if is_needle(area_and_length(&[a, b, c])) {
-            return None;
-        }
-        let unit = |v: Vec3| {
-            let length = norm2(&v).sqrt();
-            v.map(|x| x / length)
-        };
-        let (ab, ac) = (sub(&b, &a), sub(&c, &a));
-        let x = unit(ab);
-        let normal = unit(cross(&ab, &ac));
-        let axes = [x, cross(&normal, &x), normal];
-        let flat = |v: &Vec3| [dot(&axes[0], v), dot(&axes[1], v)];
-        let corners = [[0.0; 2], flat(&ab), flat(&ac)];
-        let sides = sides_of(&corners);
-        let [base, to_b, to_c] = [0, 1, 2]
-            .map(|i| if i == 0 { triangle[0].color } else { sub(&triangle[i].color, &triangle[0].color) });
-        // Corner b is on the first axis.
-        let along = to_b.map(|x| x / corners[1][0]);
-        let across = add_scaled(&to_c, -corners[2][0], &along).map(|x| x / corners[2][1]);
-        let slope = (norm2(&along) + norm2(&across)).sqrt();
-        let size = size_of(triangle);
-        let (color, colors) = ([base, along, across], around(triangle.iter().map(|c| c.color)));
-        Some(Self { origin: a, axes, corners, sides, size, whole: size, color, slope, colors })
-    }
-
-    /// That of a part of the triangle, on the same plane.
-    fn part(&self, triangle: &[Corner; 3]) -> Option<Self> {
-        if is_needle(area_and_length(&triangle.map(|c| c.at))) {
-            return None;
-        }
-        let corners = triangle.map(|c| {
-            let [x, y, _] = self.at(&c.at);
-            [x, y]
-        });
-        let (sides, colors) = (sides_of(&corners), around(triangle.iter().map(|c| c.color)));
-        Some(Self { corners, sides, size: size_of(triangle), colors, ..*self })
-    }
-
-    #[inline]
-    fn at(&self, p: &Vec3) -> Vec3 {
-        let to_p = sub(p, &self.origin);
-        [0, 1, 2].map(|i| dot(&self.axes[i], &to_p))
-    }
-
-    /// The colour at a place in the plane, continued beyond the triangle.
-    #[inline]
-    fn color_at(&self, [x, y]: &[f64; 2]) -> Vec3 {
-        add_scaled(&add_scaled(&self.color[0], *x, &self.color[1]), *y, &self.color[2])
-    }
-
-    /// How far inside a side; negative outside.
-    #[inline]
-    fn depth(&self, side: usize, p: &Vec3) -> f64 {
-        let [x, y, offset] = self.sides[side];
-        x * p[0] + y * p[1] + offset
-    }
-
-    #[inline]
-    fn height(&self, p: &Vec3) -> f64 {
-        dot(&self.axes[2], &sub(p, &self.origin))
-    }
-
-    /// Whether no point of this triangle is within `reach`, which contains the slack, of the other one.
-    #[inline]
-    fn apart(&self, other: &[Vec3; 3], reach: f64) -> bool {
-        other.iter().all(|p| p[2] > reach)
-            || other.iter().all(|p| p[2] < -reach)
-            || (0..3).any(|side| other.iter().all(|p| self.depth(side, p) < -reach))
-    }
-
-    /// The same for what was seen.
-    #[inline]
-    fn misses(&self, Seen { at, around: [low, high], .. }: &Seen, reach: f64) -> bool {
-        low[2] > reach
-            || high[2] < -reach
-            || (0..3).any(|side| at.iter().all(|p| self.depth(side, p) < -reach))
-    }
-
-    #[inline]
-    fn rounding(&self, p: &Vec3) -> f64 {
-        ROUNDING * (self.whole + p[0].abs() + p[1].abs())
-    }
-
-    /// Bit i is set where the point is outside of side i, and not by rounding.
-    #[inline]
-    fn outside(&self, p: &Vec3) -> u8 {
-        let margin = self.rounding(p);
-        (0..3).map(|side| u8::from(self.depth(side, p) < -margin) << side).sum()
-    }
-
-    /// The greatest height that another triangle has over this one.
-    fn height_over(&self, other: &[Vec3; 3]) -> f64 {
-        let margin = other.iter().map(|p| self.rounding(p)).fold(0.0, f64::max);
-        // Convex: three cuts add a corner each.
-        let (mut part, mut count) = ([other[0]; 6], 3);
-        part[..3].copy_from_slice(other);
-        for side in 0..3 {
-            let (before, last) = (part, std::mem::take(&mut count));
-            let levels = before.map(|p| self.depth(side, &p) + margin);
-            for i in 0..last {
-                let j = if i + 1 < last { i + 1 } else { 0 };
-                let crossing = || {
-                    let t = levels[i] / (levels[i] - levels[j]);
-                    [0, 1, 2].map(|k| before[i][k] + t * (before[j][k] - before[i][k]))
-                };
-                let both = [
-                    (levels[i] >= 0.0).then_some(before[i]),
-                    ((levels[i] < 0.0) != (levels[j] < 0.0)).then(crossing),
-                ];
-                for place in both.into_iter().flatten() {
-                    if count == part.len() {
-                        return other.iter().map(|p| p[2].abs()).fold(0.0, f64::max);
-                    }
-                    part[count] = place;
-                    count += 1;
-                }
-            }
-        }
-        part[..count].iter().map(|p| p[2].abs()).fold(0.0, f64::max)
-    }
-
-    /// Whether a side does not cross the inside of this triangle, whose corners are those of `triangle`. A border that was kept
-    /// runs along its sides, or ends at its corners: that is told by the places themselves, which no rounding has changed.
-    fn passed_by(&self, triangle: &[Corner; 3], ends: [&Vec3; 2]) -> bool {
-        let [a, b] = ends.map(|p| self.at(p));
-        // A line from a corner that ends outside of one of the two sides there is outside of it all the way.
-        let leaves = |corner: usize, end: &Vec3| self.outside(end) & !(1 << corner) != 0;
-        self.beside(&[a, b])
-            || match ends.map(|p| triangle.iter().position(|c| c.at == *p)) {
-                [Some(_), Some(_)] => true,
-                [Some(corner), None] => leaves(corner, &b),
-                [None, Some(corner)] => leaves(corner, &a),
-                [None, None] => false,
-            }
-    }
-
-    /// Whether a side passes beside this triangle.
-    fn beside(&self, [a, b]: &[Vec3; 2]) -> bool {
-        let along = [b[0] - a[0], b[1] - a[1]];
-        let length = along[0].abs() + along[1].abs();
-        let margin = length * (self.rounding(a) + self.rounding(b));
-        let turn = self.corners.map(|c| along[0] * (c[1] - a[1]) - along[1] * (c[0] - a[0]));
-        turn.iter().all(|&t| t > margin) || turn.iter().all(|&t| t < -margin)
-    }
-
-    /// As `larger_differs`, with the colour of this triangle continued to the feet of the points of the other one:
-    /// those nearest to a point here, and those within the slack of them.
-    fn smaller_differs(&self, against: &Against<'_>, seen: &Seen, around: f64) -> f64 {
-        let colors = against.target.corner_colors(seen.slot);
-        let most2 = [0, 1, 2].map(|k| {
-            let [x, y, _] = seen.at[k];
-            norm2(&sub(&self.color_at(&[x, y]), &colors[k]))
-        });
-        // Where heights are above zero all over the triangle, less is left for the way along the plane.
-        let [low, high] = seen.around.map(|corner| corner[2]);
-        let nearest = low.max(-high).max(0.0).min(around);
-        let moved = (around * around - nearest * nearest).sqrt();
-        let most = most2.iter().fold(0.0f64, |m, &d| m.max(d)).sqrt();
-        most + self.slope * (moved + against.slack)
-    }
-}
-
-/// Inward normal of each side of a triangle, and its distance from the origin.
-fn sides_of(corners: &[[f64; 2]; 3]) -> [[f64; 3]; 3] {
-    [0, 1, 2].map(|opposite| {
-        let (from, to) = (corners[(opposite + 1) % 3], corners[(opposite + 2) % 3]);
-        let (along, across) = (to[0] - from[0], to[1] - from[1]);
-        let length = (along * along + across * across).sqrt();
-        let inward = [-across / length, along / length];
-        [inward[0], inward[1], -(inward[0] * from[0] + inward[1] * from[1])]
-    })
-}
-
-/// The length of the longest side.
-fn size_of(triangle: &[Corner; 3]) -> f64 {
-    area_and_length(&triangle.map(|c| c.at)).1.sqrt()
-}
-
-/// Four times the squared area, and the squared length of the longest side.
-#[inline]
-fn area_and_length([a, b, c]: &[Vec3; 3]) -> (f64, f64) {
-    let (ab, ac) = (sub(b, a), sub(c, a));
-    let longest = norm2(&ab).max(norm2(&ac)).max(norm2(&sub(c, b)));
-    (norm2(&cross(&ab, &ac)), longest)
-}
-
-/// Of a needle only the longest side counts, which is no farther from any of its points than this.
-#[inline]
-fn needle_height(corners: &[Vec3; 3]) -> f64 {
-    let (area2, longest2) = area_and_length(corners);
-    if is_needle((area2, longest2)) && longest2 > 0.0 { (area2 / longest2).sqrt() } else { 0.0 }
-}
-
-#[inline]
-fn is_needle((area2, longest2): (f64, f64)) -> bool {
-    area2 <= (NEEDLE * longest2).powi(2)
-}
-
 /// How many times a triangle goes around a place, as seen: 1, 0 or −1. None where that is too close to call.
 #[inline]
 fn turns(corners: &[Vec3; 3], place: &[f64; 2]) -> Option<i32> {
@@ -705,12 +455,6 @@ fn turns(corners: &[Vec3; 3], place: &[f64; 2]) -> Option<i32> {
         [-1, -1, -1] => Some(-1),
         _ => None,
     }
-}
-
-/// A length that no side of a triangle in this box is much longer than.
-#[inline]
-fn extent([low, high]: &Box) -> f64 {
-    (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max)
 }
 
 #[cfg(test)]

@@ -25,6 +25,7 @@
 //! | `side` | one direction of it: triangles of one surface against the other |
 //! | `refine`, `decide` | cutting a triangle into pieces until its bound is close, or the question decided |
 //! | `piece`, `cover` | what is known of a piece: its shape, its colour |
+//! | `view` | a triangle as what it is looked at from |
 //! | `facet`, `polygon` | nearest points on a triangle; convex pieces |
 //! | `surface` | a surface that can be searched |
 
@@ -37,6 +38,7 @@ mod proof;
 mod refine;
 mod side;
 mod surface;
+mod view;
 
 pub use piece::Deviation;
 pub use proof::{

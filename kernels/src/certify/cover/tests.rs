@@ -3,7 +3,7 @@
 use super::super::piece::Wanted;
 use super::super::surface::Surface;
 use super::*;
-use crate::base::geometry::{midpoint, nearest_on_triangle};
+use crate::base::geometry::{add_scaled, cross, dot, midpoint, nearest_on_triangle, norm2, sub};
 
 type Triangle = [Corner; 3];
 
