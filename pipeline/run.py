@@ -265,9 +265,7 @@ def run_wanted(
         final = engine.withdraw_outdated(planned[-1])
         report = compose(scan, outcomes, {} if final is None else final.figures, out)
         written = engine.results.write_report(report)
-        page = _page(out, config.report, written, engine.results, events)
-        if guard is not None:
-            guard.ended("the page")
+        page = _page(out, config.report, written, engine.results, events, guard)
     if config.cache.max_bytes is not None:
         cache.limit(config.cache.max_bytes)
     return RunResult(out, cache.folder, outcomes, written, page)
@@ -282,7 +280,12 @@ def _guard(wanted: Wanted, config: Config, cache: Cache, limits: Limits, events:
 
 
 def _page(
-    out: Path, params: ReportParams, report: Mapping[str, Any], results: Results, events: Events
+    out: Path,
+    params: ReportParams,
+    report: Mapping[str, Any],
+    results: Results,
+    events: Events,
+    guard: LimitGuard | None,
 ) -> Path | None:
     """Write the page of what is in the output folder, unless it is there; return where it is."""
     if not params.page or report["mesh"] is None:
@@ -300,6 +303,8 @@ def _page(
         events(Warned(f"there is no {PAGE}: {error}"))
         return None
     events(StageProgress("page", 1, 1))
+    if guard is not None:
+        guard.ended("the page")
     return results.write_page(page, _decides_page(params))
 
 

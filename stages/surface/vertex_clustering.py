@@ -63,12 +63,12 @@ def clustered(path: Path, most: int) -> Clustered:
     vertices, faces = rows_of_triangles(path)
     low, side = _box(vertices)
     cell = max(side, np.finfo(np.float64).tiny) / (1 << _BITS)
-    found = [np.unique(_keys(rows, low, cell)) for rows in vertices.some(_AT_ONCE)]
-    keys = np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
-    halvings = 0
-    while len(keys) > min(most, _MOST):
-        halvings += 1
-        keys = np.unique(_coarser(keys, 1))
+    keys, halvings = np.zeros(0, np.int64), 0
+    for rows in vertices.some(_AT_ONCE):
+        keys = np.union1d(keys, _coarser(_keys(rows, low, cell), halvings))
+        while len(keys) > min(most, _MOST):
+            halvings += 1
+            keys = np.unique(_coarser(keys, 1))
     places, colors, of = _means(vertices, low, cell, keys, halvings)
     triangles = _triangles(faces, of, path)
     used, rows = np.unique(triangles, return_inverse=True)

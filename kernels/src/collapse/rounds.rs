@@ -171,6 +171,7 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         let mut owner = find_owners(mesh.points.len(), &mesh.triangles, &partition, threads);
         self.records.keep_together(&mut owner);
         let rim: Vec<bool> = owner.into_iter().map(|owner| owner == SHARED).collect();
+        // What goes on from an earlier call was looked at then.
         if self.round == 0 && mesh.refused.is_empty() {
             check_seam(mesh, &rim, partition.len())?;
         }

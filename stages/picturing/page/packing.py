@@ -36,8 +36,9 @@ _MOST_BESIDE = 100_000
 _LAST = 2
 # A model is made no lighter than this share of itself at once.
 _AT_ONCE = 0.5
-# No triangle takes fewer bytes of a page.
-_BYTES_EACH = 5
+# About so many bytes of a page a triangle of a smooth surface takes, and one of a scan more than twice as many:
+# what has too many even so is not written first.
+_BYTES_EACH = 3
 # Of more triangles, one model is made lighter after the other: that takes about 500 bytes for each.
 _MANY = 1_000_000
 # More is left out than must be, so that it fits at once: the fewer triangles, the more bytes each takes.
