@@ -36,8 +36,8 @@ _MOST_BESIDE = 100_000
 _LAST = 2
 # A model is made no lighter than this share of itself at once.
 _AT_ONCE = 0.5
-# About so many bytes of a page a triangle of a smooth surface takes, and one of a scan more than twice as many:
-# what has too many even so is not written first.
+# A triangle of a smooth surface takes about so many bytes of a page, one of a scan more than twice as many:
+# what has too many triangles even so is not written first.
 _BYTES_EACH = 3
 # Of more triangles, one model is made lighter after the other: that takes about 500 bytes for each.
 _MANY = 1_000_000
