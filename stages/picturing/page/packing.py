@@ -36,9 +36,9 @@ _MOST_BESIDE = 100_000
 _LAST = 2
 # A model is made no lighter than this share of itself at once.
 _AT_ONCE = 0.5
-# A triangle of a smooth surface takes about so many bytes of a page, one of a scan more than twice as many:
-# what has too many triangles even so is not written first.
-_BYTES_EACH = 3
+# A triangle of a scan takes about eight bytes of a page, one of a smooth surface about three. A model that has
+# room for fewer than these begins lighter: to write millions that do not fit takes more memory than all else.
+_BYTES_EACH = 5
 # Of more triangles, one model is made lighter after the other: that takes about 500 bytes for each.
 _MANY = 1_000_000
 # More is left out than must be, so that it fits at once: the fewer triangles, the more bytes each takes.
