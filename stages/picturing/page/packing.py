@@ -36,8 +36,9 @@ _MOST_BESIDE = 100_000
 _LAST = 2
 # A model is made no lighter than this share of itself at once.
 _AT_ONCE = 0.5
-# A triangle of a scan takes about eight bytes of a page, one of a smooth surface about three. A model that has
-# room for fewer than these begins lighter: to write millions that do not fit takes more memory than all else.
+# A triangle of a scan takes about eight bytes of a page, one of a smooth surface about three. A model that
+# has room for fewer than these begins lighter: to write millions that do not fit takes more memory than
+# all else.
 _BYTES_EACH = 5
 # Of more triangles, one model is made lighter after the other: that takes about 500 bytes for each.
 _MANY = 1_000_000
