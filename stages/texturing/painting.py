@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,22 +21,36 @@ from stages.texturing.exposure import Exposure
 from stages.texturing.local_exposure import local_exposure_of
 from stages.texturing.pages import Pages, Texels, texels_of
 from stages.texturing.photos import Photos
-from stages.texturing.views import Correction, DrawnMesh, kernel_camera, see, see_again
+from stages.texturing.views import (
+    Correction,
+    DrawnMesh,
+    kernel_camera,
+    painted_from,
+    see,
+    see_again,
+    see_details,
+)
 
 Floats = NDArray[np.float64]
+# Colours of texels, the photo that counts most, and how many count.
+_Part = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]
 
-# Texels that are painted at a time: each remembers its best photos.
-_AT_ONCE = 3_000_000
-# All texels of a texture, up to which they are painted at a time: a second time takes half as long then.
-_ALL_AT_ONCE = 6_000_000
-# Triangles of a mesh that takes no room worth mentioning; each more takes that of some texels, of which there
-# are so many at least.
-_FEW_TRIANGLES, _TEXELS_A_TRIANGLE, _LEAST_AT_ONCE = 1_000_000, 0.6, 1_000_000
+# Bytes of the texels that are painted at a time: each remembers its best photos.
+_AT_ONCE = 530e6
+# Of all texels of a texture, up to which they are painted at a time: a second time takes half as long then.
+_ALL_AT_ONCE = 1060e6
+# Of a texel, and of each of its photos.
+_BYTES, _BYTES_A_PHOTO = 33, 12
+# Triangles of a mesh that takes no room worth mentioning, what each more takes, and what is left at least.
+_FEW_TRIANGLES, _BYTES_A_TRIANGLE, _LEAST_AT_ONCE = 1_000_000, 106, 177e6
 # What a photo counts rises with this power of its score, among details and in what is blurred. A higher
 # one for details (3 was tried) comes no nearer to photos that were left out, and seams are seen more.
 _DETAILS_POWER, _BLURRED_POWER = 1, 1
 # Photos that differ from the median by so many deviations, and so many levels, do not count.
 _DEVIATIONS, _LEVELS = 5.0, 12.0
+# How often what photos show beyond the texture is added to it: after the second time left-out photos are met
+# no better.
+PASSES = 2
 # Every so many texels tell how the mesh's own colours go with those painted.
 _EVERY = 7
 _LEAST_TEXELS = 100
@@ -101,8 +116,9 @@ class Painter:
         self._remembered: _kernels.SurfacePoints | None = None
         # Found once where there is one image; all of many may not fit into memory.
         self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
-        is_all = self._only is not None and len(self._only.pixels) <= _ALL_AT_ONCE
-        self._at_once = _ALL_AT_ONCE if is_all else _at_once(len(mesh.triangles))
+        all_at_once = _texels(_ALL_AT_ONCE, kept)
+        is_all = self._only is not None and len(self._only.pixels) <= all_at_once
+        self._at_once = all_at_once if is_all else _texels(_room_beside(len(mesh.triangles)), kept)
         self.parts = (
             _parts(pages, self._at_once)
             if self._only is None
@@ -116,8 +132,26 @@ class Painter:
 
         `again` says that all may be painted once more: what that goes quicker by is kept.
         """
+        part = partial(self._part, corrections=corrections, progress=progress, again=again)
         for number in range(len(self._pages.sizes)):
-            yield self._page(number, corrections, progress, again)
+            yield self._page(number, part)
+
+    @property
+    def can_add_details(self) -> bool:
+        """Whether what `with_details` needs was kept: all was painted at a time, to be painted again."""
+        return self._remembered is not None
+
+    def with_details(self, painted: Painted, progress: Callable[[], object]) -> Painted:
+        """Return the only image with details; `progress` is called `PASSES` times for each photo."""
+        assert self._remembered is not None
+        photos, exposures, _ = self._shown
+        textures: list[_kernels.TexturedSurface] = []
+        for _ in range(PASSES):
+            textures.append(self._surface([levels_of(painted)]))
+            see_details(self._remembered, photos, exposures, textures, self._drawn.near, progress)
+            painted = self._page(0, partial(self._blended, self._remembered))
+        self.forget()
+        return painted
 
     def forget(self) -> None:
         """Let go what was kept for painting again."""
@@ -127,17 +161,13 @@ class Painter:
         self, images: Sequence[NDArray[np.uint8]], progress: Callable[[], object]
     ) -> list[Correction]:
         """Return what brings each photo to the texture, which `levels_of` gives."""
-        import cv2
-
-        mesh, pages, (photos, exposures, _) = self._mesh, self._pages, self._shown
-        surface = _kernels.TexturedSurface(mesh.vertices, mesh.triangles, pages.corners, pages.pages, images)
-        near = self._drawn.near
+        photos, exposures, _ = self._shown
+        surface = self._surface(images)
 
         def correction(number: int) -> Correction:
             photo = photos.read(number)
             camera = kernel_camera(photo.camera, photo.camera_from_world)
-            drawn, shown = surface.seen_by(camera, near=near)
-            shown &= cv2.inRange(drawn, np.ones(3), np.full(3, 255.0)) > 0
+            drawn, shown = painted_from(surface, camera, self._drawn.near)
             image = exposures[number].corrected(photo.image)
             shifts = shifts_of(drawn, shown, image)
             exposure = local_exposure_of(drawn, shown, image, shifts) if self._is_made_even else None
@@ -149,18 +179,16 @@ class Painter:
             progress()
         return found
 
+    def _surface(self, images: Sequence[NDArray[np.uint8]]) -> _kernels.TexturedSurface:
+        mesh, pages = self._mesh, self._pages
+        return _kernels.TexturedSurface(mesh.vertices, mesh.triangles, pages.corners, pages.pages, images)
+
     def _texels(self, page: int) -> Iterator[Texels]:
         """Yield what is painted at a time of an image: what few photos show."""
         texels = texels_of(self._pages, page) if self._only is None else self._only
         return texels.parts_of(self._drawn.parts, self._at_once)
 
-    def _page(
-        self,
-        number: int,
-        corrections: Sequence[Correction] | None,
-        progress: Callable[[], object],
-        again: bool,
-    ) -> Painted:
+    def _page(self, number: int, part: Callable[[Texels], _Part]) -> Painted:
         width, height = self._pages.sizes[number]
         colors = np.zeros((height * width, 3), np.float32)
         filled = np.zeros(height * width, np.bool_)
@@ -168,7 +196,7 @@ class Painter:
         views = np.zeros(height * width, np.uint8)
         for texels in self._texels(number):
             at = texels.pixels
-            colors[at], labels[at], views[at] = self._part(texels, corrections, progress, again)
+            colors[at], labels[at], views[at] = part(texels)
             # What nothing is known of takes on the colours around it.
             filled[at] = (labels[at] >= 0) | (self._mesh.colors is not None)
         shape = (height, width)
@@ -182,7 +210,7 @@ class Painter:
         corrections: Sequence[Correction] | None,
         progress: Callable[[], object],
         again: bool,
-    ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
+    ) -> _Part:
         mesh, drawn, (photos, exposures, _) = self._mesh, self._drawn, self._shown
         # The last part has left holes.
         give_back()
@@ -199,6 +227,13 @@ class Painter:
             for _ in range(len(photos) - len(numbers)):
                 progress()
             self._remembered = points if is_kept else None
+        blended = self._blended(points, texels)
+        if not again:
+            # The image that follows takes as much.
+            self._remembered = None
+        return blended
+
+    def _blended(self, points: _kernels.SurfacePoints, texels: Texels) -> _Part:
         colors, labels, views = points.blend(
             blurred=_BLURRED_POWER,
             details=_DETAILS_POWER,
@@ -206,17 +241,18 @@ class Painter:
             levels=_LEVELS,
             wanted_threads=0,
         )
-        if not again:
-            # The image that follows takes as much.
-            self._remembered = None
-        _fill_unseen(colors, labels < 0, texels, mesh)
+        _fill_unseen(colors, labels < 0, texels, self._mesh)
         return colors, labels, views
 
 
-def _at_once(triangles: int) -> int:
-    """Return how many texels of a mesh are painted at a time, so that both fit into memory."""
-    more = _TEXELS_A_TRIANGLE * max(triangles - _FEW_TRIANGLES, 0)
-    return min(_AT_ONCE, max(round(_AT_ONCE - more), _LEAST_AT_ONCE))
+def _texels(size: float, kept: int) -> int:
+    """Return how many texels take so many bytes, with the photos that are kept of each."""
+    return int(size / (_BYTES + _BYTES_A_PHOTO * kept))
+
+
+def _room_beside(triangles: int) -> float:
+    """Return the bytes of texels that are painted at a time, beside which a mesh fits into memory."""
+    return max(_AT_ONCE - _BYTES_A_TRIANGLE * max(triangles - _FEW_TRIANGLES, 0), _LEAST_AT_ONCE)
 
 
 def _parts(pages: Pages, at_once: int) -> int:

@@ -4,7 +4,8 @@ The surface is laid out in images, at about the fineness of the photos. Every te
 that show it: in front, not behind anything, where the frame's own depth agrees, not at the border. The best
 few are remembered, made equally bright, and blended: where they agree in what is blurred their mean, each by
 how well it shows the place. Then each photo is brought to what the texture says, in place by small shifts and
-in brightness here and there, and the texture is painted again.
+in brightness here and there, and the texture is painted again. Where all are there already, the texture is
+painted again with the details that their mean has lost.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from stages.texturing.exposure import Exposures
 from stages.texturing.filling import filled_up
 from stages.texturing.local_exposure import in_levels
 from stages.texturing.pages import Pages, laid_out
-from stages.texturing.painting import Painted, Painter, Shown, levels_of
+from stages.texturing.painting import PASSES, Painted, Painter, Shown, levels_of
 from stages.texturing.photos import Photos, photos_of
 from stages.texturing.seams import SeamSums
 from stages.texturing.survey import judged, survey
@@ -45,7 +46,7 @@ from stages.texturing.views import Correction, DrawnMesh, drawn_mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 12
+RESULT_VERSION = 13
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
@@ -99,7 +100,7 @@ class TextureParams:
         low=2,
         high=128,
     )
-    views: int = param(12, "Photos that are blended at a place, at most.", group=_HOW, low=1, high=16)
+    views: int = param(16, "Photos that are blended at a place, at most.", group=_HOW, low=1, high=16)
     exposure: bool = param(
         True,
         "Make photos equally bright: a gain and a bias for each channel of each, one vignette for all, and "
@@ -277,7 +278,9 @@ def texture(
         # The first ones tell how far off photos are.
         shift, uneven = shift or _shift(corrections, used), uneven or _unevenness(corrections)
         if shift < _STILL and uneven < _EVEN:
-            painter.forget()
+            if painter.can_add_details:
+                seams = SeamSums()
+                kept = [painter.with_details(kept[0], far.photo(1.0, PASSES))]
             made = made or [finish(one, seams=seams) for one in kept]
             break
         del kept, made

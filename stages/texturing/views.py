@@ -18,6 +18,7 @@ from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, pinhole, scaled
 from stages.surface.mesh import Mesh
 from stages.texturing.alignment import Shifts
+from stages.texturing.back_projection import with_lacking
 from stages.texturing.exposure import Exposure
 from stages.texturing.local_exposure import LocalExposure, made_even
 from stages.texturing.photos import Photo, Photos
@@ -139,6 +140,49 @@ def see_again(
 
     def prepared(number: int) -> _kernels.Photo:
         return _colors(photos.read(number), exposures[number], corrections[number])
+
+    numbers = range(len(photos))
+    for number, photo in zip(numbers, _each(prepared, numbers), strict=True):
+        points.see_again(photo, number, wanted_threads=0)
+        progress()
+
+
+def painted_from(
+    texture: _kernels.TexturedSurface, camera: KernelCamera, near: float
+) -> tuple[ColorImage, NDArray[np.bool_]]:
+    """Return what a camera sees of a texture, and where photos showed that, and levels are above 0."""
+    import cv2
+
+    drawn, shown = texture.seen_by(camera, near=near)
+    return drawn, shown & (cv2.inRange(drawn, np.ones(3), np.full(3, 255.0)) > 0)
+
+
+def see_details(
+    points: _kernels.SurfacePoints,
+    photos: Photos,
+    exposures: Sequence[Exposure],
+    textures: Sequence[_kernels.TexturedSurface],
+    near: float,
+    progress: Callable[[], object],
+) -> None:
+    """Take the colours of points anew, as `see_again` does, with what photos show that textures lacked.
+
+    Parameters
+    ----------
+    points, photos, exposures : as of `see`, which was to remember.
+    textures : the one that was painted first, and each that was painted so since then.
+    near : of the drawn mesh, metres.
+    progress : called after each photo.
+    """
+
+    def prepared(number: int) -> _kernels.Photo:
+        photo = photos.read(number)
+        camera = kernel_camera(photo.camera, photo.camera_from_world)
+        image = exposures[number].corrected(photo.image)
+        detailed = image
+        for texture in textures:
+            detailed = with_lacking(detailed, image, *painted_from(texture, camera, near))
+        return _kernels.Photo(camera, detailed, _blurred(image, photo.seen), warp=None)
 
     numbers = range(len(photos))
     for number, photo in zip(numbers, _each(prepared, numbers), strict=True):

@@ -73,12 +73,11 @@ def test_equal_input_gives_equal_bytes():
     assert np.array_equal(first.mesh.texture.uvs, second.mesh.texture.uvs)
 
 
-@pytest.mark.parametrize("size", [4096, 128])
-def test_photos_that_are_where_they_should_be_stay_there(size: int):
-    painted = texture(wall(), photos(4), max_size=size, rounds=0)
-    looked_at = texture(wall(), photos(4), max_size=size, rounds=1)
+def test_photos_that_are_where_they_should_be_stay_there():
+    # Of one image, details would be added; see test_back_projection.py.
+    painted, looked_at = (texture(wall(), photos(4), max_size=128, rounds=rounds) for rounds in (0, 1))
     assert 0 < looked_at.shift < 0.3 / 640
-    assert (len(painted.sizes) > 1) == (size == 128)
+    assert len(painted.sizes) > 1
     for one, other in zip(painted.mesh.texture.images, looked_at.mesh.texture.images, strict=True):
         assert one.file_bytes == other.file_bytes
     assert looked_at.seams == painted.seams
@@ -109,8 +108,9 @@ def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.
         return see(*given, numbers=numbers, **named)
 
     monkeypatch.setattr(painting, "see", watched)
-    monkeypatch.setattr(painting, "_AT_ONCE", 30_000)
-    monkeypatch.setattr(painting, "_ALL_AT_ONCE", 30_000)
+    monkeypatch.setattr(painting, "_LEAST_AT_ONCE", 6e6)
+    monkeypatch.setattr(painting, "_AT_ONCE", 6e6)
+    monkeypatch.setattr(painting, "_ALL_AT_ONCE", 6e6)
     found = texture(wall(40), frames, format="png", rounds=0)
     assert len(asked) > 3
     assert sum(0 < len(numbers) < len(frames) for numbers in asked) > len(asked) / 2

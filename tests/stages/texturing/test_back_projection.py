@@ -1,0 +1,116 @@
+"""Details that the mean of many photos loses come back, and nothing else changes."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from photographed import CAMERA, photos, wall
+
+from stages.scans.scan import Frame
+from stages.surface.color import color_at
+from stages.surface.mesh import Mesh
+from stages.texturing import painting
+from stages.texturing.back_projection import with_lacking
+from stages.texturing.texture import texture
+
+ALL = np.ones((CAMERA.height, CAMERA.width), bool)
+# Pixels of a photo in each pixel, along each side: what a pixel shows is a mean.
+FINER = 5
+
+
+def checks(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A chessboard whose squares are two pixels of the photos wide, more or less."""
+    dark = (np.floor(x * 90) + np.floor(y * 90)) % 2
+    return np.stack([60 + 130 * dark, 190 - 110 * dark, 90 + 60 * dark], axis=-1)
+
+
+def of_checks(frame: Frame) -> Frame:
+    v, u = np.mgrid[: FINER * CAMERA.height, : FINER * CAMERA.width]
+    pose = np.asarray(frame.world_from_camera)
+    pixels = [(one + 0.5) / FINER - 0.5 for one in (u, v)]
+    rays = np.stack(
+        [
+            (pixels[0] - CAMERA.cx) / CAMERA.fx,
+            (pixels[1] - CAMERA.cy) / CAMERA.fy,
+            np.ones(u.shape),
+        ],
+        axis=-1,
+    )
+    way = rays @ pose[:3, :3].T
+    at = pose[:3, 3] - way * (pose[2, 3] / way[..., 2])[..., None]
+    size = (CAMERA.width, CAMERA.height)
+    levels = cv2.resize(checks(at[..., 0], at[..., 1]), size, interpolation=cv2.INTER_AREA)
+    shown = np.asarray(frame.color).max(axis=2, keepdims=True) > 0
+    return replace(frame, color=np.where(shown, np.rint(levels), 0).astype(np.uint8))
+
+
+def off(mesh: Mesh) -> np.ndarray:
+    """How far the middle of the wall is off its paint, in levels, the mean of the channels."""
+    rng = np.random.default_rng(3)
+    chosen = rng.integers(0, len(mesh.triangles), 8000)
+    weights = rng.dirichlet((1, 1, 1), len(chosen))
+    x, y, _ = np.einsum("kc,kcx->xk", weights, mesh.vertices[mesh.triangles[chosen]])
+    middle = (np.abs(np.stack([x, y]) - 0.5) < 0.25).all(axis=0)
+    return np.abs(color_at(mesh, chosen, weights) - checks(x, y)).mean(axis=1)[middle]
+
+
+def test_details_come_back():
+    frames = [of_checks(frame) for frame in photos(12)]
+    painted = [texture(wall(), frames, format="png", rounds=rounds).mesh for rounds in (0, 1)]
+    without, with_details = (off(mesh).mean() for mesh in painted)
+    assert with_details < 0.9 * without
+
+
+def test_photos_that_are_off_bring_none(monkeypatch: pytest.MonkeyPatch):
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("asked for details")
+
+    monkeypatch.setattr(painting, "see_details", never)
+    frames, move = photos(8), np.float32([[1, 0, 1.2], [0, 1, 0.5]])
+    moved = [
+        replace(one, color=cv2.warpAffine(np.asarray(one.color), move, (CAMERA.width, CAMERA.height)))
+        for one in frames[::2]
+    ]
+    assert texture(wall(), [*moved, *frames[1::2]]).shift > 0.3 / 640
+    with pytest.raises(AssertionError, match="asked for details"):
+        texture(wall(), frames)
+
+
+def test_what_a_photo_shows_in_little_is_added():
+    drawn = np.full((*ALL.shape, 3), 100, np.uint8)
+    seen = drawn.copy()
+    seen[60, 70:72] = (130, 100, 80), (70, 100, 120)
+    once = with_lacking(seen, seen, drawn, ALL)
+    assert np.abs(once[60, 70:72] - [(160.0, 100.0, 60.0), (40.0, 100.0, 140.0)]).max() <= 1
+    once[60, 70:72] = 100
+    assert (once == 100).all()
+    # A second texture that has it lacks nothing more.
+    assert np.array_equal(with_lacking(seen, seen, seen, ALL), seen)
+
+
+def test_what_is_something_else_is_not_added():
+    drawn = np.full((*ALL.shape, 3), 100, np.uint8)
+    seen = drawn.copy()
+    seen[30:90, 50:110] = (130, 90, 100)
+    inner = np.s_[36:84, 56:104]
+    assert np.array_equal(with_lacking(seen, seen, drawn, ALL)[inner], seen[inner])
+
+
+def test_where_the_mesh_ends_nothing_is_added():
+    drawn = np.full((*ALL.shape, 3), 100, np.uint8)
+    seen = drawn.copy()
+    seen[:, 78], seen[:, 79] = 80, 120
+    shown = ALL.copy()
+    shown[:, 80:] = False
+    assert np.array_equal(with_lacking(seen, seen, drawn, shown), seen)
+    assert with_lacking(seen, seen, drawn, ALL)[60, 79].min() > 138
+
+
+def test_levels_are_cut_off():
+    drawn = np.full((*ALL.shape, 3), 128, np.uint8)
+    seen = drawn.copy()
+    seen[60, 70], seen[60, 90] = 250, 3
+    found = with_lacking(seen, seen, drawn, ALL)
+    assert (found[60, 70] == 255).all()
+    assert (found[60, 90] == 0).all()
