@@ -25,7 +25,7 @@ from markdown_tables import print_head, print_row
 
 from pipeline.config import Config
 from pipeline.run import run
-from stages.comparing.left_out import seen_from
+from stages.comparing.seen import seen_from
 from stages.scans.images import read_photo
 from stages.scans.read import read_scan
 from stages.scans.scan import ColorImage

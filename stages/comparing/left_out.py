@@ -1,9 +1,9 @@
 """Photos that nothing was made from, beside the mesh as their cameras see it.
 
 A photo is first placed against the mesh, for the poses of a scan are off by more than a good texture is:
-points recognised in the picture of the mesh say where it was taken (perspective-n-point). Whichever pose
-explains it better counts. Only pixels count that show the mesh, and whose measured depth, where there is one,
-agrees.
+points recognised in the picture of the mesh say where it was taken (perspective-n-point), then the optical
+flow from that picture to the photo does so more precisely. Whichever pose explains it best counts. Only
+pixels count that show the mesh, and whose measured depth, where there is one, agrees.
 """
 
 from __future__ import annotations
@@ -15,19 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.comparing.placing import poses_of
+from stages.comparing.seen import Levels, Seen, fitted, seen_from
 from stages.errors import InputError
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.images import read_depth, read_photo
 from stages.scans.poses import inverted
-from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
-from stages.surface.color import color_at
+from stages.scans.scan import ColorImage, Frame, SkippedFrame
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 
-RESULT_VERSION = 1
-
-_Levels = NDArray[np.float32]
+RESULT_VERSION = 2
 
 # Depth that differs by more than this share of it, and this many metres, shows something else.
 _SAME_SHARE, _SAME_M = 0.01, 0.04
@@ -36,10 +35,6 @@ _LEAST_PIXELS = 500
 # Window of SSIM, and blur before gradients are measured, both standard deviations in pixels.
 _SSIM_SIGMA, _GRADIENT_SIGMA = 1.5, 0.7
 _BORDER = 7
-# Recognised points: how many are looked for, second best over best, pixels that they may be apart at first,
-# and from how many a pose is taken.
-_POINTS, _RATIO, _NEAR, _LEAST_POINTS = 4000, 0.8, 60.0, 12
-_REPROJECTION = (12.0, 4.0, 3.0)
 
 
 @dataclass(frozen=True)
@@ -136,15 +131,6 @@ def left_out(mesh: Mesh, frames: Sequence[Frame], progress: Progress = silent) -
     return LeftOut(tuple(scores), pictures, tuple(skipped))
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """The mesh from a camera: levels (h, w, 3), whether it is there (h, w), and where (h, w, 3)."""
-
-    levels: _Levels
-    hit: NDArray[np.bool_]
-    places: NDArray[np.float64]
-
-
 def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorImage]:
     image, camera, shown = read_photo(frame)
     if frame.world_from_camera is None:
@@ -152,9 +138,7 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
     apart = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
     given = np.asarray(frame.world_from_camera, np.float64) @ inverted(apart)
     best: tuple[Score, Seen] | None = None
-    for pose in (given, _placed(image, camera, given, surface)):
-        if pose is None:
-            continue
+    for pose in poses_of(image, camera, given, surface):
         seen = seen_from(surface, camera, pose)
         counted = _counted(seen, replace(frame, world_from_camera=pose @ apart))
         counted = counted if shown is None else counted & shown
@@ -168,24 +152,6 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
     score, seen = best
     drawn = np.where(seen.hit[..., None], seen.levels, 0).clip(0, 255).astype(np.uint8)
     return score, np.hstack([image, drawn])
-
-
-def seen_from(surface: Surface, camera: Camera, pose: Pose) -> Seen:
-    """Return the mesh as a camera without lens distortion sees it from a pose (world_from_camera)."""
-    rows, columns = np.mgrid[: camera.height, : camera.width]
-    rays = np.stack(
-        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)], 2
-    )
-    directions = (rays.reshape(-1, 3) @ pose[:3, :3].T).astype(np.float32)
-    hits = surface.cast(pose[:3, 3], directions)
-    levels = np.zeros((rows.size, 3), np.float32)
-    places = np.zeros((rows.size, 3))
-    hit = np.zeros(rows.size, np.bool_)
-    levels[hits.rays] = color_at(surface.mesh, hits.triangles, hits.weights)
-    corners = surface.mesh.vertices[surface.mesh.triangles[hits.triangles]]
-    places[hits.rays] = np.einsum("kc,kcx->kx", hits.weights, corners)
-    hit[hits.rays] = True
-    return Seen(levels.reshape(*rows.shape, 3), hit.reshape(rows.shape), places.reshape(*rows.shape, 3))
 
 
 def _counted(seen: Seen, frame: Frame) -> NDArray[np.bool_]:
@@ -213,14 +179,14 @@ def _counted(seen: Seen, frame: Frame) -> NDArray[np.bool_]:
 
 
 def _score(
-    place: int, levels: _Levels, image: ColorImage, counted: NDArray[np.bool_], *, placed: bool
+    place: int, levels: Levels, image: ColorImage, counted: NDArray[np.bool_], *, placed: bool
 ) -> Score:
     import cv2
     from skimage.metrics import structural_similarity
 
     photo = image.astype(np.float32)
     raw = np.where(counted[..., None], levels.clip(0, 255), photo)
-    affine = np.where(counted[..., None], _fitted(levels, photo, counted), photo)
+    affine = np.where(counted[..., None], fitted(levels, photo, counted), photo)
     inner = cv2.erode(counted.astype(np.uint8), np.ones((_BORDER, _BORDER), np.uint8)) > 0
     inner = inner if np.count_nonzero(inner) > _LEAST_PIXELS // 5 else counted
     _, similar = structural_similarity(  # type: ignore[no-untyped-call]
@@ -244,63 +210,14 @@ def _score(
     )
 
 
-def _psnr(difference: _Levels) -> float:
+def _psnr(difference: Levels) -> float:
     return float(10 * np.log10(255**2 / max(float(np.mean(difference.astype(np.float64) ** 2)), 1e-9)))
 
 
-def _fitted(levels: _Levels, photo: _Levels, counted: NDArray[np.bool_]) -> _Levels:
-    """Return the levels with the gain and bias of each channel that bring them nearest to a photo's."""
-    fitted = np.empty_like(levels)
-    for k in range(3):
-        a, b = (image[..., k][counted].astype(np.float64) for image in (levels, photo))
-        gain = float(np.mean((a - a.mean()) * (b - b.mean()))) / max(float(a.var()), 1e-9)
-        fitted[..., k] = gain * (levels[..., k] - a.mean()) + b.mean()
-    return fitted.clip(0, 255)
-
-
-def _gradient_energy(image: _Levels, counted: NDArray[np.bool_]) -> float:
+def _gradient_energy(image: Levels, counted: NDArray[np.bool_]) -> float:
     import cv2
 
     gray = cv2.cvtColor(image.astype(np.float32), cv2.COLOR_RGB2GRAY)
     smooth = cv2.GaussianBlur(gray, (0, 0), _GRADIENT_SIGMA)
     across, down = (cv2.Sobel(smooth, cv2.CV_32F, dx, dy) for dx, dy in ((1, 0), (0, 1)))
     return float(np.mean((across**2 + down**2)[counted], dtype=np.float64))
-
-
-def _placed(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> Pose | None:
-    """Return the pose from which the photo shows what is recognised in the mesh; None if too little is."""
-    import cv2
-
-    search = cv2.SIFT.create(_POINTS)
-    there, described = search.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
-    found = None
-    for limit in _REPROJECTION:
-        seen = seen_from(surface, camera, pose)
-        drawn = cv2.cvtColor(seen.levels.clip(0, 255).astype(np.uint8), cv2.COLOR_RGB2GRAY)
-        inner = cv2.erode(seen.hit.astype(np.uint8), np.ones((5, 5), np.uint8)) * 255
-        here, description = search.detectAndCompute(drawn, np.asarray(inner, np.uint8))
-        if description is None or described is None or min(len(description), len(described)) < _LEAST_POINTS:
-            return found
-        pairs = cv2.BFMatcher().knnMatch(description, described, k=2)
-        good = [first for first, second in pairs if first.distance < _RATIO * second.distance]
-        a = np.array([here[match.queryIdx].pt for match in good]).reshape(-1, 2)
-        b = np.array([there[match.trainIdx].pt for match in good]).reshape(-1, 2)
-        near = np.linalg.norm(a - b, axis=1) < _NEAR
-        if np.count_nonzero(near) < _LEAST_POINTS:
-            return found
-        pixels = np.rint(a[near]).astype(np.int64)
-        points = seen.places[pixels[:, 1], pixels[:, 0]]
-        cv2.setRNGSeed(0)
-        matrix, none = camera.matrix, np.zeros(4)
-        sound, turn, shift, inliers = cv2.solvePnPRansac(
-            points, b[near], matrix, none, reprojectionError=limit, iterationsCount=2000, confidence=0.999
-        )
-        if not sound or inliers is None or len(inliers) < _LEAST_POINTS:
-            return found
-        rows = np.asarray(inliers)[:, 0]
-        _, turn, shift = cv2.solvePnP(points[rows], b[near][rows], matrix, none)
-        world_to_camera = np.eye(4)
-        world_to_camera[:3, :3] = cv2.Rodrigues(turn)[0]
-        world_to_camera[:3, 3] = np.asarray(shift)[:, 0]
-        found = pose = inverted(world_to_camera)
-    return found

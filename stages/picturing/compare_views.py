@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.left_out import seen_from
 from stages.comparing.measurable import box_of, measurable
+from stages.comparing.seen import seen_from
 from stages.params import check, param, resolve
 from stages.picturing.render import Model
 from stages.picturing.viewpoints import Viewpoint, viewpoints

@@ -100,7 +100,7 @@ class TextureParams:
         low=2,
         high=128,
     )
-    views: int = param(16, "Photos that are blended at a place, at most.", group=_HOW, low=1, high=16)
+    views: int = param(12, "Photos that are blended at a place, at most.", group=_HOW, low=1, high=16)
     exposure: bool = param(
         True,
         "Make photos equally bright: a gain and a bias for each channel of each, one vignette for all, and "

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_erosion, gaussian_filter
 from seamed_meshes import wrapped_ball
 
 from stages import Mesh, compare_views
-from stages.comparing.left_out import seen_from
+from stages.comparing.seen import seen_from
 from stages.errors import MeshError, UsageError
 from stages.picturing.compare_views import _finer
 from stages.picturing.viewpoints import viewpoints

@@ -1,0 +1,138 @@
+"""Where a photo was taken, by what it shows of a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.comparing.seen import fitted, seen_from
+from stages.scans.poses import inverted
+from stages.scans.scan import Camera, ColorImage, Pose
+from stages.surface.raycasting import Surface
+
+# Recognised points: how many are looked for, second best over best, pixels that they may be apart at first,
+# and from how many a pose is taken.
+_POINTS, _RATIO, _NEAR, _LEAST_POINTS = 4000, 0.8, 60.0, 12
+_REPROJECTION = (12.0, 4.0, 3.0)
+# Optical flow: how often it is followed, pixels that it may be off, pixels of a cell from which one place is
+# taken, and squared levels a pixel that there must be to see.
+_REFINEMENTS, _FLOW_REPROJECTION, _CELL, _LEAST_DETAIL = 2, 2.0, 6, 400.0
+# Where the mesh ends the flow is not believed; with fewer pixels of it there is none.
+_BORDER, _LEAST_PIXELS = 7, 500
+
+
+def poses_of(image: ColorImage, camera: Camera, given: Pose, surface: Surface) -> Iterator[Pose]:
+    """Yield the poses a photo may have: as given, by what is recognised, and by all that shows of the mesh.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, of a camera without lens distortion.
+    given : world_from_camera.
+    """
+    yield given
+    placed = _placed(image, camera, given, surface)
+    if placed is not None:
+        yield placed
+    refined = _refined(image, camera, given if placed is None else placed, surface)
+    if refined is not None:
+        yield refined
+
+
+def _placed(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> Pose | None:
+    """Return the pose from which the photo shows what is recognised in the mesh; None if too little is."""
+    import cv2
+
+    search = cv2.SIFT.create(_POINTS)
+    there, described = search.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
+    found = None
+    for limit in _REPROJECTION:
+        seen = seen_from(surface, camera, pose)
+        drawn = cv2.cvtColor(seen.levels.clip(0, 255).astype(np.uint8), cv2.COLOR_RGB2GRAY)
+        inner = cv2.erode(seen.hit.astype(np.uint8), np.ones((5, 5), np.uint8)) * 255
+        here, description = search.detectAndCompute(drawn, np.asarray(inner, np.uint8))
+        if description is None or described is None or min(len(description), len(described)) < _LEAST_POINTS:
+            return found
+        pairs = cv2.BFMatcher().knnMatch(description, described, k=2)
+        good = [first for first, second in pairs if first.distance < _RATIO * second.distance]
+        a = np.array([here[match.queryIdx].pt for match in good]).reshape(-1, 2)
+        b = np.array([there[match.trainIdx].pt for match in good]).reshape(-1, 2)
+        near = np.linalg.norm(a - b, axis=1) < _NEAR
+        if np.count_nonzero(near) < _LEAST_POINTS:
+            return found
+        pixels = np.rint(a[near]).astype(np.int64)
+        points = seen.places[pixels[:, 1], pixels[:, 0]]
+        # These are known at whole pixels: what is recognised there lies as far beside in the photo, too.
+        b[near] += pixels - a[near]
+        better = _from_points(points, b[near], camera, limit)
+        if better is None:
+            return found
+        found = pose = better
+    return found
+
+
+def _refined(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> Pose | None:
+    """Return the pose that brings the mesh nearest to a photo, by the optical flow from the one to the other.
+
+    Recognised points are few, each off by a pixel or so; the flow is known wherever there is much to see.
+    """
+    import cv2
+
+    photo = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    for _ in range(_REFINEMENTS):
+        seen = seen_from(surface, camera, pose)
+        if np.count_nonzero(seen.hit) < _LEAST_PIXELS:
+            return None
+        levels = fitted(seen.levels, image.astype(np.float32), seen.hit)
+        drawn = cv2.cvtColor(
+            np.where(seen.hit[..., None], levels, image).astype(np.uint8), cv2.COLOR_RGB2GRAY
+        )
+        search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        flow = search.calc(drawn, photo, np.zeros((*drawn.shape, 2), np.float32))
+        smooth = cv2.GaussianBlur(drawn.astype(np.float32), (0, 0), 1.0)
+        detail = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(smooth, cv2.CV_32F, 0, 1) ** 2
+        detail[cv2.erode(seen.hit.astype(np.uint8), np.ones((_BORDER, _BORDER), np.uint8)) == 0] = 0
+        rows, columns = _strongest(detail)
+        pixels = np.stack([columns, rows], axis=1) + np.asarray(flow)[rows, columns]
+        better = _from_points(
+            seen.places[rows, columns], pixels.astype(np.float64), camera, _FLOW_REPROJECTION
+        )
+        if better is None:
+            return None
+        pose = better
+    return pose
+
+
+def _strongest(detail: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return rows and columns of the pixels with the most detail, one in each cell of a grid."""
+    rows, columns = (count // _CELL for count in detail.shape)
+    cells = detail[: rows * _CELL, : columns * _CELL].reshape(rows, _CELL, columns, _CELL)
+    cells = cells.transpose(0, 2, 1, 3).reshape(rows, columns, _CELL**2)
+    best = cells.argmax(axis=2)
+    row, column = np.nonzero(cells.max(axis=2) > _LEAST_DETAIL)
+    within = best[row, column]
+    return row * _CELL + within // _CELL, column * _CELL + within % _CELL
+
+
+def _from_points(
+    points: NDArray[np.float64], pixels: NDArray[np.float64], camera: Camera, limit: float
+) -> Pose | None:
+    """Return the pose from which points appear at pixels; None if too few do within so many."""
+    import cv2
+
+    if len(points) < _LEAST_POINTS:
+        return None
+    cv2.setRNGSeed(0)
+    matrix, none = camera.matrix, np.zeros(4)
+    sound, turn, shift, inliers = cv2.solvePnPRansac(
+        points, pixels, matrix, none, reprojectionError=limit, iterationsCount=2000, confidence=0.999
+    )
+    if not sound or inliers is None or len(inliers) < _LEAST_POINTS:
+        return None
+    rows = np.asarray(inliers)[:, 0]
+    _, turn, shift = cv2.solvePnP(points[rows], pixels[rows], matrix, none)
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = cv2.Rodrigues(turn)[0]
+    world_to_camera[:3, 3] = np.asarray(shift)[:, 0]
+    return inverted(world_to_camera)

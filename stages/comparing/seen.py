@@ -1,0 +1,51 @@
+"""A mesh as a camera sees it, and its levels brought to those of a photo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.scans.scan import Camera, Pose
+from stages.surface.color import color_at
+from stages.surface.raycasting import Surface
+
+Levels = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The mesh from a camera: levels (h, w, 3), whether it is there (h, w), and where (h, w, 3)."""
+
+    levels: Levels
+    hit: NDArray[np.bool_]
+    places: NDArray[np.float64]
+
+
+def seen_from(surface: Surface, camera: Camera, pose: Pose) -> Seen:
+    """Return the mesh as a camera without lens distortion sees it from a pose (world_from_camera)."""
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    rays = np.stack(
+        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)], 2
+    )
+    directions = (rays.reshape(-1, 3) @ pose[:3, :3].T).astype(np.float32)
+    hits = surface.cast(pose[:3, 3], directions)
+    levels = np.zeros((rows.size, 3), np.float32)
+    places = np.zeros((rows.size, 3))
+    hit = np.zeros(rows.size, np.bool_)
+    levels[hits.rays] = color_at(surface.mesh, hits.triangles, hits.weights)
+    corners = surface.mesh.vertices[surface.mesh.triangles[hits.triangles]]
+    places[hits.rays] = np.einsum("kc,kcx->kx", hits.weights, corners)
+    hit[hits.rays] = True
+    return Seen(levels.reshape(*rows.shape, 3), hit.reshape(rows.shape), places.reshape(*rows.shape, 3))
+
+
+def fitted(levels: Levels, photo: Levels, counted: NDArray[np.bool_]) -> Levels:
+    """Return the levels with the gain and bias of each channel that bring them nearest to a photo's."""
+    fitted = np.empty_like(levels)
+    for k in range(3):
+        a, b = (image[..., k][counted].astype(np.float64) for image in (levels, photo))
+        gain = float(np.mean((a - a.mean()) * (b - b.mean()))) / max(float(a.var()), 1e-9)
+        fitted[..., k] = gain * (levels[..., k] - a.mean()) + b.mean()
+    return fitted.clip(0, 255)
