@@ -18,9 +18,9 @@ from stages.scans.sharpness import sharpness
 
 # Photos are kept in memory if all together have no more bytes; else they are read again when they are needed.
 _KEPT_BYTES = 250_000_000
-# Photos taken before and after that one is compared with, the share of their sharpness below which it is worth
-# no less, and the power of that share. A photo half as sharp as they are counts a thirtieth, for worths are
-# squared: what blurred photos take off others was seen to cost more than what they add.
+# Photos taken before and after that one is compared with, the share of their sharpness below which it is
+# worth no less, and the power of that share. A photo half as sharp as they are counts a thirtieth, for worths
+# are squared: what blurred photos take off others was seen to cost more than what they add.
 _BESIDE = 5
 _LEAST_SHARE = 0.5
 _WORTH_POWER = 2.5
