@@ -30,8 +30,8 @@ RESULT_VERSION = 2
 
 # Depth that differs by more than this share of it, and this many metres, shows something else.
 _SAME_SHARE, _SAME_M = 0.01, 0.04
-# A photo of fewer pixels of the mesh is not judged.
-_LEAST_PIXELS = 500
+# A photo of fewer pixels of the mesh is not judged, nor a pose from which far fewer count than from another.
+_LEAST_PIXELS, _SAME_COVERAGE = 500, 0.9
 # Window of SSIM, and blur before gradients are measured, both standard deviations in pixels.
 _SSIM_SIGMA, _GRADIENT_SIGMA = 1.5, 0.7
 _BORDER = 7
@@ -137,19 +137,20 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         raise InputError("there is no camera pose.", f"frame {frame.name}")
     apart = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
     given = np.asarray(frame.world_from_camera, np.float64) @ inverted(apart)
-    best: tuple[Score, Seen] | None = None
+    found: list[tuple[Score, Seen]] = []
     for pose in poses_of(image, camera, given, surface):
         seen = seen_from(surface, camera, pose)
         counted = _counted(seen, replace(frame, world_from_camera=pose @ apart))
         counted = counted if shown is None else counted & shown
-        if np.count_nonzero(counted) < _LEAST_PIXELS:
-            continue
-        score = _score(place, seen.levels, image, counted, placed=pose is not given)
-        if best is None or score.affine > best[0].affine:
-            best = score, seen
-    if best is None:
+        if np.count_nonzero(counted) >= _LEAST_PIXELS:
+            found.append((_score(place, seen.levels, image, counted, placed=pose is not given), seen))
+    if not found:
         raise InputError("its photo does not show the mesh.", f"frame {frame.name}")
-    score, seen = best
+    # A wrong pose may come near to little of the photo.
+    least = _SAME_COVERAGE * max(score.coverage for score, _ in found)
+    score, seen = max(
+        (one for one in found if one[0].coverage >= least), key=lambda one: (one[0].affine, not one[0].placed)
+    )
     drawn = np.where(seen.hit[..., None], seen.levels, 0).clip(0, 255).astype(np.uint8)
     return score, np.hstack([image, drawn])
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from photographed import paint, photo, photos, pose, wall
 
+from stages.comparing import left_out as left_out_module
 from stages.comparing.left_out import left_out
 from stages.surface.mesh import Mesh
 from stages.texturing.texture import texture
@@ -36,6 +37,23 @@ def test_a_photo_whose_pose_is_off_is_placed(painted):
     assert found.scores[0].placed
     assert found.scores[0].affine > 26
     assert found.pictures["worst"].shape == (120, 320, 3)
+
+
+def test_a_pose_from_which_little_counts_is_not_taken(painted, monkeypatch):
+    frame = replace(photo(0, pose(0.5, 0.5)), world_from_camera=pose(0.6, 0.45))
+    # From there the wall fills a corner, and nothing of it can be wrong.
+    beside = pose(1.4, -0.3)
+
+    def little(_image: object, _camera: object, given: np.ndarray, _surface: object) -> list[np.ndarray]:
+        return [given, beside]
+
+    monkeypatch.setattr(left_out_module, "poses_of", little)
+    monkeypatch.setattr(left_out_module, "_LEAST_PIXELS", 1)
+    (score,) = left_out(painted, [frame]).scores
+    assert not score.placed
+    monkeypatch.setattr(left_out_module, "_SAME_COVERAGE", 0.0)
+    (score,) = left_out(painted, [frame]).scores
+    assert score.placed
 
 
 def test_brightness_counts_only_raw(painted):
