@@ -21,7 +21,7 @@ _MARGIN, _SMOOTH = 0.01, 0.01
 # differ by more, but to both sides.
 _ELSE = 15.0
 # Smoothed differences are worked out in images that are smaller by this.
-_SHARE = 2
+_SHARE = 4
 
 
 def with_lacking(
@@ -44,16 +44,25 @@ def with_lacking(
     weight = _agreeing(photo, drawn, shown)
     # A channel at a time, for large photos.
     planes = [
-        cv2.add(one, cv2.multiply(_difference(there, here), weight, dtype=cv2.CV_16S), dtype=cv2.CV_8U)
-        for one, there, here in zip(cv2.split(image), cv2.split(photo), cv2.split(drawn), strict=True)
+        cv2.add(
+            cv2.extractChannel(image, k),
+            cv2.multiply(
+                _difference(cv2.extractChannel(photo, k), cv2.extractChannel(drawn, k)),
+                weight,
+                scale=1 / 255,
+                dtype=cv2.CV_16S,
+            ),
+            dtype=cv2.CV_8U,
+        )
+        for k in range(3)
     ]
     return np.asarray(cv2.merge(planes), np.uint8)
 
 
 def _agreeing(
     photo: NDArray[np.uint8], drawn: NDArray[np.uint8], shown: NDArray[np.bool_]
-) -> NDArray[np.float32]:
-    """Return how far a photo shows what the texture shows, (h, w) 0 to 1."""
+) -> NDArray[np.uint8]:
+    """Return how far a photo shows what the texture shows, (h, w) 0 to 255."""
     import cv2
 
     height, width = shown.shape
@@ -62,11 +71,12 @@ def _agreeing(
     inside = cv2.erode(shown.astype(np.uint8), window, borderType=cv2.BORDER_REPLICATE)
     size = (max(round(width / _SHARE), 2), max(round(height / _SHARE), 2))
     apart = np.zeros(size[::-1], np.float32)
-    for there, here in zip(cv2.split(photo), cv2.split(drawn), strict=True):
-        smaller = cv2.resize(_difference(there, here), size, interpolation=cv2.INTER_AREA)
+    for k in range(3):
+        difference = _difference(cv2.extractChannel(photo, k), cv2.extractChannel(drawn, k))
+        smaller = cv2.resize(difference, size, interpolation=cv2.INTER_AREA)
         smooth = cv2.GaussianBlur(smaller.astype(np.float32), (0, 0), _SMOOTH * size[0])
         apart = np.maximum(apart, np.abs(smooth))
-    agreeing = np.maximum(1 - (apart / np.float32(_ELSE)) ** 2, 0) ** 2
+    agreeing = np.rint(255 * np.maximum(1 - (apart / np.float32(_ELSE)) ** 2, 0) ** 2).astype(np.uint8)
     return np.asarray(cv2.resize(agreeing, (width, height), interpolation=cv2.INTER_LINEAR) * inside)
 
 

@@ -48,6 +48,8 @@ _FEW_TRIANGLES, _BYTES_A_TRIANGLE, _LEAST_AT_ONCE = 1_000_000, 106, 177e6
 _DETAILS_POWER, _BLURRED_POWER = 1, 1
 # Photos that differ from the median by so many deviations, and so many levels, do not count.
 _DEVIATIONS, _LEVELS = 5.0, 12.0
+# Pixels of photos in which shifts are looked for: of larger ones these would take hundreds of megabytes each.
+_MOST_PIXELS = 1_500_000
 # How often what photos show beyond the texture is added to it: after the second time left-out photos are met
 # no better.
 PASSES = 2
@@ -169,12 +171,13 @@ class Painter:
             camera = kernel_camera(photo.camera, photo.camera_from_world)
             drawn, shown = painted_from(surface, camera, self._drawn.near)
             image = exposures[number].corrected(photo.image)
+            drawn, shown, image = _no_larger(drawn, shown, image)
             shifts = shifts_of(drawn, shown, image)
             exposure = local_exposure_of(drawn, shown, image, shifts) if self._is_made_even else None
-            return Correction(shifts, exposure)
+            return Correction(shifts * np.float16(photo.camera.width / image.shape[1]), exposure)
 
         found = []
-        for one in read_ahead(correction, range(len(photos)), threads=workers(), ahead=workers() + 1):
+        for one in read_ahead(correction, range(len(photos)), threads=workers(), ahead=photos.ahead):
             found.append(one)
             progress()
         return found
@@ -243,6 +246,24 @@ class Painter:
         )
         _fill_unseen(colors, labels < 0, texels, self._mesh)
         return colors, labels, views
+
+
+def _no_larger(
+    drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray[np.uint8]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.uint8]]:
+    """Return what is drawn, where it is there, and the photo, as small as shifts are looked for in."""
+    import cv2
+
+    height, width = shown.shape
+    share = (_MOST_PIXELS / (width * height)) ** 0.5
+    if share >= 1:
+        return drawn, shown, photo
+    size = (max(round(width * share), 2), max(round(height * share), 2))
+    # Only what all of a pixel shows.
+    covered = cv2.resize(shown.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA) == 255
+    smaller = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (drawn, photo))
+    drawn, photo = (np.asarray(one, np.uint8) for one in smaller)
+    return drawn, covered, photo
 
 
 def _texels(size: float, kept: int) -> int:

@@ -18,6 +18,8 @@ from stages.scans.sharpness import sharpness
 
 # Photos are kept in memory if all together have no more bytes; else they are read again when they are needed.
 _KEPT_BYTES = 250_000_000
+# Pixels of a photo from which photos are worked on one after the other.
+_LARGE = 4_000_000
 # Photos taken before and after that one is compared with, the share of their sharpness below which it is
 # worth no less, and the power of that share. A photo half as sharp as they are counts a thirtieth, for worths
 # are squared: what blurred photos take off others was seen to cost more than what they add.
@@ -102,6 +104,12 @@ class Photos:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @property
+    def ahead(self) -> int:
+        """How many photos are worked on at a time: large ones take hundreds of megabytes each."""
+        largest = max((camera.width * camera.height for camera in self.cameras), default=0)
+        return workers() + 1 if largest <= _LARGE else 1
 
     def read(self, number: int) -> Photo:
         """Return a photo.

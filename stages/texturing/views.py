@@ -115,7 +115,7 @@ def see(
         return _view(photo, colors, mesh, worth=float(photos.worths[number]), flattest=flattest)
 
     shown = []
-    for number, view in zip(numbers, _each(prepared, numbers), strict=True):
+    for number, view in zip(numbers, _each(prepared, numbers, photos), strict=True):
         triangles = points.see(view, number, remember=remember, wanted_threads=0)
         shown.append(np.unique(mesh.parts[triangles]))
         progress()
@@ -142,7 +142,7 @@ def see_again(
         return _colors(photos.read(number), exposures[number], corrections[number])
 
     numbers = range(len(photos))
-    for number, photo in zip(numbers, _each(prepared, numbers), strict=True):
+    for number, photo in zip(numbers, _each(prepared, numbers, photos), strict=True):
         points.see_again(photo, number, wanted_threads=0)
         progress()
 
@@ -185,13 +185,13 @@ def see_details(
         return _kernels.Photo(camera, detailed, _blurred(image, photo.seen), warp=None)
 
     numbers = range(len(photos))
-    for number, photo in zip(numbers, _each(prepared, numbers), strict=True):
+    for number, photo in zip(numbers, _each(prepared, numbers, photos), strict=True):
         points.see_again(photo, number, wanted_threads=0)
         progress()
 
 
-def _each(prepared: Callable[[int], T], numbers: Sequence[int]) -> Iterator[T]:
-    return read_ahead(prepared, numbers, threads=workers(), ahead=workers() + 1)
+def _each(prepared: Callable[[int], T], numbers: Sequence[int], photos: Photos) -> Iterator[T]:
+    return read_ahead(prepared, numbers, threads=workers(), ahead=photos.ahead)
 
 
 def _colors(

@@ -88,6 +88,7 @@ def test_photos_that_are_where_they_should_be_stay_there():
 def test_what_does_not_fit_into_memory_gives_the_same(monkeypatch: pytest.MonkeyPatch):
     whole = textured(6)
     monkeypatch.setattr(photos_module, "_KEPT_BYTES", 0)
+    monkeypatch.setattr(photos_module, "_LARGE", 0)
     monkeypatch.setattr(survey, "_AT_ONCE", 1_000)
     found = texture(wall(), photos(6))
     assert photos_module.photos_of(photos(6), silent).kept == {}
@@ -177,17 +178,30 @@ def test_what_stands_in_front_is_not_painted_on_what_is_behind():
         assert np.mean(off[near] > 30) < 0.02
 
 
-def test_a_photo_that_is_off_by_pixels_is_shifted():
-    # Each photo is off by two pixels, in another direction.
+@cache
+def misplaced() -> tuple[Frame, ...]:
+    """Photos, each off by two pixels, in another direction."""
     frames = []
     for number, frame in enumerate(photos(12)):
         angle = 2 * np.pi * number / 12
         moved = np.array(frame.world_from_camera)
         moved[:3, 3] += 0.8 * 2 / CAMERA.fx * np.array([np.cos(angle), np.sin(angle), 0])
         frames.append(replace(frame, world_from_camera=moved))
-    still, shifted = (texture(wall(), frames, format="png", rounds=rounds) for rounds in (0, 1))
+    return tuple(frames)
+
+
+def test_a_photo_that_is_off_by_pixels_is_shifted():
+    still, shifted = (texture(wall(), misplaced(), format="png", rounds=rounds) for rounds in (0, 1))
     assert 0.2 / CAMERA.width < shifted.shift < 3 / CAMERA.width
     assert np.median(errors(shifted.mesh)) < 0.8 * np.median(errors(still.mesh))
+
+
+def test_shifts_of_large_photos_are_found_in_smaller_ones(monkeypatch: pytest.MonkeyPatch):
+    whole = texture(wall(), misplaced(), format="png")
+    monkeypatch.setattr(painting, "_MOST_PIXELS", 10_000)
+    found = texture(wall(), misplaced(), format="png")
+    assert found.shift == pytest.approx(whole.shift, rel=0.25)
+    assert np.median(errors(found.mesh)) < 1.15 * np.median(errors(whole.mesh))
 
 
 def test_what_no_photo_shows_keeps_its_own_colours():
