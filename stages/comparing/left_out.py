@@ -137,21 +137,21 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         raise InputError("there is no camera pose.", f"frame {frame.name}")
     apart = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
     given = np.asarray(frame.world_from_camera, np.float64) @ inverted(apart)
-    found: list[tuple[Score, Seen]] = []
+    found: list[tuple[Score, ColorImage]] = []
     for pose in poses_of(image, camera, given, surface):
         seen = seen_from(surface, camera, pose)
         counted = _counted(seen, replace(frame, world_from_camera=pose @ apart))
         counted = counted if shown is None else counted & shown
         if np.count_nonzero(counted) >= _LEAST_PIXELS:
-            found.append((_score(place, seen.levels, image, counted, placed=pose is not given), seen))
+            drawn = np.where(seen.hit[..., None], seen.levels, 0).clip(0, 255).astype(np.uint8)
+            found.append((_score(place, seen.levels, image, counted, placed=pose is not given), drawn))
     if not found:
         raise InputError("its photo does not show the mesh.", f"frame {frame.name}")
     # A wrong pose may come near to little of the photo.
     least = _SAME_COVERAGE * max(score.coverage for score, _ in found)
-    score, seen = max(
+    score, drawn = max(
         (one for one in found if one[0].coverage >= least), key=lambda one: (one[0].affine, not one[0].placed)
     )
-    drawn = np.where(seen.hit[..., None], seen.levels, 0).clip(0, 255).astype(np.uint8)
     return score, np.hstack([image, drawn])
 
 

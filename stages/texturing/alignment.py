@@ -73,6 +73,25 @@ def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray
     return np.ascontiguousarray(grid.clip(-most, most), np.float16)
 
 
+def no_larger(
+    drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray[np.uint8], most: int
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.uint8]]:
+    """Return what is drawn, where it shows the mesh, and the photo, of no more than so many pixels.
+
+    A pixel shows the mesh where all that it is a mean of does.
+    """
+    import cv2
+
+    height, width = shown.shape
+    share = (most / (width * height)) ** 0.5
+    if share >= 1:
+        return drawn, shown, photo
+    size = (max(round(width * share), 2), max(round(height * share), 2))
+    covered = cv2.resize(shown.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA) == 255
+    drawn, photo = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (drawn, photo))  # type: ignore[assignment]
+    return drawn, covered, photo
+
+
 def shifted(photo: NDArray[np.uint8], shifts: Shifts) -> NDArray[np.uint8]:
     """Return a photo (h, w, 3) as it is where the texture says that it is."""
     import cv2

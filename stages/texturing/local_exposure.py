@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.texturing.alignment import Shifts, shifted
+from stages.texturing.alignment import Shifts, no_larger, shifted
 
 # Thirds of levels to add in the cells of a grid: of ten thousand photos they take 13 megabytes.
 LocalExposure = NDArray[np.int8]
@@ -28,8 +28,9 @@ _ELSE = 40.0
 _PRIOR = 0.05
 # Levels of photos that are cut off say little.
 _DARK, _BRIGHT, _CUT_OFF = 4, 250, 0.1
-# Differences are looked at in images of this width at the most, and smoothed in smaller ones.
-_WIDEST, _SHARE = 640, 4
+# Differences are looked at in images of no more pixels, since larger ones tell no more and take hundreds of
+# megabytes, and smoothed in ones that are smaller by this.
+_MOST_PIXELS, _SHARE = 640 * 480, 4
 
 
 def local_exposure_of(
@@ -46,15 +47,10 @@ def local_exposure_of(
     """
     import cv2
 
+    given = shown.shape[1]
+    drawn, shown, photo = no_larger(drawn, shown, photo, _MOST_PIXELS)
     height, width = shown.shape
-    if width > _WIDEST:
-        # Large photos tell no more, and would take hundreds of megabytes.
-        shifts = shifts * np.float16(_WIDEST / width)
-        size = (_WIDEST, max(round(_WIDEST * height / width), 2))
-        smaller = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (drawn, photo))
-        drawn, photo = (np.asarray(one, np.uint8) for one in smaller)
-        shown = cv2.resize(shown.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        height, width = shown.shape
+    shifts = shifts * np.float16(width / given)
     moved = shifted(photo, shifts)
     # OpenCV's functions: NumPy is slow over a last axis of three.
     red, green, blue = cv2.split(cv2.absdiff(drawn, moved))

@@ -16,7 +16,7 @@ from stages.scans.prefetch import read_ahead, workers
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.texture import signed_areas
-from stages.texturing.alignment import shifts_of
+from stages.texturing.alignment import no_larger, shifts_of
 from stages.texturing.exposure import Exposure
 from stages.texturing.local_exposure import local_exposure_of
 from stages.texturing.pages import Pages, Texels, texels_of
@@ -171,7 +171,7 @@ class Painter:
             camera = kernel_camera(photo.camera, photo.camera_from_world)
             drawn, shown = painted_from(surface, camera, self._drawn.near)
             image = exposures[number].corrected(photo.image)
-            drawn, shown, image = _no_larger(drawn, shown, image)
+            drawn, shown, image = no_larger(drawn, shown, image, _MOST_PIXELS)
             shifts = shifts_of(drawn, shown, image)
             exposure = local_exposure_of(drawn, shown, image, shifts) if self._is_made_even else None
             return Correction(shifts * np.float16(photo.camera.width / image.shape[1]), exposure)
@@ -246,24 +246,6 @@ class Painter:
         )
         _fill_unseen(colors, labels < 0, texels, self._mesh)
         return colors, labels, views
-
-
-def _no_larger(
-    drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray[np.uint8]
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.uint8]]:
-    """Return what is drawn, where it is there, and the photo, as small as shifts are looked for in."""
-    import cv2
-
-    height, width = shown.shape
-    share = (_MOST_PIXELS / (width * height)) ** 0.5
-    if share >= 1:
-        return drawn, shown, photo
-    size = (max(round(width * share), 2), max(round(height * share), 2))
-    # Only what all of a pixel shows.
-    covered = cv2.resize(shown.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA) == 255
-    smaller = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (drawn, photo))
-    drawn, photo = (np.asarray(one, np.uint8) for one in smaller)
-    return drawn, covered, photo
 
 
 def _texels(size: float, kept: int) -> int:

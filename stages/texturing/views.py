@@ -141,16 +141,13 @@ def see_again(
     def prepared(number: int) -> _kernels.Photo:
         return _colors(photos.read(number), exposures[number], corrections[number])
 
-    numbers = range(len(photos))
-    for number, photo in zip(numbers, _each(prepared, numbers, photos), strict=True):
-        points.see_again(photo, number, wanted_threads=0)
-        progress()
+    _take_anew(points, photos, prepared, progress)
 
 
 def painted_from(
     texture: _kernels.TexturedSurface, camera: KernelCamera, near: float
 ) -> tuple[ColorImage, NDArray[np.bool_]]:
-    """Return what a camera sees of a texture, and where photos showed that, and levels are above 0."""
+    """Return what a camera sees of a texture, and where: not where levels are 0, which no photo showed."""
     import cv2
 
     drawn, shown = texture.seen_by(camera, near=near)
@@ -184,6 +181,15 @@ def see_details(
             detailed = with_lacking(detailed, image, *painted_from(texture, camera, near))
         return _kernels.Photo(camera, detailed, _blurred(image, photo.seen), warp=None)
 
+    _take_anew(points, photos, prepared, progress)
+
+
+def _take_anew(
+    points: _kernels.SurfacePoints,
+    photos: Photos,
+    prepared: Callable[[int], _kernels.Photo],
+    progress: Callable[[], object],
+) -> None:
     numbers = range(len(photos))
     for number, photo in zip(numbers, _each(prepared, numbers, photos), strict=True):
         points.see_again(photo, number, wanted_threads=0)

@@ -1,0 +1,31 @@
+"""What photos are worth beside those taken just before and after."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from photographed import photos
+
+from stages.progress import silent
+from stages.scans.scan import Frame
+from stages.texturing.photos import photos_of
+
+
+def blurred(frame: Frame, spread: float) -> Frame:
+    return replace(frame, color=cv2.GaussianBlur(np.asarray(frame.color), (0, 0), spread))
+
+
+def test_a_blurred_photo_counts_a_thirtieth():
+    frames = photos(12)
+    frames[5] = blurred(frames[5], 3.0)
+    worths = photos_of(frames, silent).worths
+    # They are squared where photos are weighed.
+    assert worths[5] ** 2 == pytest.approx(0.5**5)
+    assert np.median(worths) == 1
+
+
+def test_the_sharpest_of_blurred_photos_are_not_taken_down():
+    sharp, soft = photos(12), [blurred(frame, 1.0) for frame in photos(12)]
+    one, other = (photos_of(frames, silent).worths for frames in (sharp, soft))
+    assert other == pytest.approx(one, abs=0.25)
