@@ -4,10 +4,11 @@
 
 Each scan goes through `scanloom run` without every tenth frame. Prints a Markdown table: PSNR as it is and
 after one gain and bias a channel, SSIM, gradient energy over the photo's, share of the photos' pixels that
-count, seconds of the stage that made the colours, and the size of the textured mesh. Of several ratios the
-first has all rows, the others that of the texture alone. Photos are placed against each mesh (see
-`stages.comparing.left_out`). With --open3d Open3D's `project_images_to_albedo` is there, too, with the same
-cameras, on `bake`'s charts in one image of 2048²; it takes minutes.
+count, seconds of the stage that made the colours, the size of the textured mesh, and how visible borders of
+photos are in it (`seam_ratio`). Of several ratios the first has all rows, the others that of the texture
+alone. Photos are placed against each mesh (see `stages.comparing.left_out`). With --open3d Open3D's
+`project_images_to_albedo` is there, too, with the same cameras, on `bake`'s charts in one image of 2048²; it
+takes minutes.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ COLUMNS = (
     "placed",
     "seconds",
     "textured.glb, MB",
+    "seams",
 )
 _OPEN3D_SIZE = 2048
 
@@ -76,12 +78,19 @@ def main() -> None:
                 held_out = like_neighbours(scan.held_out, options.hold_out, scan.frames, used)
                 others = () if number else _others(Path(out), result, used, options.open3d)
                 for name, mesh, seconds in others:
-                    _print([folder.name, f"{ratio:g}", name], mesh, held_out, seconds, "")
+                    _print([folder.name, f"{ratio:g}", name], mesh, held_out, seconds, ["", ""])
                 textured = Path(out) / "textured.glb"
-                seconds = next(one.seconds for one in result.stages if one.stage == "texture")
+                stage = next(one for one in result.stages if one.stage == "texture")
                 megabytes = f"{textured.stat().st_size / 1e6:.2f}"
                 cells = [folder.name, f"{ratio:g}", "scanloom, texture"]
-                _print(cells, read_mesh(textured), held_out, seconds, megabytes)
+                seams = stage.figures["seam_ratio"]
+                _print(
+                    cells,
+                    read_mesh(textured),
+                    held_out,
+                    stage.seconds,
+                    [megabytes, "" if seams is None else f"{seams:.2f}"],
+                )
 
 
 def _used(scan: Scan, result: RunResult) -> Sequence[Frame]:
@@ -139,11 +148,11 @@ def _one_page(mesh: Mesh) -> Pages:
         texel_size *= 1.1
 
 
-def _print(first: list[str], mesh: Mesh, held_out: Sequence[Frame], seconds: float, last: str) -> None:
+def _print(first: list[str], mesh: Mesh, held_out: Sequence[Frame], seconds: float, last: list[str]) -> None:
     found = left_out(mesh, held_out).figures()
     cells = [f"{found[f'psnr_{kind}_db']:.2f}" for kind in ("raw", "affine")]
     cells += [f"{found['ssim']:.3f}", f"{found['sharpness']:.2f}", f"{found['coverage_share']:.2f}"]
-    print_row([*first, *cells, str(found["photos"]), str(found["placed"]), f"{seconds:.1f}", last])
+    print_row([*first, *cells, str(found["photos"]), str(found["placed"]), f"{seconds:.1f}", *last])
 
 
 if __name__ == "__main__":

@@ -524,6 +524,20 @@ class SurfacePoints:
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
         """Return colours (n, 3), the best view (n,), −1 for none, and how many views count (n,)."""
 
+    def level(
+        self,
+        colors: NDArray[np.float32],
+        pixels: NDArray[np.uint32],
+        *,
+        width: int,
+        reach: float,
+        wanted_threads: int,
+    ) -> None:
+        """Level colours (n, 3), in place, where the photos that count change from one pixel to the next.
+
+        `pixels` (n,) are row × width + column in an image; `reach` is how many pixels a border is felt.
+        """
+
 @final
 class TexturedSurface:
     """A mesh laid out in images."""

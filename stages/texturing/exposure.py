@@ -160,7 +160,8 @@ def _solved(
     radius2 = radii2[point, place].astype(np.float64)
     # An array for each channel: rows of three are slow.
     levels = [colors[point, place, k].astype(np.float64) for k in range(3)]
-    _, point = np.unique(point, return_inverse=True)
+    # They are in order.
+    point = np.cumsum(np.diff(point, prepend=point[0]) > 0)
     samples = np.bincount(view, minlength=count)
     known = samples >= _LEAST_SAMPLES
     # Of each channel.

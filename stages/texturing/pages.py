@@ -284,11 +284,13 @@ class Texels:
     pixels : (n,) uint32, row × width + column.
     triangles : (n,) uint32.
     shares : (n, 3) float32, of the triangle's corners.
+    width : of the image.
     """
 
     pixels: NDArray[np.uint32]
     triangles: NDArray[np.uint32]
     shares: NDArray[np.float32]
+    width: int
 
     def parts(self, count: int) -> list[Texels]:
         """Return them in parts of at most so many."""
@@ -314,10 +316,12 @@ class Texels:
             yield from self._some(np.flatnonzero(part == number)).parts(count)
 
     def _some(self, rows: slice | NDArray[np.intp]) -> Texels:
-        return Texels(self.pixels[rows], self.triangles[rows], self.shares[rows])
+        return Texels(self.pixels[rows], self.triangles[rows], self.shares[rows], self.width)
 
 
 def texels_of(pages: Pages, page: int) -> Texels:
     """Return what lies under the texels of an image."""
     width, height = pages.sizes[page]
-    return Texels(*_kernels.texels(pages.corners, pages.pages, page=page, width=width, height=height))
+    return Texels(
+        *_kernels.texels(pages.corners, pages.pages, page=page, width=width, height=height), width=width
+    )

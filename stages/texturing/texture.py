@@ -3,9 +3,9 @@
 The surface is laid out in images, at about the fineness of the photos. Every texel is looked up in all photos
 that show it: in front, not behind anything, where the frame's own depth agrees, not at the border. The best
 few are remembered, made equally bright, and blended: where they agree in what is blurred their mean, each by
-how well it shows the place. Then each photo is brought to what the texture says, in place by small shifts and
-in brightness here and there, and the texture is painted again. Where all are there already, the texture is
-painted again with the details that their mean has lost.
+how well it shows the place. Borders that photos leave where they end are levelled. Then each photo is brought
+to what the texture says, in place by small shifts and in brightness here and there, and the texture is
+painted again. Where all are there already, it is painted again with the details that their mean has lost.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from stages.texturing.views import Correction, DrawnMesh, drawn_mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 13
+RESULT_VERSION = 14
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.

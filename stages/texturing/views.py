@@ -36,6 +36,8 @@ _MARGIN = 1 / 210
 _NEAR = 1e-4
 # Standard deviation of the blur that parts details from the rest, of the photo's width.
 _BLUR = 3 / 640
+# Pixels of it from which it is found at half the size.
+_WIDE_BLUR = 2.0
 
 
 def kernel_camera(camera: Camera, camera_from_world: Pose) -> KernelCamera:
@@ -240,14 +242,26 @@ def _blurred(image: ColorImage, seen: NDArray[np.bool_] | None) -> ColorImage:
     """Return a photo without its details; what it does not show does not count."""
     import cv2
 
-    spread = max(_BLUR * image.shape[1], 0.5)
+    height, width = image.shape[:2]
+    whole = (width, height)
+    spread, size = max(_BLUR * width, 0.5), whole
+    if spread >= _WIDE_BLUR:
+        # Less is to be done at half the size, which blurs by itself: so much squared.
+        spread, size = (spread**2 - 0.75) ** 0.5 / 2, (width // 2, height // 2)
+
+    def blurred(values: NDArray[Any], kind: type) -> NDArray[Any]:
+        small: NDArray[Any] = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), kind)
+        return np.asarray(cv2.GaussianBlur(small, (0, 0), spread))
+
     if seen is None:
-        return np.asarray(cv2.GaussianBlur(image, (0, 0), spread), np.uint8)
-    weight = seen.astype(np.float32)
-    total = np.maximum(cv2.GaussianBlur(weight, (0, 0), spread), np.float32(1e-3))
-    sums = cv2.GaussianBlur(image * weight[..., None], (0, 0), spread)
-    # Rounded as NumPy does, to even, and cut off at 0 and 255.
-    return np.asarray(cv2.divide(sums, cv2.merge([total] * 3), dtype=cv2.CV_8U), np.uint8)
+        levels = blurred(image, np.uint8)
+    else:
+        inside = seen.astype(np.uint8)
+        sums = blurred(cv2.bitwise_and(image, image, mask=inside), np.float32)
+        total = np.maximum(blurred(inside * np.uint8(255), np.float32) / 255, np.float32(1e-3))
+        # Rounded as NumPy does, to even, and cut off at 0 and 255.
+        levels = np.asarray(cv2.divide(sums, cv2.merge([total] * 3), dtype=cv2.CV_8U))
+    return np.asarray(cv2.resize(levels, whole, interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
 def _border(seen: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.uint8]:

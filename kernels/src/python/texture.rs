@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 use numpy::ndarray::{Array2, Array3};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+    PyReadwriteArray2,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -16,6 +17,7 @@ use super::guarded::guarded;
 use crate::base::parallel::{collect, threads};
 use crate::texture::blend::{NO_VIEW, Weights, blend};
 use crate::texture::clusters::Clusters;
+use crate::texture::level::level;
 use crate::texture::pinhole::Pinhole;
 use crate::texture::pixels::Photo as Pixels;
 use crate::texture::shade::{Textured, shade as shaded};
@@ -195,6 +197,12 @@ fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
 #[pyclass(frozen, module = "stages._kernels")]
 pub struct SurfacePoints(Mutex<Points>);
 
+/// Of an image whose points are levelled, and of what is levelled at once.
+const MOST_PIXELS: usize = 1 << 30;
+const MOST_REACH: f32 = 100.0;
+/// Rows that take as much as what a few threads work on.
+const GRIDS: usize = 100_000;
+
 #[pymethods]
 impl SurfacePoints {
     /// `of` holds the triangle of each point in ascending order, `shares` those of its corners.
@@ -327,6 +335,37 @@ impl SurfacePoints {
                 PyArray1::from_vec(py, labels).unbind(),
                 PyArray1::from_vec(py, found.views).unbind(),
             ))
+        })
+    }
+
+    /// Level colours (n, 3), in place, where the photos that count change from one texel to the next; `pixels` (n,) are row ×
+    /// width + column in an image.
+    #[pyo3(signature = (colors, pixels, *, width, reach, wanted_threads))]
+    fn level(
+        &self,
+        py: Python<'_>,
+        mut colors: PyReadwriteArray2<'_, f32>,
+        pixels: PyReadonlyArray1<'_, u32>,
+        width: usize,
+        reach: f32,
+        wanted_threads: usize,
+    ) -> PyResult<()> {
+        let points = self.locked();
+        guarded(points.len() + GRIDS, || {
+            let (colors, pixels) = (colors.as_slice_mut()?.as_chunks_mut::<3>().0, pixels.as_slice()?);
+            let last = pixels.iter().copied().max().unwrap_or(0) as usize;
+            let is_image = width > 0 && last / width < MOST_PIXELS / width;
+            if [colors.len(), pixels.len()] != [points.len(); 2]
+                || !is_image
+                || !(1.0..=MOST_REACH).contains(&reach)
+            {
+                return Err(PyValueError::new_err(
+                    "colours and pixels do not go with the points or an image",
+                ));
+            }
+            detached(py, None, false, |progress| {
+                level(&points, colors, pixels, width, reach, threads(wanted_threads), progress)
+            })
         })
     }
 }

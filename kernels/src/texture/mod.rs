@@ -9,12 +9,16 @@
 //! | [`view`] | a photo with what its camera sees, and the colour of a point in it |
 //! | [`surface_points`] | points of the surface, each with its best few views |
 //! | [`blend`] | one colour of many |
+//! | [`level`] | borders levelled where photos end |
+//! | [`screened`] | the field whose differences come nearest to wanted ones |
 //! | [`shade`] | the textured mesh as a camera sees it |
 
 pub mod blend;
 pub mod clusters;
+pub mod level;
 pub mod pinhole;
 pub mod pixels;
+pub mod screened;
 pub mod shade;
 pub mod surface_points;
 pub mod view;

@@ -11,6 +11,10 @@ const FLAT: f64 = 0.15;
 /// Surfaces this share of their distance apart are one, and so are the surface and its measured depth.
 const SAME_DEPTH: f64 = 0.016;
 const SAME_MEASURED_DEPTH: f64 = 0.03;
+/// Up to so much a measured depth is that of the surface as well as it can be. From there on the view is worth less and less, and so
+/// little at last: where it ended at once, a border would be seen.
+const SURE_DEPTH: f64 = 0.005;
+const LEAST_MEASURED: f64 = 0.05;
 /// Slopes are steeper than this for no reason but noise.
 const MOST_TANGENT: f64 = 4.0;
 /// Of the image's width, where views begin to fade out.
@@ -241,7 +245,10 @@ impl View {
             match difference {
                 None => worth *= UNMEASURED,
                 Some(difference) if difference.abs() > SAME_MEASURED_DEPTH => return None,
-                _ => {}
+                Some(difference) => {
+                    let rest = (SAME_MEASURED_DEPTH - difference.abs()) / (SAME_MEASURED_DEPTH - SURE_DEPTH);
+                    worth *= rest.clamp(LEAST_MEASURED, 1.0) as f32;
+                }
             }
         }
         let mut score = value * worth * worth;

@@ -1,0 +1,164 @@
+//! Borders levelled where photos end, hidden by something, or by others that show a place better.
+//!
+//! From one texel to the next the photos that count change. What is blended of other photos differs by more than the surface
+//! does, since photos are never quite as bright as each other, and a border is seen. What photos that show both texels say of
+//! their difference is right; the colours are brought to it by a correction that fades to both sides, as Waechter et al. 2014
+//! ("Let there be color!", local adjustment) do with a seam of two photos.
+
+use super::screened::{Grid, Value};
+use super::surface_points::SurfacePoints;
+use crate::base::errors::KernelError;
+use crate::base::parallel::map;
+use crate::base::progress::Progress;
+
+/// Texels of an image that are levelled at once, by width and height, and more around them in so many times the reach: what is
+/// farther away is hardly felt.
+const TILE: usize = 512;
+const AROUND: f32 = 3.0;
+/// Photos that differ by more levels from the colour they count in show something else.
+const ELSE: f32 = 40.0;
+/// Corrections are kept in such parts of a level.
+const PARTS: f32 = 64.0;
+
+const NONE: u32 = u32::MAX;
+
+/// Points as they lie in an image.
+struct Image<'a> {
+    points: &'a SurfacePoints,
+    colors: &'a [[f32; 3]],
+    width: usize,
+    height: usize,
+    /// The point at each pixel, or [`NONE`].
+    at: Vec<u32>,
+}
+
+/// Level the colours of points that lie at pixels (row × width + column) of an image.
+///
+/// # Errors
+/// [`KernelError::OutOfMemory`] if there is no room for the image; as [`Progress::check`].
+pub fn level(
+    points: &SurfacePoints,
+    colors: &mut [[f32; 3]],
+    pixels: &[u32],
+    width: usize,
+    reach: f32,
+    threads: usize,
+    progress: &Progress,
+) -> Result<(), KernelError> {
+    let height = pixels.iter().max().map_or(0, |&last| last as usize / width + 1);
+    let mut at = vec![];
+    at.try_reserve_exact(width * height).map_err(|_| KernelError::OutOfMemory)?;
+    at.resize(width * height, NONE);
+    for (point, &pixel) in (0..).zip(pixels) {
+        at[pixel as usize] = point;
+    }
+    let image = Image { points, colors, width, height, at };
+    let across = width.div_ceil(TILE);
+    let tiles = across * height.div_ceil(TILE);
+    let start = |tile: usize| [tile % across * TILE, tile / across * TILE];
+    let corrections = map(tiles, threads, || (), |(), tile| image.corrections(start(tile), reach));
+    let at = image.at;
+    for (tile, corrections) in corrections.into_iter().enumerate() {
+        let mut corrections = corrections.into_iter();
+        let [x, y] = start(tile);
+        for row in y..(y + TILE).min(height) {
+            for &point in &at[row * width..][x..(x + TILE).min(width)] {
+                if point != NONE
+                    && let Some(correction) = corrections.next()
+                {
+                    for (level, part) in colors[point as usize].iter_mut().zip(correction) {
+                        *level = (*level + f32::from(part) / PARTS).clamp(0.0, 255.0);
+                    }
+                }
+            }
+        }
+    }
+    progress.check()
+}
+
+impl Image<'_> {
+    /// What is added to the points of a tile, row by row.
+    fn corrections(&self, start: [usize; 2], reach: f32) -> Vec<[i16; 3]> {
+        let around = (AROUND * reach).ceil() as usize;
+        let [left, top] = start.map(|s| s.saturating_sub(around));
+        let right = (start[0] + TILE + around).min(self.width);
+        let bottom = (start[1] + TILE + around).min(self.height);
+        let mut grid = Grid::new(right - left, bottom - top);
+        let mut is_any_wanted = false;
+        for y in top..bottom {
+            for x in left..right {
+                let point = self.at[y * self.width + x];
+                if point == NONE {
+                    continue;
+                }
+                let cell = grid.cell(x - left, y - top);
+                grid.pull(cell, 1.0 / (reach * reach));
+                if x + 1 < right
+                    && let Some(difference) = self.difference(point, self.at[y * self.width + x + 1])
+                {
+                    is_any_wanted |= difference != [0.0; 4];
+                    grid.ask_right(cell, &difference);
+                }
+                if y + 1 < bottom
+                    && let Some(difference) = self.difference(point, self.at[(y + 1) * self.width + x])
+                {
+                    is_any_wanted |= difference != [0.0; 4];
+                    grid.ask_down(cell, &difference);
+                }
+            }
+        }
+        if !is_any_wanted {
+            return vec![];
+        }
+        let field = grid.solved(reach);
+        let mut found = vec![];
+        for y in start[1]..(start[1] + TILE).min(bottom) {
+            for x in start[0]..(start[0] + TILE).min(right) {
+                if self.at[y * self.width + x] != NONE {
+                    let [red, green, blue, _] = field[grid.cell(x - left, y - top)];
+                    found.push([red, green, blue].map(|value| (value * PARTS) as i16));
+                }
+            }
+        }
+        found
+    }
+
+    /// By how much more two texels should differ: none if no photo shows both, nothing if the same photos do.
+    #[inline]
+    fn difference(&self, a: u32, b: u32) -> Option<Value> {
+        if b == NONE {
+            return None;
+        }
+        let (a, b) = (a as usize, b as usize);
+        let (one, other) = (self.points.samples(a), self.points.samples(b));
+        if one.views == other.views && !one.is_empty() {
+            return Some([0.0; 4]);
+        }
+        let (mut sum, mut weights, mut common) = ([0.0; 3], 0.0, 0);
+        for (i, view) in one.views.iter().enumerate() {
+            let Some(j) = other.views.iter().position(|other| other == view) else { continue };
+            common += 1;
+            let (here, there) = (one.colors[i][0], other.colors[j][0]);
+            if is_else(here, &self.colors[a]) || is_else(there, &self.colors[b]) {
+                continue;
+            }
+            let weight = one.scores[i].min(other.scores[j]);
+            for k in 0..3 {
+                sum[k] += weight * (f32::from(here[k]) - f32::from(there[k]));
+            }
+            weights += weight;
+        }
+        if common == one.len() && common == other.len() && common > 0 {
+            return Some([0.0; 4]);
+        }
+        (weights > 0.0).then(|| {
+            let wanted = [0, 1, 2].map(|k| sum[k] / weights - (self.colors[a][k] - self.colors[b][k]));
+            [wanted[0], wanted[1], wanted[2], 0.0]
+        })
+    }
+}
+
+#[inline]
+fn is_else(photo: [u8; 3], color: &[f32; 3]) -> bool {
+    (0..3).any(|k| (f32::from(photo[k]) - color[k]).abs() > ELSE)
+}

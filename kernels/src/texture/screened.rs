@@ -1,0 +1,300 @@
+//! The smooth field whose differences come nearest to wanted ones: a screened Poisson equation on a grid (Pérez, Gangnet and
+//! Blake 2003, "Poisson image editing"; Bhat et al. 2008, "Fourier analysis of the 2D screened Poisson equation").
+//!
+//! From coarse to fine: what spreads far is found on few cells, and a few sweeps of Gauss and Seidel do the rest.
+
+/// Three channels, and one to go with wide instructions.
+pub type Value = [f32; 4];
+
+/// How often coarser grids are asked what is still missing; sweeps before and after that, and at the coarsest.
+const CYCLES: usize = 2;
+const SWEEPS: usize = 2;
+const COARSEST_SWEEPS: usize = 8;
+/// Cells over which the field fades at the coarsest level.
+const COARSEST_REACH: f32 = 1.5;
+
+/// Sought is f with the least Σ w (f(a) − f(b) − d)² over neighbours, plus Σ pull f² over cells.
+#[derive(Debug)]
+pub struct Grid {
+    /// Cells in a row, with one of no weight at either end, as there is a row of such before and after all.
+    stride: usize,
+    rows: usize,
+    /// What differences to the next cell, and to the next row, weigh.
+    right: Vec<f32>,
+    down: Vec<f32>,
+    /// Sums over a cell's neighbours: of w d.
+    wanted: Vec<Value>,
+    pull: Vec<f32>,
+    shares: Vec<f32>,
+}
+
+impl Grid {
+    /// Without any weight.
+    pub fn new(width: usize, height: usize) -> Self {
+        let (stride, rows) = (width + 2, height + 2);
+        let cells = stride * rows;
+        Self {
+            stride,
+            rows,
+            right: vec![0.0; cells],
+            down: vec![0.0; cells],
+            wanted: vec![[0.0; 4]; cells],
+            pull: vec![0.0; cells],
+            shares: vec![0.0; cells],
+        }
+    }
+
+    #[inline]
+    pub fn cell(&self, x: usize, y: usize) -> usize {
+        (y + 1) * self.stride + x + 1
+    }
+
+    /// Draw a cell to zero.
+    #[inline]
+    pub fn pull(&mut self, cell: usize, weight: f32) {
+        self.pull[cell] = weight;
+    }
+
+    /// Ask for a difference from a cell to the next one in its row, which is this less.
+    #[inline]
+    pub fn ask_right(&mut self, cell: usize, difference: &Value) {
+        self.right[cell] = 1.0;
+        self.ask(cell, cell + 1, difference);
+    }
+
+    /// The same to the one below.
+    #[inline]
+    pub fn ask_down(&mut self, cell: usize, difference: &Value) {
+        self.down[cell] = 1.0;
+        self.ask(cell, cell + self.stride, difference);
+    }
+
+    fn ask(&mut self, a: usize, b: usize, difference: &Value) {
+        self.wanted[a] = std::array::from_fn(|k| self.wanted[a][k] + difference[k]);
+        self.wanted[b] = std::array::from_fn(|k| self.wanted[b][k] - difference[k]);
+    }
+
+    /// The field at each cell; `reach` is how many cells a difference is felt: the root of a weight over the pull.
+    pub fn solved(&mut self, reach: f32) -> Vec<Value> {
+        self.weigh();
+        let mut coarser: Vec<Self> = vec![];
+        let mut felt = reach;
+        while felt > COARSEST_REACH {
+            coarser.push(coarser.last().unwrap_or(self).coarser());
+            felt *= 0.5;
+        }
+        let mut field = vec![[0.0; 4]; self.wanted.len()];
+        for _ in 0..CYCLES {
+            self.cycle(&mut field, &mut coarser);
+        }
+        field
+    }
+
+    /// Bring a field nearer to what is sought: what is far from it over several cells is found on the coarser grids.
+    fn cycle(&self, field: &mut [Value], coarser: &mut [Self]) {
+        self.relax(field, SWEEPS);
+        let Some((coarse, still_coarser)) = coarser.split_first_mut() else {
+            self.relax(field, COARSEST_SWEEPS);
+            return;
+        };
+        coarse.wanted.fill([0.0; 4]);
+        for (cell, above) in self.cells(coarse) {
+            let missing = self.missing(field, cell);
+            coarse.wanted[above] = std::array::from_fn(|k| coarse.wanted[above][k] + missing[k]);
+        }
+        let mut more = vec![[0.0; 4]; coarse.wanted.len()];
+        coarse.cycle(&mut more, still_coarser);
+        for (cell, above) in self.cells(coarse) {
+            if self.pull[cell] > 0.0 {
+                field[cell] = std::array::from_fn(|k| field[cell][k] + more[above][k]);
+            }
+        }
+        self.relax(field, SWEEPS);
+    }
+
+    /// Each cell, and the coarser one that it is in.
+    fn cells(&self, coarse: &Self) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let (stride, rows, above) = (self.stride, self.rows, coarse.stride);
+        (1..rows - 1).flat_map(move |row| {
+            (1..stride - 1)
+                .map(move |column| (row * stride + column, row.div_ceil(2) * above + column.div_ceil(2)))
+        })
+    }
+
+    /// Four cells are one; the same difference over twice the distance is half as steep. Nothing is wanted yet.
+    fn coarser(&self) -> Self {
+        let [width, height] = [self.stride, self.rows].map(|size| (size - 2).div_ceil(2));
+        let mut coarse = Self::new(width, height);
+        for (cell, above) in self.cells(&coarse) {
+            coarse.pull[above] += self.pull[cell];
+            let [row, column] = [cell / self.stride, cell % self.stride];
+            coarse.right[above] += if column % 2 == 0 { 0.5 * self.right[cell] } else { 0.0 };
+            coarse.down[above] += if row % 2 == 0 { 0.5 * self.down[cell] } else { 0.0 };
+        }
+        coarse.weigh();
+        coarse
+    }
+
+    /// What is wanted at a cell beyond what the field there gives.
+    #[inline(always)]
+    fn missing(&self, field: &[Value], cell: usize) -> Value {
+        let here = field[cell];
+        let sides = [
+            (self.right[cell], cell + 1),
+            (self.right[cell - 1], cell - 1),
+            (self.down[cell], cell + self.stride),
+            (self.down[cell - self.stride], cell - self.stride),
+        ];
+        let mut missing = self.wanted[cell];
+        for k in 0..4 {
+            missing[k] -= self.pull[cell] * here[k];
+            for (weight, side) in sides {
+                missing[k] += weight * (field[side][k] - here[k]);
+            }
+        }
+        missing
+    }
+
+    /// Sweeps of Gauss and Seidel, forwards and backwards in turn.
+    fn relax(&self, field: &mut [Value], sweeps: usize) {
+        for sweep in 0..sweeps {
+            for i in 1..self.rows - 1 {
+                let is_forwards = sweep % 2 == 0;
+                let row = if is_forwards { i } else { self.rows - 1 - i };
+                let (before, from) = field.split_at_mut(row * self.stride);
+                let (here, after) = from.split_at_mut(self.stride);
+                let sides = [&before[before.len() - self.stride..], &after[..self.stride]];
+                self.relax_row(row, here, sides, is_forwards);
+            }
+        }
+    }
+
+    /// The row between two others.
+    fn relax_row(&self, row: usize, here: &mut [Value], [above, below]: [&[Value]; 2], is_forwards: bool) {
+        let stride = self.stride;
+        let right = &self.right[row * stride..][..stride];
+        let down = &self.down[row * stride..][..stride];
+        let up = &self.down[(row - 1) * stride..][..stride];
+        let wanted = &self.wanted[row * stride..][..stride];
+        let shares = &self.shares[row * stride..][..stride];
+        let (here, above, below) = (&mut here[..stride], &above[..stride], &below[..stride]);
+        // What was found last is kept at hand, and comes last: the processor need not wait for it.
+        let mut last = [0.0; 4];
+        let mut update = |i: usize, next: usize, weight_next: f32, weight_last: f32| {
+            let [wanted, above, below, next] = [wanted[i], above[i], below[i], here[next]];
+            last = std::array::from_fn(|k| {
+                let others = wanted[k] + up[i] * above[k] + down[i] * below[k] + weight_next * next[k];
+                shares[i] * (others + weight_last * last[k])
+            });
+            here[i] = last;
+        };
+        if is_forwards {
+            for i in 1..stride - 1 {
+                update(i, i + 1, right[i], right[i - 1]);
+            }
+        } else {
+            for i in (1..stride - 1).rev() {
+                update(i, i - 1, right[i - 1], right[i]);
+            }
+        }
+    }
+
+    /// One over what draws at each cell; nothing pulls those that stay at zero.
+    fn weigh(&mut self) {
+        for cell in self.stride..self.pull.len() - self.stride {
+            let pull = self.pull[cell];
+            let (before, above) = (self.right[cell - 1], self.down[cell - self.stride]);
+            let all = pull + self.right[cell] + before + self.down[cell] + above;
+            self.shares[cell] = if pull > 0.0 { 1.0 / all } else { 0.0 };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const REACH: f32 = 8.0;
+
+    /// A step of 1 is asked for between two columns.
+    fn step(width: usize, height: usize, at: usize) -> Grid {
+        let mut grid = Grid::new(width, height);
+        for y in 0..height {
+            for x in 0..width {
+                let cell = grid.cell(x, y);
+                grid.pull(cell, 1.0 / (REACH * REACH));
+                if x + 1 < width {
+                    grid.ask_right(cell, &[if x + 1 == at { 1.0 } else { 0.0 }; 4]);
+                }
+                if y + 1 < height {
+                    grid.ask_down(cell, &[0.0; 4]);
+                }
+            }
+        }
+        grid
+    }
+
+    #[test]
+    fn a_step_is_met_and_fades() {
+        let mut grid = step(101, 40, 51);
+        let cells: Vec<usize> = (0..101).map(|x| grid.cell(x, 20)).collect();
+        let field = grid.solved(REACH);
+        let at = |x: usize| field[cells[x]][0];
+        // In one dimension it is exp(−x / reach) / 2 to both sides, but for the cells' size.
+        for away in 0..50 {
+            let wanted = 0.5 * (-(away as f32 + 0.5) / REACH).exp();
+            assert!((at(50 - away) - wanted).abs() < 0.04, "{away}: {} {wanted}", at(50 - away));
+            assert!(
+                (at(51 + away.min(49)) + 0.5 * (-(away.min(49) as f32 + 0.5) / REACH).exp()).abs() < 0.04
+            );
+        }
+    }
+
+    #[test]
+    fn few_sweeps_come_near_to_many() {
+        let mut state = 7u32;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f32::from((state >> 24) as u8) / 255.0
+        };
+        let (width, height) = (90, 70);
+        let mut grid = Grid::new(width, height);
+        // A border along a wavy line, holes, and pairs of which nothing is known.
+        let is_there = |x: usize, y: usize| x % 17 != 5 || y % 13 > 6;
+        let side = |x: usize, y: usize| x as f32 > 45.0 + 10.0 * (y as f32 / 9.0).sin();
+        for y in 0..height {
+            for x in 0..width {
+                if !is_there(x, y) {
+                    continue;
+                }
+                let cell = grid.cell(x, y);
+                grid.pull(cell, 1.0 / (REACH * REACH));
+                for (dx, dy) in [(1, 0), (0, 1)] {
+                    let (i, j) = (x + dx, y + dy);
+                    if i >= width || j >= height || !is_there(i, j) || next() < 0.05 {
+                        continue;
+                    }
+                    let difference = f32::from(side(x, y)) - f32::from(side(i, j));
+                    if dx == 1 {
+                        grid.ask_right(cell, &[difference; 4]);
+                    } else {
+                        grid.ask_down(cell, &[difference; 4]);
+                    }
+                }
+            }
+        }
+        let found = grid.solved(REACH);
+        let mut exact = found.clone();
+        grid.relax(&mut exact, 2000);
+        let apart = found.iter().zip(&exact).map(|(a, b)| (a[0] - b[0]).abs());
+        let largest = exact.iter().fold(0.0f32, |most, value| most.max(value[0].abs()));
+        assert!(largest > 0.4);
+        assert!(apart.fold(0.0, f32::max) < 0.08);
+    }
+
+    #[test]
+    fn where_nothing_is_asked_nothing_changes() {
+        let mut grid = Grid::new(30, 20);
+        assert!(grid.solved(REACH).iter().flatten().all(|&value| value == 0.0));
+    }
+}

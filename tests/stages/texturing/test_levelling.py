@@ -1,0 +1,215 @@
+"""Borders that photos leave where they end are levelled: by an equation that SciPy solves, too."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from photographed import paint, photo, pose, wall
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from stages import _kernels
+from stages.progress import silent
+from stages.surface.vertex_normals import vertex_normals
+from stages.texturing import painting
+from stages.texturing.exposure import no_exposure
+from stages.texturing.photos import photos_of
+from stages.texturing.texture import texture
+from stages.texturing.views import drawn_mesh, see
+
+SIDE = 120
+REACH = 8.0
+# Photos that differ by more from the colour that they count in show something else.
+ELSE = 40
+
+
+class Seen(NamedTuple):
+    """The wall in an image of SIDE × SIDE pixels: those that are there, what photos show, and their blend."""
+
+    points: _kernels.SurfacePoints
+    pixels: np.ndarray
+    colors: np.ndarray
+
+    def levelled(self, threads: int = 1, reach: float = REACH) -> np.ndarray:
+        found = self.colors.copy()
+        self.points.level(found, self.pixels, width=SIDE, reach=reach, wanted_threads=threads)
+        return found
+
+
+def seen(offsets: list[float], there: np.ndarray | None = None) -> Seen:
+    """Photos of parts of the wall, each brighter by so much, at some pixels (SIDE, SIDE)."""
+    there = np.ones((SIDE, SIDE), bool) if there is None else there
+    places = [(x, y) for x in (0.25, 0.5, 0.75) for y in (0.3, 0.7)]
+    frames = [photo(n, pose(x, y, z=-0.9)) for n, (x, y) in enumerate(places[: len(offsets)])]
+    frames = [
+        replace(one, color=(np.array(one.color, float) + offset).clip(1, 254).astype(np.uint8))
+        for one, offset in zip(frames, offsets, strict=True)
+    ]
+    mesh = wall(1)
+    rows, columns = np.nonzero(there)
+    x, y = (columns + 0.5) / SIDE, (rows + 0.5) / SIDE
+    # The cell's triangles are (0, 2, 1) and (1, 2, 3) of its corners (0, 0), (1, 0), (0, 1), (1, 1).
+    is_second = x + y > 1
+    shares = np.where(
+        is_second[:, None], np.stack([1 - y, 1 - x, x + y - 1], 1), np.stack([1 - x - y, y, x], 1)
+    )
+    order = np.argsort(is_second, kind="stable")
+    points = _kernels.SurfacePoints(
+        mesh.vertices,
+        vertex_normals(mesh),
+        mesh.triangles,
+        is_second[order].astype(np.uint32),
+        shares[order].astype(np.float32),
+        kept=2,
+    )
+    used = photos_of(frames, silent)
+    used = replace(used, worths=np.ones(len(used)))
+    see(points, drawn_mesh(mesh), used, [no_exposure()] * len(used), None, lambda: None)
+    colors, _, _ = points.blend(blurred=1, details=1, deviations=50, levels=255, wanted_threads=1)
+    return Seen(points, (rows * SIDE + columns)[order].astype(np.uint32), colors)
+
+
+def pairs(pixels: np.ndarray) -> np.ndarray:
+    """Points whose pixels are beside or above each other (k, 2)."""
+    at = np.full(SIDE * SIDE, -1)
+    at[pixels] = np.arange(len(pixels))
+    at = at.reshape(SIDE, SIDE)
+    beside = [np.stack([a.ravel(), b.ravel()], 1) for a, b in ((at[:, :-1], at[:, 1:]), (at[:-1], at[1:]))]
+    both = np.concatenate(beside)
+    return both[(both >= 0).all(axis=1)]
+
+
+def changes(one: Seen) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pairs, and of which the photos that are kept differ."""
+    views = np.sort(one.points.samples()[0], axis=1)
+    found = pairs(one.pixels)
+    return found, (views[found[:, 0]] != views[found[:, 1]]).any(axis=1)
+
+
+def solved(one: Seen, reach: float) -> np.ndarray:
+    """The equation's solution, from nothing but its words."""
+    views, colors, scores = one.points.samples()
+    matrix = sparse.lil_matrix((len(one.pixels), len(one.pixels)))
+    right = np.zeros((len(one.pixels), 3))
+    for (a, b), differs in zip(*changes(one), strict=True):
+        wanted = np.zeros(3)
+        if (views[a] < 0).all() or (views[b] < 0).all():
+            continue
+        if differs:
+            common = [
+                (min(scores[a, i], scores[b, j]), colors[a, i].astype(float), colors[b, j].astype(float))
+                for i in range(views.shape[1])
+                for j in range(views.shape[1])
+                if views[a, i] == views[b, j] >= 0
+                and np.abs(colors[a, i] - one.colors[a]).max() <= ELSE
+                and np.abs(colors[b, j] - one.colors[b]).max() <= ELSE
+            ]
+            if not common:
+                continue
+            total = sum(weight for weight, _, _ in common)
+            wanted = sum(weight * (here - there) for weight, here, there in common) / total
+            wanted = wanted - (one.colors[a] - one.colors[b])
+        for i, sign in ((a, 1), (b, -1)):
+            matrix[i, i] += 1
+            right[i] += sign * wanted
+        matrix[a, b] -= 1
+        matrix[b, a] -= 1
+    matrix.setdiag(matrix.diagonal() + 1 / reach**2)
+    solution = np.stack([spsolve(matrix.tocsr(), right[:, k]) for k in range(3)], axis=1)
+    return np.asarray((one.colors + solution).clip(0, 255))
+
+
+OFFSETS = [8.0, -8.0, 5.0, -6.0, 9.0, -3.0]
+
+
+def test_it_solves_its_equation():
+    rng = np.random.default_rng(4)
+    there = rng.random((SIDE, SIDE)) > 0.03
+    there[:, 70:73] = False
+    one = seen(OFFSETS, there)
+    found, wanted = one.levelled(), solved(one, REACH)
+    by = np.abs(wanted - one.colors).max()
+    assert by > 3
+    # A few sweeps from coarse to fine in place of an exact solution.
+    assert np.abs(found - wanted).max() < 0.15 * by
+    assert np.sqrt(np.mean((found - wanted) ** 2)) < 0.1 * np.sqrt(np.mean((wanted - one.colors) ** 2))
+
+
+def test_borders_are_hardly_seen_any_more():
+    one = seen(OFFSETS)
+    at, differ = changes(one)
+    assert 0.005 < differ.mean() < 0.3
+
+    def ratio(colors: np.ndarray) -> float:
+        apart = np.abs(colors[at[:, 0]] - colors[at[:, 1]]).mean(axis=1)
+        return float(apart[differ].mean() / apart[~differ].mean())
+
+    assert (one.points.samples()[0][:, 0] >= 0).all()
+    truth = paint(*((np.stack([one.pixels % SIDE, one.pixels // SIDE]) + 0.5) / SIDE)).astype(np.float32)
+    before, after, there = ratio(one.colors), ratio(one.levelled()), ratio(truth)
+    assert before > 1.3 * there
+    assert after < there + 0.25 * (before - there)
+    off = [np.abs(colors - truth).mean() for colors in (one.colors, one.levelled())]
+    assert off[1] < off[0] + 0.1
+
+
+def test_where_the_same_photos_count_nothing_changes():
+    one = seen([8.0])
+    assert np.array_equal(one.levelled(), one.colors)
+
+
+def test_photos_that_agree_change_little():
+    one = seen([0.0] * 6)
+    assert np.abs(one.levelled() - one.colors).max() < 2
+
+
+def test_nothing_is_levelled_across_a_gap():
+    there = np.ones((SIDE, SIDE), bool)
+    there[:, 60] = False
+    both, left = seen(OFFSETS, there), seen(OFFSETS, there & (np.arange(SIDE) < 60))
+    at = {pixel: i for i, pixel in enumerate(both.pixels)}
+    same = np.array([at[pixel] for pixel in left.pixels])
+    assert np.array_equal(both.colors[same], left.colors)
+    # Where the coarse cells lie is the same for both.
+    np.testing.assert_allclose(both.levelled()[same], left.levelled(), atol=0.3)
+
+
+@pytest.mark.parametrize("threads", [2, 5])
+def test_threads_change_no_bit(threads: int):
+    one = seen(OFFSETS)
+    assert np.array_equal(one.levelled(), one.levelled(threads))
+
+
+@pytest.mark.parametrize("named", [{"width": 0}, {"reach": 0.0}, {"reach": float("nan")}, {"reach": 1e9}])
+def test_what_means_nothing_is_refused(named: dict[str, float]):
+    one = seen([0.0])
+    given = {"width": SIDE, "reach": REACH, "wanted_threads": 1} | named
+    with pytest.raises(ValueError, match="do not go with"):
+        one.points.level(one.colors, one.pixels, **given)
+
+
+def test_points_need_a_pixel_each():
+    one = seen([0.0])
+    for pixels in (one.pixels[:-1], np.full_like(one.pixels, 2**32 - 1)):
+        with pytest.raises(ValueError, match="do not go with"):
+            one.points.level(one.colors, pixels, width=SIDE, reach=REACH, wanted_threads=1)
+
+
+def test_a_texture_of_photos_that_differ_shows_fewer_borders(monkeypatch: pytest.MonkeyPatch):
+    # Something stands before the wall in each photo, somewhere else: photos end all over it.
+    rng = np.random.default_rng(2)
+    frames = []
+    for number, (x, y) in enumerate(rng.uniform(0.3, 0.7, (8, 2))):
+        one = photo(number, pose(x, y, z=-0.5))
+        color, depth = np.array(one.color), np.array(one.depth)
+        left, top = rng.integers(20, 100), rng.integers(20, 70)
+        color[top : top + 40, left : left + 40] = (200, 40, 40)
+        depth[top : top + 40, left : left + 40] = 0.2
+        light = np.where(color > 0, color.astype(float) + rng.uniform(-25, 25), 0)
+        frames.append(replace(one, color=np.rint(light).clip(0, 254).astype(np.uint8), depth=depth))
+    levelled = texture(wall(), frames, format="png", exposure=False, rounds=0)
+    monkeypatch.setattr(painting, "level_borders", lambda *_: None)
+    without = texture(wall(), frames, format="png", exposure=False, rounds=0)
+    assert without.seams > 1.5
+    assert levelled.seams < 1 + 0.5 * (without.seams - 1)
