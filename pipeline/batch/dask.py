@@ -8,6 +8,7 @@ its worker died is begun again by Dask elsewhere, from what is in the cache.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -152,10 +153,14 @@ def _cluster(system: str, workers: int | None) -> Any:
     """Return a cluster whose workers a system of a computing centre starts, as the user has configured it."""
     if workers is None:
         raise UsageError(f"--scheduler {system} needs --jobs N: how many workers to ask it for.")
+    ctrl_c = signal.getsignal(signal.SIGINT)
     try:
         import dask_jobqueue
     except ImportError as error:
         raise UsageError(f"--scheduler {system} needs dask-jobqueue; install scanloom[dask].") from error
+    if signal.getsignal(signal.SIGINT) is not ctrl_c:
+        # As it is imported it takes Ctrl-C for an end in good order: whatever calls this would seem done.
+        signal.signal(signal.SIGINT, ctrl_c)
     try:
         cluster = getattr(dask_jobqueue, SYSTEMS[system])()
     except (ValueError, TypeError, OSError) as error:

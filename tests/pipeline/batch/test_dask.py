@@ -11,6 +11,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -125,7 +126,8 @@ echo "Submitted batch job 7"
 
 
 def test_workers_are_started_by_slurm(tmp_path: Path):
-    pytest.importorskip("dask_jobqueue")
+    if find_spec("dask_jobqueue") is None:
+        pytest.skip("dask-jobqueue is not installed")
     scans, out = write_small_scans(tmp_path / "scans", 2), tmp_path / "out"
     (tmp_path / "bin").mkdir()
     for name, text in (
@@ -144,6 +146,32 @@ def test_workers_are_started_by_slurm(tmp_path: Path):
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 0, said
     assert (out / "scan-0001" / "clean.ply").is_file()
+
+
+CTRL_C = """
+import signal, sys
+from pathlib import Path
+from pipeline.batch.dask import work_by_dask
+from pipeline.batch.queue import Job, Settings, new_queue
+from stages.errors import InputError
+
+queue = new_queue(Path(sys.argv[1]), 1, Settings(""), [Job(0, "x", "x")])
+try:
+    # Nothing says how many processors a worker has.
+    work_by_dask(queue, "slurm", workers=1)
+except InputError:
+    assert "dask_jobqueue" in sys.modules
+    signal.raise_signal(signal.SIGINT)
+"""
+
+
+def test_ctrl_c_stays_an_interruption(tmp_path: Path):
+    if find_spec("dask_jobqueue") is None:
+        pytest.skip("dask-jobqueue is not installed")
+    words = [sys.executable, "-c", CTRL_C, str(tmp_path)]
+    child = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    assert child.returncode == -signal.SIGINT, child.stderr
+    assert child.stderr.strip().endswith("KeyboardInterrupt")
 
 
 def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path):
