@@ -24,6 +24,10 @@ const MOST: usize = 8;
 /// With fewer triangles left one thread is faster.
 const FEW: usize = 1 << 13;
 
+/// More threads wait for each other longer than they grow: with four it was seen to take half as long again as with two, with
+/// sixteen three times as long.
+const MOST_THREADS: usize = 2;
+
 /// How many seeds to pass over where a patch ahead was spoiled, at first and at most: an earlier one is growing there.
 const STEPS: [usize; 2] = [1 << 8, 1 << 20];
 
@@ -66,7 +70,7 @@ pub fn grow_all<const D: usize, const K: usize>(
         changed: Condvar::new(),
     };
     thread::scope(|scope| {
-        for _ in 1..ground.options.threads {
+        for _ in 1..ground.options.threads.min(MOST_THREADS) {
             let progress = progress.clone();
             if spawn(scope, || turns.run(progress)).is_none() {
                 break;
