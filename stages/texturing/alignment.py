@@ -88,7 +88,8 @@ def no_larger(
         return drawn, shown, photo
     size = (max(round(width * share), 2), max(round(height * share), 2))
     covered = cv2.resize(shown.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA) == 255
-    drawn, photo = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (drawn, photo))  # type: ignore[assignment]
+    smaller = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (drawn, photo))
+    drawn, photo = (np.asarray(one, np.uint8) for one in smaller)
     return drawn, covered, photo
 
 

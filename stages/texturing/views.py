@@ -36,8 +36,8 @@ _MARGIN = 1 / 210
 _NEAR = 1e-4
 # Standard deviation of the blur that parts details from the rest, of the photo's width.
 _BLUR = 3 / 640
-# Pixels of it from which it is found at half the size.
-_WIDE_BLUR = 2.0
+# Pixels of it from which it is found at half the size, and what that blurs by itself.
+_WIDE_BLUR, _BLUR_OF_HALVING = 2.0, 0.87
 
 
 def kernel_camera(camera: Camera, camera_from_world: Pose) -> KernelCamera:
@@ -246,8 +246,8 @@ def _blurred(image: ColorImage, seen: NDArray[np.bool_] | None) -> ColorImage:
     whole = (width, height)
     spread, size = max(_BLUR * width, 0.5), whole
     if spread >= _WIDE_BLUR:
-        # Less is to be done at half the size, which blurs by itself: so much squared.
-        spread, size = (spread**2 - 0.75) ** 0.5 / 2, (width // 2, height // 2)
+        # At half the size there is less to do. To make it smaller and larger again blurs by itself.
+        spread, size = (spread**2 - _BLUR_OF_HALVING**2) ** 0.5 / 2, (width // 2, height // 2)
 
     def blurred(values: NDArray[Any], kind: type) -> NDArray[Any]:
         small: NDArray[Any] = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), kind)
@@ -256,9 +256,8 @@ def _blurred(image: ColorImage, seen: NDArray[np.bool_] | None) -> ColorImage:
     if seen is None:
         levels = blurred(image, np.uint8)
     else:
-        inside = seen.astype(np.uint8)
-        sums = blurred(cv2.bitwise_and(image, image, mask=inside), np.float32)
-        total = np.maximum(blurred(inside * np.uint8(255), np.float32) / 255, np.float32(1e-3))
+        sums = blurred(cv2.bitwise_and(image, image, mask=seen.astype(np.uint8)), np.float32)
+        total = np.maximum(blurred(seen.astype(np.float32), np.float32), np.float32(1e-3))
         # Rounded as NumPy does, to even, and cut off at 0 and 255.
         levels = np.asarray(cv2.divide(sums, cv2.merge([total] * 3), dtype=cv2.CV_8U))
     return np.asarray(cv2.resize(levels, whole, interpolation=cv2.INTER_LINEAR), np.uint8)

@@ -24,8 +24,7 @@ const MOST: usize = 8;
 /// With fewer triangles left one thread is faster.
 const FEW: usize = 1 << 13;
 
-/// More threads wait for each other longer than they grow: with four it was seen to take half as long again as with two, with
-/// sixteen three times as long.
+/// More threads wait for each other longer than they grow.
 const MOST_THREADS: usize = 2;
 
 /// How many seeds to pass over where a patch ahead was spoiled, at first and at most: an earlier one is growing there.

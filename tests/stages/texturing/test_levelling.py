@@ -132,8 +132,8 @@ def test_it_solves_its_equation():
     by = np.abs(wanted - one.colors).max()
     assert by > 3
     # A few sweeps from coarse to fine in place of an exact solution.
-    assert np.abs(found - wanted).max() < 0.15 * by
-    assert np.sqrt(np.mean((found - wanted) ** 2)) < 0.1 * np.sqrt(np.mean((wanted - one.colors) ** 2))
+    assert np.abs(found - wanted).max() < 0.03 * by
+    assert np.sqrt(np.mean((found - wanted) ** 2)) < 0.03 * np.sqrt(np.mean((wanted - one.colors) ** 2))
 
 
 def test_borders_are_hardly_seen_any_more():
