@@ -2,7 +2,8 @@
 
 trajectory.tum   a pose a line, camera-to-world, of all frames that have one, as given if not adjusted
 cameras.json     those that were adjusted, as matrices by the frame's place in the scan, and their names;
-                 the colour camera, if it was adjusted; whether it is used, and why (`scan.adjusted` reads it)
+                 the colour camera, if it was adjusted; how cameras turn while rows are read, if that was;
+                 whether it is used, and why (`scan.adjusted` reads it)
 
 Where what was found is not better there is no trajectory, and frames stay as they are.
 """
@@ -40,6 +41,7 @@ def write(folder: Path, found: Adjusted) -> Mapping[str, Any]:
         "color_from_depth": apart,
         "names": {str(place): found.frames[place].name for place in poses},
         "poses": {str(place): pose.tolist() for place, pose in poses.items()},
+        "shutter_turns": _turns(found),
     }
     (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
     return found.figures()
@@ -50,7 +52,11 @@ def placed(scan: Scan, folder: Path) -> Scan:
     if not (folder / _FILE).exists():
         return scan
     found = json.loads((folder / _FILE).read_text(encoding="utf-8"))
-    frames = [_placed(frame, found["poses"].get(str(place))) for place, frame in enumerate(scan.frames)]
+    turns = found["shutter_turns"] or {}
+    frames = [
+        _placed(frame, found["poses"].get(str(place)), turns.get(str(place)))
+        for place, frame in enumerate(scan.frames)
+    ]
     if found["color_camera"] is not None:
         camera, apart = Camera(**_as_tuple(found["color_camera"])), np.array(found["color_from_depth"])
         frames = [_seen_by(frame, camera, apart) for frame in frames]
@@ -70,7 +76,16 @@ def _as_tuple(camera: Mapping[str, Any]) -> dict[str, Any]:
     return {**camera, "distortion": tuple(camera["distortion"])}
 
 
-def _placed(frame: Frame, pose: list[list[float]] | None) -> Frame:
+def _turns(found: Adjusted) -> dict[str, list[float]] | None:
+    if not found.has_turns:
+        return None
+    turns = {place: found.frames[place].shutter_turn for place in found.places}
+    return {str(place): turn.tolist() for place, turn in turns.items() if turn is not None}
+
+
+def _placed(frame: Frame, pose: list[list[float]] | None, turn: list[float] | None) -> Frame:
+    if turn is not None:
+        frame = replace(frame, shutter_turn=np.array(turn))
     return frame if pose is None else replace(frame, world_from_camera=np.array(pose))
 
 

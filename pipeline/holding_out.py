@@ -64,4 +64,6 @@ def _like(frame: Frame, neighbour: Frame, found: dict[str, Frame]) -> Frame:
         camera=used.camera if frame.camera.is_guess else frame.camera,
         color_camera=used.color_camera,
         color_from_depth=used.color_from_depth,
+        # Its own, where its neighbours have one, is looked for when it is judged.
+        shutter_turn=used.shutter_turn,
     )

@@ -17,7 +17,8 @@ from stages.adjusting.key_frames import key_frames
 from stages.adjusting.look import Look, look, usable
 from stages.adjusting.matching import match
 from stages.adjusting.partners import overlaps, partners
-from stages.adjusting.resection import placed_between
+from stages.adjusting.problem import Frees
+from stages.adjusting.resection import Placed, placed_between
 from stages.adjusting.view import BLACK, OVER_EXPOSED, View, color_camera, view_or_none
 from stages.params import check, param, resolve
 from stages.printing import counted
@@ -28,7 +29,7 @@ from stages.scans.scan import Frame, Scan, SkippedFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 # Colour and depth agree where points land this near, pixels: nothing is to be gained.
 _GOOD_PX = 0.5
@@ -39,7 +40,7 @@ _MOST_KEYS = 200
 # Fewer observations leave a view where it was given.
 _LEAST_SEEN = 12
 # Parts that the adjustment itself is told to be done in, at most.
-_PARTS = 4
+_PARTS = 5
 # Poses that move by more than so many standard deviations are not the scan's.
 _FAR = 8.0
 # A turn that goes with a shift of a metre in the given poses, radians: 20 mm go with 0.6 degrees.
@@ -160,8 +161,8 @@ def _adjusted(
     couples = partners(overlaps(key_views, given))
     found = match(key_views, couples, lambda done, of: steps.at(len(chosen) + done * matching // of))
     prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
-    frees = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
-    made = bundle(key_views, given, found, prior, frees, lambda: steps.done(1))
+    camera = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
+    made = bundle(key_views, given, found, prior, camera, lambda: steps.done(1))
     if made is None:
         why = "too few points are seen by three frames"
         return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
@@ -175,30 +176,34 @@ def _adjusted(
         steps.end()
         told = (f"not adjusted: {strays}",)
         return _as_given(frames, strays, skipped, before, told, began, after)
+    cameras = made.cameras
     found_poses = {
-        place: pose
-        for place, pose, count in zip(keys, made.cameras.poses, made.seen, strict=True)
+        place: Placed(pose, turn)
+        for place, pose, turn, count in zip(keys, cameras.poses, cameras.turns, made.seen, strict=True)
         if count >= _LEAST_SEEN
     }
     between = sorted(set(places) - set(chosen))
-    for place, pose in placed_between(frames, between, views, given, made.cameras, prior):
-        if isinstance(pose, SkippedFrame):
-            skipped.append(pose)
-        elif pose is not None:
-            found_poses[place] = pose
+    frees = Frees(made.has_camera, made.has_turns)
+    for place, one in placed_between(frames, between, views, given, cameras, prior, frees):
+        if isinstance(one, SkippedFrame):
+            skipped.append(one)
+        elif one is not None:
+            found_poses[place] = one
         steps.done(1)
     steps.end()
     result = list(frames)
     for place in places:
         result[place] = _with(frames[place], found_poses.get(place), made, views, keys)
-    moved = np.array([motion_apart(_pose(frames[place]), pose) for place, pose in found_poses.items()])
+    moved = np.array([motion_apart(_pose(frames[place]), one.pose) for place, one in found_poses.items()])
+    turns = np.degrees([np.linalg.norm(one.turn) for one in found_poses.values()])
     first = color_camera(frames[keys[0]])
     return Adjusted(
         frames=tuple(result),
         places=tuple(sorted(found_poses)),
         accepted=True,
-        why=f"{'poses and colour camera' if made.has_camera else 'poses'} adjusted: {why}{_said_of(skipped)}",
+        why=f"{_what(made)} adjusted: {why}{_said_of(skipped)}",
         has_camera=made.has_camera,
+        has_turns=made.has_turns,
         before=before,
         after=after,
         key_frames=len(keys),
@@ -209,9 +214,15 @@ def _adjusted(
         camera_after=color_camera(result[keys[0]]),
         moved_mm=(1000 * float(np.median(moved[:, 0])), 1000 * float(moved[:, 0].max())),
         moved_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
+        turns_deg=(float(np.median(turns)), float(turns.max())),
         warnings=(),
         seconds=time.perf_counter() - began,
     )
+
+
+def _what(made: Bundle) -> str:
+    what = "poses and colour camera" if made.has_camera else "poses"
+    return f"{what}, and turns while rows are read (rolling shutter)," if made.has_turns else what
 
 
 def _strays(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
@@ -257,14 +268,15 @@ def _judged(before: Transfer | None, after: Transfer | None) -> tuple[bool, str]
 
 def _with(
     frame: Frame,
-    pose: NDArray[np.float64] | None,
+    placed: Placed | None,
     made: Bundle,
     views: dict[int, View],
     keys: Sequence[int],
 ) -> Frame:
     """Return a frame with its pose, where it has another, and the colour camera, if there is another."""
-    if pose is not None:
-        frame = replace(frame, world_from_camera=pose)
+    if placed is not None:
+        turn = placed.turn if made.has_turns else frame.shutter_turn
+        frame = replace(frame, world_from_camera=placed.pose, shutter_turn=turn)
     if not made.has_camera:
         return frame
     first = views[keys[0]]
@@ -291,6 +303,7 @@ def _as_given(
         accepted=False,
         why=f"left as given: {why}{_said_of(skipped)}",
         has_camera=False,
+        has_turns=False,
         before=before,
         after=after,
         key_frames=0,
@@ -301,6 +314,7 @@ def _as_given(
         camera_after=camera,
         moved_mm=(0.0, 0.0),
         moved_deg=(0.0, 0.0),
+        turns_deg=(0.0, 0.0),
         warnings=warnings,
         seconds=time.perf_counter() - began,
     )

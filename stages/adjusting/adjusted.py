@@ -33,11 +33,12 @@ class Adjusted:
     Attributes
     ----------
     frames : all of them, in order; those that were adjusted have another `world_from_camera`, and if
-        `has_camera` another `color_camera` and `color_from_depth`.
+        `has_camera` another `color_camera` and `color_from_depth`, if `has_turns` a `shutter_turn`.
     places : of the frames that were adjusted.
     accepted : what was found is better, and used; else the frames are as they were.
     why : the reason, a sentence.
     has_camera : the colour camera was adjusted, too.
+    has_turns : so was how cameras turn while the rows of their images are read.
     before, after : transfer errors of held-out points; of a few couples of frames, and no `after`, where that
         was enough.
     key_frames : frames that were adjusted together.
@@ -46,6 +47,7 @@ class Adjusted:
     skipped : frames that cannot be used, and why.
     camera_before, camera_after : of the first frame's colour image.
     moved_mm, moved_deg : the median and the largest change of a pose.
+    turns_deg : the median and the largest turn from the first row to the last.
     warnings : what is odd.
     seconds : of the work.
     """
@@ -55,6 +57,7 @@ class Adjusted:
     accepted: bool
     why: str
     has_camera: bool
+    has_turns: bool
     before: Transfer | None
     after: Transfer | None
     key_frames: int
@@ -65,6 +68,7 @@ class Adjusted:
     camera_after: Camera | None
     moved_mm: tuple[float, float]
     moved_deg: tuple[float, float]
+    turns_deg: tuple[float, float]
     warnings: tuple[str, ...]
     seconds: float
 
@@ -87,6 +91,9 @@ class Adjusted:
             "color_camera_adjusted": self.has_camera,
             "color_camera_before": self.camera_before and asdict(self.camera_before),
             "color_camera_after": self.camera_after and asdict(self.camera_after),
+            "shutter_adjusted": self.has_turns,
+            "shutter_turn_median_deg": self.turns_deg[0],
+            "shutter_turn_most_deg": self.turns_deg[1],
             "moved_median_mm": self.moved_mm[0],
             "moved_most_mm": self.moved_mm[1],
             "turned_median_deg": self.moved_deg[0],

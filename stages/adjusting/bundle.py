@@ -1,4 +1,7 @@
-"""Cameras that fit what views have matched: poses alone or with the colour camera, judged on other points."""
+"""Cameras that fit what views have matched: poses alone, with the colour camera, with rolling shutters.
+
+Which of these is judged on other points.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,8 @@ from numpy.typing import NDArray
 from stages.adjusting.cameras import FREE, Cameras
 from stages.adjusting.lifting import in_world, lifted
 from stages.adjusting.matching import GAP_SHARE, Matches, errors, gaps
-from stages.adjusting.problem import Problem, State
+from stages.adjusting.problem import Frees, Problem, State
+from stages.adjusting.resection import resected
 from stages.adjusting.solve import solve
 from stages.adjusting.surfaces import Surfaces
 from stages.adjusting.tracks import Tracks, tracks
@@ -26,6 +30,9 @@ _FEW, _TURNS, _STEPS = 1500, 4, 3
 # A colour camera of its own must leave less than this share of the error that nine tenths of the points stay
 # below: a wrong lens is off most at the border of the image.
 _BETTER_CAMERA, _MOST = 0.8, 90
+# Cameras that turn while rows are read must leave less than this share of it; that is worth a try only where
+# less than another is left by each camera alone, while points stay.
+_BETTER_TURNS, _PROMISING = 0.8, 0.85
 # Matches that land farther off than this, once cameras fit, are wrong.
 _WRONG_PX = 8.0
 
@@ -38,6 +45,7 @@ class Bundle:
     ----------
     cameras : of all views.
     has_camera : the colour camera was adjusted, too.
+    has_turns : so was how cameras turn while rows are read.
     before, after : (n,) pixels, transfer errors of held-out matches that are measured both times.
     points : that were adjusted, by (n,) tracks.
     seen : (m,) observations of each view.
@@ -45,6 +53,7 @@ class Bundle:
 
     cameras: Cameras
     has_camera: bool
+    has_turns: bool
     before: NDArray[np.float64]
     after: NDArray[np.float64]
     points: int
@@ -66,7 +75,7 @@ def bundle(
     found : all matches that a motion explains.
     pose_prior : (6,) standard deviations of the given poses, metres and radians.
     camera : adjust the colour camera: True, False, or None where it is clearly better on held-out points.
-    tell : called after each of four parts of the work.
+    tell : called after each of five parts of the work.
 
     Returns
     -------
@@ -83,37 +92,44 @@ def bundle(
 
     surfaces = Surfaces.of(views, np.unique(found.couples, axis=0))
 
-    def fitted(start: Cameras, train: Tracks, frees_camera: bool) -> Cameras:
-        return solved(views, given, start, train, surfaces, pose_prior, frees_camera)
+    def fitted(start: Cameras, train: Tracks, frees: Frees) -> Cameras:
+        return solved(views, given, start, train, surfaces, pose_prior, frees)
 
     def off(cameras: Cameras) -> NDArray[np.float64]:
         return errors(views, cameras, judged)
 
     train = joined.of(~held)
     few = train.of(np.arange(train.count) % max(train.count // _FEW, 1) == 0)
-    best = given if camera else fitted(given, few, False)
-    has_camera = False
+    best = given if camera else fitted(given, few, Frees())
+    has_camera = has_turns = False
     tell()
     if camera or camera is None:
         for number, zoom in enumerate(_ZOOMS):
-            other = fitted(given.zoomed(zoom), few, True)
+            other = fitted(given.zoomed(zoom), few, Frees(camera=True))
             needed = 1.0 if has_camera else _BETTER_CAMERA
             if (camera and number == 0) or _ratio(off(best), off(other)) < needed:
                 best, has_camera = other, True
             tell()
+    frees = Frees(has_camera, turns=True)
+    if _ratio(off(best), off(_each_alone(views, given, best, few, pose_prior))) < _PROMISING:
+        other = fitted(best, few, frees)
+        if _ratio(off(best), off(other)) < _BETTER_TURNS:
+            best, has_turns = other, True
+    tell()
     # With cameras that nearly fit, wrong matches are told from right ones, and right ones from wrong ones.
     rest = found.take(~of_held)
     rest = rest.take(np.flatnonzero(errors(views, best, rest) < _WRONG_PX))
     train = tracks(views, _without_held(rest, judged))
     if not train.count:
         return None
-    best = fitted(best, train, has_camera)
+    best = fitted(best, train, Frees(has_camera, has_turns))
     tell()
     before, after = off(given), off(best)
     both = ~(np.isnan(before) | np.isnan(after))
     return Bundle(
         cameras=best,
         has_camera=has_camera,
+        has_turns=has_turns,
         before=before[both],
         after=after[both],
         points=train.count,
@@ -144,35 +160,50 @@ def solved(
     train: Tracks,
     surfaces: Surfaces,
     pose_prior: NDArray[np.float64],
-    frees_camera: bool,
+    frees: Frees,
 ) -> Cameras:
     """Return the cameras of least cost, by turns of looking up depth and stepping."""
-    places = in_world(start, train.view, lifted(views, start, train.view, train.pixels))
-    known = ~np.isnan(places[:, 0])
-    counts = np.bincount(train.point[known], minlength=train.count)
-    means = (
-        np.stack(
-            [
-                np.bincount(train.point[known], places[known, axis], minlength=train.count)
-                for axis in range(3)
-            ],
-            axis=1,
-        )
-        / np.maximum(counts, 1)[:, None]
-    )
-    if not counts.any():
+    begun = _begun(views, given, start, train, surfaces, pose_prior, frees)
+    if begun is None:
         return start
-    train = train.of(counts > 0)
-    state = State(start, means[counts > 0], np.zeros(FREE))
-    problem = Problem.of(
-        train,
-        given.poses,
-        pose_prior,
-        surfaces=surfaces,
-        frees_camera=frees_camera,
-        width=views[0].size[0],
-    )
+    problem, state = begun
     for _ in range(_TURNS):
         problem = problem.looked_up(views, state)
         state = solve(problem, state, _STEPS)
     return state.cameras
+
+
+def _each_alone(
+    views: Sequence[View],
+    given: Cameras,
+    start: Cameras,
+    train: Tracks,
+    pose_prior: NDArray[np.float64],
+) -> Cameras:
+    """Return cameras that turn while rows are read, each fitted alone to points where they are measured."""
+    begun = _begun(views, given, start, train, Surfaces.none(), pose_prior, Frees(turns=True))
+    return start if begun is None else resected(views, *begun, _STEPS)[1].cameras
+
+
+def _begun(
+    views: Sequence[View],
+    given: Cameras,
+    start: Cameras,
+    train: Tracks,
+    surfaces: Surfaces,
+    pose_prior: NDArray[np.float64],
+    frees: Frees,
+) -> tuple[Problem, State] | None:
+    """Return the problem, and points at the means of where views measure them; None if none is measured."""
+    places = in_world(start, train.view, lifted(views, start, train.view, train.pixels), train.late)
+    known = ~np.isnan(places[:, 0])
+    counts = np.bincount(train.point[known], minlength=train.count)
+    if not counts.any():
+        return None
+    sums = [np.bincount(train.point[known], places[known, axis], minlength=train.count) for axis in range(3)]
+    means = np.stack(sums, axis=1) / np.maximum(counts, 1)[:, None]
+    train = train.of(counts > 0)
+    problem = Problem.of(
+        train, given.poses, pose_prior, surfaces=surfaces, frees=frees, width=views[0].size[0]
+    )
+    return problem, State(start, means[counts > 0], np.zeros(FREE))

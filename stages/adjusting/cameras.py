@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from stages.scans.scan import Camera, Frame, Pose, scaled
 # What is free in a colour camera: log of the focal length, centre (x, y, pixels), k1, and its place (x, y, z,
 # metres, then a turn, radians).
 FREE = 10
+# What is free in a pose: a shift and a turn; where rows are read one after the other, how it turns meanwhile.
+STILL, TURNING = 6, 9
 _RIGID_TOLERANCE = 1e-2
 
 
@@ -27,11 +29,14 @@ class Cameras:
     lenses : (m, 9) of the colour cameras: fx, fy, cx, cy in pixels of the image that was looked at; k1, k2,
         p1, p2, k3.
     color_from_depth : (m, 4, 4).
+    turns : (m, 3) rotation vectors, radians, in the axes of the depth cameras: how each turns from its first
+        row to its last one (a rolling shutter); `poses` are those at the middle row.
     """
 
     poses: NDArray[np.float64]
     lenses: NDArray[np.float64]
     color_from_depth: NDArray[np.float64]
+    turns: NDArray[np.float64]
 
     @classmethod
     def given(cls, frames: Sequence[Frame], lenses: Sequence[NDArray[np.float64]]) -> Cameras:
@@ -41,26 +46,37 @@ class Cameras:
             np.stack([_orthonormal(one.world_from_camera) for one in frames]),
             np.stack(lenses),
             np.stack([here if one.color_from_depth is None else one.color_from_depth for one in frames]),
+            np.stack([np.zeros(3) if one.shutter_turn is None else one.shutter_turn for one in frames]),
         )
 
     def zoomed(self, share: float) -> Cameras:
         """Return them with this share of the focal length of the colour cameras."""
         lenses = self.lenses.copy()
         lenses[:, :2] *= share
-        return Cameras(self.poses, lenses, self.color_from_depth)
+        return replace(self, lenses=lenses)
+
+    def of(self, which: NDArray[np.intp]) -> Cameras:
+        """Return those of some views."""
+        return Cameras(self.poses[which], self.lenses[which], self.color_from_depth[which], self.turns[which])
 
     def moved(self, poses: NDArray[np.float64], camera: NDArray[np.float64]) -> Cameras:
         """Return them after small steps.
 
         Parameters
         ----------
-        poses : (m, 6) shift and turn of each view in its own axes, metres and radians.
+        poses : (m, 6) shift and turn of each view in its own axes, metres, radians; or (m, 9), with what is
+            added to its `turns`.
         camera : (10,) of every colour camera, see `FREE`.
         """
         lenses = self.lenses.copy()
         lenses[:, :2] *= np.exp(camera[0])
         lenses[:, 2:5] += camera[1:4]
-        return Cameras(self.poses @ motion(poses), lenses, motion(camera[None, 4:]) @ self.color_from_depth)
+        return Cameras(
+            self.poses @ motion(poses[:, :STILL]),
+            lenses,
+            motion(camera[None, 4:]) @ self.color_from_depth,
+            self.turns + poses[:, STILL:] if poses.shape[1] == TURNING else self.turns,
+        )
 
 
 def is_rigid(pose: Pose | None) -> bool:

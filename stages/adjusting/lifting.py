@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import Cameras, carried, inverted_all
 from stages.adjusting.lens import project, rays
+from stages.adjusting.shutter import as_read, in_the_middle, late_at
 from stages.adjusting.view import View
 
 # Where the cameras stand apart, the depth along a ray is found by steps; it is found once the last one
@@ -21,7 +22,9 @@ _BESIDE, _BENT = 2, 0.1
 def lifted(
     views: Sequence[View], cameras: Cameras, view: NDArray[np.intp], pixels: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Return the (n, 3) points, metres, in the axes of the depth cameras, that pixels show; NaN if unknown.
+    """Return the (n, 3) points that pixels show, metres, in the axes of the depth cameras as they are read.
+
+    What has no depth is NaN.
 
     Parameters
     ----------
@@ -108,15 +111,19 @@ def _sampled(
     return result
 
 
-def in_world(cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points of the views' own axes in the world."""
-    return carried(cameras.poses[view], points)
+def in_world(
+    cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64], late: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return points of the views' own axes, as rows are read that late (n,), in the world."""
+    return carried(cameras.poses[view], in_the_middle(points, cameras.turns[view], late))
 
 
-def in_color(cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points of the world in the axes of colour cameras."""
-    back = cameras.color_from_depth @ inverted_all(cameras.poses)
-    return carried(back[view], points)
+def in_color(
+    cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64], late: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return points of the world in the axes of colour cameras, as rows are read that late (n,)."""
+    middle = carried(inverted_all(cameras.poses)[view], points)
+    return carried(cameras.color_from_depth[view], as_read(middle, cameras.turns[view], late))
 
 
 def transfer_errors(
@@ -132,10 +139,12 @@ def transfer_errors(
     couples : (n, 2) the two views of each match.
     pixels : of the first and of the second view, (n, 2) each.
     """
-    points = in_world(cameras, couples[:, 0], lifted(views, cameras, couples[:, 0], pixels[0]))
-    there = in_color(cameras, couples[:, 1], points)
+    here, other = couples.T
+    seen = lifted(views, cameras, here, pixels[0])
+    points = in_world(cameras, here, seen, late_at(views, here, pixels[0]))
+    there = in_color(cameras, other, points, late_at(views, other, pixels[1]))
     there[:, 2] = np.where(there[:, 2] > 1e-3, there[:, 2], np.nan)
-    off = project(there, cameras.lenses[couples[:, 1]]) - pixels[1]
+    off = project(there, cameras.lenses[other]) - pixels[1]
     return np.asarray(np.hypot(*off.T))
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stages.adjusting.cameras import Cameras
 from stages.adjusting.lens import rays
 from stages.adjusting.lifting import in_world, lifted, transfer_errors
+from stages.adjusting.shutter import late_at
 from stages.adjusting.view import View
 from stages.progress import Progress, silent
 from stages.registration.sift import matches
@@ -85,11 +86,12 @@ def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:
     """Return how far apart two views measure each match, a share of its distance; NaN where one does not."""
-    seen = [
-        lifted(views, cameras, found.couples[:, side], pixels)
-        for side, pixels in enumerate(found.pixels(views))
+    both = list(zip(found.couples.T, found.pixels(views), strict=True))
+    seen = [lifted(views, cameras, view, pixels) for view, pixels in both]
+    places = [
+        in_world(cameras, view, points, late_at(views, view, pixels))
+        for (view, pixels), points in zip(both, seen, strict=True)
     ]
-    places = [in_world(cameras, found.couples[:, side], points) for side, points in enumerate(seen)]
     gap = np.linalg.norm(places[0] - places[1], axis=1)
     return np.asarray(gap / np.minimum(seen[0][:, 2], seen[1][:, 2]))
 

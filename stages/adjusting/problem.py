@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import FREE, Cameras, carried, inverted_all, skew, steps_of
+from stages.adjusting.cameras import FREE, STILL, Cameras, carried, inverted_all, skew, steps_of
 from stages.adjusting.lens import derivatives
 from stages.adjusting.lifting import planes_at
+from stages.adjusting.shutter import as_read, in_the_middle, turned
 from stages.adjusting.surfaces import Surfaces
 from stages.adjusting.tracks import Tracks
 from stages.adjusting.view import View
@@ -26,6 +28,10 @@ _DEPTH_M, _DEPTH_PER_M = 0.0028, 0.0008
 _OTHER_THING = 12.0
 # Errors of depth go together over a surface: a point of it tells less, as if it were off so much more.
 _MEETING = 1.5
+# What a camera may turn by while its rows are read, radians: one that is turned by 60 degrees in a second, 2.
+_TURN_PRIOR = float(np.radians(1.5))
+# The mean of that: a camera turns one way and the other, and what is the same in all images is its lens.
+_MEAN_TURN_PRIOR = float(np.radians(0.05))
 # What the given colour camera may be off: a share of the focal length, of the width, k1, metres, radians.
 _CAMERA_PRIOR = np.array([0.05, 0.005, 0.005, 0.05, *[0.015] * 3, *[np.radians(0.5)] * 3])
 
@@ -48,7 +54,7 @@ class State:
     def moved(
         self, poses: NDArray[np.float64], camera: NDArray[np.float64], points: NDArray[np.float64]
     ) -> State:
-        """Return it after steps of (m, 6), (10,) and (p, 3)."""
+        """Return it after steps of (m, 6) or (m, 9), (10,) and (p, 3)."""
         return State(self.cameras.moved(poses, camera), self.points + points, self.camera + camera)
 
 
@@ -92,6 +98,13 @@ class Planes:
         return self.normals / self.deviations[:, None], np.sqrt(weights)
 
 
+class Frees(NamedTuple):
+    """What is looked for beside poses and points: the colour camera, how cameras turn while rows are read."""
+
+    camera: bool = False
+    turns: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What is measured, and what was given.
@@ -104,7 +117,7 @@ class Problem:
     meetings : the planes of these others.
     given : the poses as they were, (m, 4, 4) world_from_camera.
     pose_prior : (6,) standard deviations of these, metres and radians.
-    frees_camera : the colour camera is looked for, too.
+    frees : what is looked for beside poses and points.
     width : of the images, pixels.
     """
 
@@ -114,7 +127,7 @@ class Problem:
     meetings: Planes
     given: NDArray[np.float64]
     pose_prior: NDArray[np.float64]
-    frees_camera: bool
+    frees: Frees
     width: int
 
     @classmethod
@@ -125,39 +138,51 @@ class Problem:
         pose_prior: NDArray[np.float64],
         *,
         surfaces: Surfaces | None = None,
-        frees_camera: bool = False,
+        frees: Frees | None = None,
         width: int = 1,
     ) -> Problem:
         """Return a problem in which no depth was looked up yet."""
         surfaces = Surfaces.none() if surfaces is None else surfaces
         planes, meetings = Planes.none(len(tracks.view)), Planes.none(len(surfaces.couple))
-        return cls(tracks, planes, surfaces, meetings, given, pose_prior, frees_camera, width)
+        return cls(tracks, planes, surfaces, meetings, given, pose_prior, frees or Frees(), width)
 
     def looked_up(self, views: Sequence[View], state: State) -> Problem:
         """Return it with the depth that views measure where they now see the points."""
         planes = Planes.met(views, self.tracks.view, _seen(state, self.tracks), 1.0)
         other = self.surfaces.couples[self.surfaces.couple, 1]
-        meetings = Planes.met(views, other, self.across(state)[0], _MEETING)
+        meetings = Planes.met(views, other, self.across(state).there, _MEETING)
         return replace(self, planes=planes, meetings=meetings)
 
-    def across(self, state: State) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the points of surfaces (k, 3) in the axes of the other views, and the turns (k, 3, 3)."""
-        first, other = self.surfaces.couples.T
-        poses = state.cameras.poses
-        moves = (inverted_all(poses[other]) @ poses[first])[self.surfaces.couple]
-        return carried(moves, self.surfaces.points), moves[:, :3, :3]
+    def across(self, state: State) -> Across:
+        """Return where the other views see the points of surfaces."""
+        surfaces, poses, turns = self.surfaces, state.cameras.poses, state.cameras.turns
+        first, other = surfaces.couples.T
+        moves = (inverted_all(poses[other]) @ poses[first])[surfaces.couple]
+        here = in_the_middle(surfaces.points, turns[first][surfaces.couple], surfaces.late)
+        middle = carried(moves, here)
+        which = other[surfaces.couple]
+        late = surfaces.late_where(which, middle)
+        back = turned(turns[which], -late)[:, :3, :3]
+        return Across(here, middle, as_read(middle, turns[which], late), late, moves[:, :3, :3], back)
 
     def cost(self, state: State) -> float:
         """Return half the robust sum of squares."""
         pixel, depth, poses, camera = self._residuals(state)
-        meeting = self.meetings.behind(self.across(state)[0])
+        meeting = self.meetings.behind(self.across(state).there)
         return float(
             _huber(np.hypot(*pixel.T), _HUBER).sum()
             + _huber(np.abs(depth), _HUBER_DEPTH).sum()
             + _huber(np.abs(meeting), _HUBER_DEPTH).sum()
             + 0.5 * (poses**2).sum()
             + 0.5 * (camera**2).sum()
+            + 0.5 * self.turn_coupling * (state.cameras.turns.sum(axis=0) ** 2).sum()
         )
+
+    @property
+    def turn_coupling(self) -> float:
+        """Return the second derivative of the cost by two views' turns: all are held to a mean of none."""
+        together = self.frees.turns and len(self.given) > 1
+        return (_MEAN_TURN_PRIOR * len(self.given)) ** -2 if together else 0.0
 
     def pixels_off(self, state: State) -> NDArray[np.float64]:
         """Return how far each observation is off, (n,) pixels."""
@@ -172,8 +197,15 @@ class Problem:
         pixels, _, _ = derivatives(shown, cameras.lenses[tracks.view])
         pixel = np.where(ahead[:, None], (pixels - tracks.pixels) / _PIXEL, 1e3)
         depth = self.planes.behind(seen)
-        moved = steps_of(inverted_all(self.given) @ cameras.poses) / self.pose_prior
-        return pixel, depth, moved, state.camera / self.camera_prior
+        moved = steps_of(inverted_all(self.given) @ cameras.poses)
+        if self.frees.turns:
+            moved = np.concatenate([moved, cameras.turns], axis=1)
+        return pixel, depth, moved / self.step_prior, state.camera / self.camera_prior
+
+    @property
+    def step_prior(self) -> NDArray[np.float64]:
+        """Return the (6,) standard deviations of the given poses, or (9,) with those of their turns."""
+        return np.concatenate([self.pose_prior, [_TURN_PRIOR] * 3]) if self.frees.turns else self.pose_prior
 
     @property
     def camera_prior(self) -> NDArray[np.float64]:
@@ -188,19 +220,23 @@ class Problem:
         shown = _shown(cameras, tracks, seen)
         shown[:, 2] = np.maximum(shown[:, 2], 1e-3)
         _, by_point, by_lens = derivatives(shown, cameras.lenses[tracks.view])
-        turned = cameras.color_from_depth[tracks.view, :3, :3]
+        apart = cameras.color_from_depth[tracks.view, :3, :3]
         count = len(seen)
         # Rows: two of the pixel, one of the depth. A step of the pose moves the point the other way.
         by_seen = np.empty((count, 3, 3))
-        by_seen[:, :2] = by_point @ turned / _PIXEL
+        by_seen[:, :2] = by_point @ apart / _PIXEL
         root = np.empty((count, 3))
         root[:, :2] = np.sqrt(_weight(np.hypot(*pixel.T), _HUBER))[:, None]
         by_seen[:, 2], root[:, 2] = self.planes.rows(depth)
         by_seen *= root[:, :, None]
-        by_pose = np.concatenate([-by_seen, by_seen @ skew(seen)], axis=2)
+        late, turns = tracks.late, cameras.turns[tracks.view]
+        by_turn = late[:, None, None] * (by_seen @ skew(seen))
+        by_seen = by_seen @ turned(turns, -late)[:, :3, :3]
+        middle = in_the_middle(seen, turns, late)
+        by_pose = [-by_seen, by_seen @ skew(middle), *([by_turn] if self.frees.turns else [])]
         back = cameras.poses[tracks.view, :3, :3].swapaxes(1, 2)
         by_camera = np.zeros((count, 3, FREE))
-        if self.frees_camera:
+        if self.frees.camera:
             by_camera[:, :2, :4] = by_lens / _PIXEL
             by_camera[:, :2, 4:7] = by_point / _PIXEL
             by_camera[:, :2, 7:] = -by_point @ skew(shown) / _PIXEL
@@ -208,27 +244,58 @@ class Problem:
         return Linear(
             meetings=self._met(state),
             residuals=np.concatenate([pixel, depth[:, None]], axis=1) * root,
-            by_pose=by_pose,
+            by_pose=np.concatenate(by_pose, axis=2),
             by_camera=by_camera,
             by_point=by_seen @ back,
-            poses=moved / self.pose_prior,
-            pose_weights=1 / self.pose_prior**2,
+            poses=moved / self.step_prior + self._towards_no_mean(state),
+            pose_weights=1 / self.step_prior**2,
             camera=camera / self.camera_prior,
             camera_weights=1 / self.camera_prior**2,
         )
 
+    def _towards_no_mean(self, state: State) -> NDArray[np.float64]:
+        """Return the gradient (6,) or (9,) of what holds the mean turn, the same for each view."""
+        gradient = np.zeros(len(self.step_prior))
+        if self.frees.turns:
+            gradient[STILL:] = self.turn_coupling * state.cameras.turns.sum(axis=0)
+        return gradient
+
     def _met(self, state: State) -> Met:
-        points, turns = self.across(state)
-        behind = self.meetings.behind(points)
+        across = self.across(state)
+        behind = self.meetings.behind(across.there)
         rows, root = self.meetings.rows(behind)
-        rows = rows * root[:, None]
-        there = np.einsum("ki,kij->kj", rows, turns)
+        by_middle = np.einsum("ki,kij->kj", rows * root[:, None], across.back)
+        by_here = np.einsum("ki,kij->kj", by_middle, across.turns)
         # n · (w × p) = w · (p × n)
+        first = [by_here, np.cross(across.here, by_here)]
+        other = [by_middle, np.cross(across.middle, by_middle)]
+        if self.frees.turns:
+            first.append(self.surfaces.late[:, None] * np.cross(across.here, by_here))
+            other.append(across.late[:, None] * np.cross(across.middle, by_middle))
         return Met(
             residuals=behind * root,
-            by_first=np.concatenate([there, np.cross(self.surfaces.points, there)], axis=1),
-            by_other=-np.concatenate([rows, np.cross(points, rows)], axis=1),
+            by_first=np.concatenate(first, axis=1),
+            by_other=-np.concatenate(other, axis=1),
         )
+
+
+class Across(NamedTuple):
+    """Where k points of surfaces are, metres.
+
+    Attributes
+    ----------
+    here, middle, there : (k, 3) in the axes of the first view and of the other one at their middle rows, and
+        of the other one as it reads them.
+    late : (k,) how late that is.
+    turns, back : (k, 3, 3) between these.
+    """
+
+    here: NDArray[np.float64]
+    middle: NDArray[np.float64]
+    there: NDArray[np.float64]
+    late: NDArray[np.float64]
+    turns: NDArray[np.float64]
+    back: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +305,7 @@ class Met:
     Attributes
     ----------
     residuals : (k,).
-    by_first, by_other : (k, 6).
+    by_first, by_other : (k, 6) or (k, 9).
     """
 
     residuals: NDArray[np.float64]
@@ -254,9 +321,9 @@ class Linear:
     ----------
     meetings : what surfaces add.
     residuals : (n, 3).
-    by_pose, by_camera, by_point : (n, 3, 6), (n, 3, 10) and (n, 3, 3), of the residuals.
-    poses, camera : (m, 6) and (10,) gradients of what holds these to what was given.
-    pose_weights, camera_weights : (6,) and (10,) second derivatives of it.
+    by_pose, by_camera, by_point : (n, 3, 6) or (n, 3, 9), (n, 3, 10) and (n, 3, 3), of the residuals.
+    poses, camera : (m, 6) or (m, 9), and (10,) gradients of what holds these to what was given.
+    pose_weights, camera_weights : (6,) or (9,), and (10,) second derivatives of it.
     """
 
     meetings: Met
@@ -276,8 +343,9 @@ def deviation(depth: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _seen(state: State, tracks: Tracks) -> NDArray[np.float64]:
-    """Return the points of all observations in the axes of the depth cameras."""
-    return carried(inverted_all(state.cameras.poses)[tracks.view], state.points[tracks.point])
+    """Return the points of all observations in the axes of the depth cameras as they are read."""
+    middle = carried(inverted_all(state.cameras.poses)[tracks.view], state.points[tracks.point])
+    return as_read(middle, state.cameras.turns[tracks.view], tracks.late)
 
 
 def _shown(cameras: Cameras, tracks: Tracks, seen: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import FREE
+from stages.adjusting.cameras import FREE, STILL
 from stages.adjusting.problem import Linear, Problem, State
 
 # The first damping, what a good step divides it by, a bad one multiplies it with, and where that ends.
@@ -105,7 +105,7 @@ class _Normal:
         )
 
     def step(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return steps of poses (m, 6), the camera (10,) and points (p, 3)."""
+        """Return steps of poses (m, 6) or (m, 9), the camera (10,) and points (p, 3)."""
         tracks, views, count = self.problem.tracks, len(self.poses), len(self.points)
         # The inverse of a point's block is half @ half.T.
         half = np.linalg.inv(np.linalg.cholesky(_damped(self.points, damping))).swapaxes(1, 2)
@@ -113,29 +113,33 @@ class _Normal:
         shared = self.camera_point @ half
         ends = (half.swapaxes(1, 2) @ self.towards_points[..., None]).reshape(-1)
         flat = shared.swapaxes(0, 1).reshape(FREE, -1)
-        reduced = np.zeros((6 * views + FREE,) * 2)
-        at = np.arange(6 * views).reshape(views, 6)
+        size = self.poses.shape[1]
+        free = size * views
+        reduced = np.zeros((free + FREE,) * 2)
+        at = np.arange(free).reshape(views, size)
         reduced[at[:, :, None], at[:, None, :]] = _damped(self.poses, damping)
         for (first, other), block in zip(self.problem.surfaces.couples, self.poses_apart, strict=True):
             reduced[at[first][:, None], at[other]] += block
             reduced[at[other][:, None], at[first]] += block.T
-        reduced[: 6 * views, : 6 * views] -= (bridge @ bridge.T).toarray()
-        across = self.poses_camera.reshape(6 * views, FREE) - bridge @ flat.T
-        reduced[: 6 * views, 6 * views :], reduced[6 * views :, : 6 * views] = across, across.T
+        for axis in range(STILL, size):
+            reduced[np.ix_(at[:, axis], at[:, axis])] += self.problem.turn_coupling
+        reduced[:free, :free] -= (bridge @ bridge.T).toarray()
+        across = self.poses_camera.reshape(free, FREE) - bridge @ flat.T
+        reduced[:free, free:], reduced[free:, :free] = across, across.T
         both = np.einsum("npi,nqi->pq", shared, shared)
-        reduced[6 * views :, 6 * views :] = _damped(self.camera[None], damping)[0] - both
+        reduced[free:, free:] = _damped(self.camera[None], damping)[0] - both
         towards = np.concatenate(
             [
                 self.towards_poses.reshape(-1) - bridge @ ends,
                 self.towards_camera - np.einsum("pk,k->p", flat, ends),
             ]
         )
-        found = _solved(reduced, towards, views)
-        poses, camera = found[: 6 * views], found[6 * views :]
+        found = _solved(reduced, towards, size)
+        poses, camera = found[:free], found[free:]
         rest = ends - bridge.T @ poses - np.einsum("pk,p->k", flat, camera)
         points = (half @ rest.reshape(-1, 3, 1))[..., 0]
-        frees = self.problem.frees_camera
-        return poses.reshape(views, 6), camera if frees else np.zeros(FREE), points
+        frees = self.problem.frees.camera
+        return poses.reshape(views, size), camera if frees else np.zeros(FREE), points
 
 
 def _damped(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
@@ -149,22 +153,23 @@ def _damped(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
 def _sparse(
     blocks: NDArray[np.float64], rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]
 ) -> Any:
-    """Return a sparse matrix of (n, 6, 3) blocks."""
+    """Return a sparse matrix of (n, 6, 3) or (n, 9, 3) blocks."""
     from scipy.sparse import bsr_array
 
     order = np.lexsort((columns, rows))
     ends = np.searchsorted(rows[order], np.arange(shape[0] + 1))
-    size = (6 * shape[0], 3 * shape[1])
+    size = (blocks.shape[1] * shape[0], 3 * shape[1])
     return bsr_array((blocks[order], columns[order], ends), shape=size)
 
 
-def _solved(matrix: NDArray[np.float64], towards: NDArray[np.float64], views: int) -> NDArray[np.float64]:
+def _solved(matrix: NDArray[np.float64], towards: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     """Solve a positive definite system by conjugate gradients, after inverting its diagonal blocks."""
     from scipy.sparse import block_diag, csr_array
     from scipy.sparse.linalg import cg
 
-    blocks = [matrix[6 * n : 6 * n + 6, 6 * n : 6 * n + 6] for n in range(views)]
-    blocks.append(matrix[6 * views :, 6 * views :])
+    free = len(matrix) - FREE
+    blocks = [matrix[n : n + size, n : n + size] for n in range(0, free, size)]
+    blocks.append(matrix[free:, free:])
     nearly = csr_array(block_diag([np.linalg.inv(one) for one in blocks]))
     found, _ = cg(csr_array(matrix), towards, rtol=_SHARE, maxiter=_ITERATIONS, M=nearly)
     return np.asarray(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +22,25 @@ class Surfaces:
     ----------
     couples : (c, 2) the view that measures points, and the one whose surface they are to meet.
     couple : (k,) of each point.
-    points : (k, 3) metres, in the axes of the first view.
+    points : (k, 3) metres, in the axes of the first view as they are read.
+    late : (k,) how late that is, see stages/adjusting/shutter.py.
+    rows : (m, 2) of each view's depth map, in its heights: the focal length, and how far the centre is
+        below the middle.
+    rows : (m, 2) of each view: where it sees what is as far down as it is away, and what is straight ahead,
     """
 
     couples: NDArray[np.intp]
     couple: NDArray[np.intp]
     points: NDArray[np.float64]
+    late: NDArray[np.float64]
+    rows: NDArray[np.float64]
 
     @classmethod
     def none(cls) -> Surfaces:
         """Return no points."""
-        return cls(np.zeros((0, 2), np.intp), np.zeros(0, np.intp), np.zeros((0, 3)))
+        return cls(
+            np.zeros((0, 2), np.intp), np.zeros(0, np.intp), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))
+        )
 
     @classmethod
     def of(cls, views: Sequence[View], couples: NDArray[np.intp]) -> Surfaces:
@@ -42,7 +50,21 @@ class Surfaces:
         counts = [len(some) for some in points]
         kept = np.array(counts, np.intp) > 0
         couple = np.repeat(np.cumsum(kept) - 1, counts)
-        return cls(couples[kept], couple, np.concatenate([np.zeros((0, 3)), *points]))
+        together = np.concatenate([np.zeros((0, 3)), *points])
+        rows = np.array([_rows(view) for view in views]).reshape(-1, 2)
+        found = cls(couples[kept], couple, together, np.zeros(0), rows)
+        return replace(found, late=found.late_where(found.couples[couple, 0], together))
+
+    def late_where(self, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how late (n,) views read points (n, 3) of their own axes; never more than all takes."""
+        down, ahead = self.rows[view].T
+        z = np.maximum(points[:, 2], 1e-3)
+        return np.asarray(np.clip(points[:, 1] / z * down + ahead, -0.5, 0.5))
+
+
+def _rows(view: View) -> tuple[float, float]:
+    height = view.depth.shape[0]
+    return view.depth_lens[1] / height, (view.depth_lens[3] + 0.5) / height - 0.5
 
 
 def points_of(view: View, cells: int) -> NDArray[np.float64]:

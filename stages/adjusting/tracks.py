@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.adjusting.matching import Matches
+from stages.adjusting.shutter import late_at
 from stages.adjusting.view import View
 
 # A track needs so many views.
@@ -23,12 +24,14 @@ class Tracks:
     ----------
     view, point : (n,) which view sees which point; no view sees one twice.
     pixels : (n, 2).
+    late : (n,) how late these are read, see stages/adjusting/shutter.py.
     matched : (k,) of the matches, the point of each, or -1.
     """
 
     view: NDArray[np.intp]
     point: NDArray[np.intp]
     pixels: NDArray[np.float64]
+    late: NDArray[np.float64]
     matched: NDArray[np.intp]
 
     @property
@@ -40,7 +43,7 @@ class Tracks:
         """Return the points of which (p,) `chosen` is true, without their matches."""
         kept = chosen[self.point]
         _, point = np.unique(self.point[kept], return_inverse=True)
-        return Tracks(self.view[kept], point, self.pixels[kept], np.zeros(0, np.intp))
+        return Tracks(self.view[kept], point, self.pixels[kept], self.late[kept], np.zeros(0, np.intp))
 
 
 def tracks(views: Sequence[View], found: Matches) -> Tracks:
@@ -63,4 +66,5 @@ def tracks(views: Sequence[View], found: Matches) -> Tracks:
     order = order[sound[label[order]]]
     at = used[order]
     pixels = np.concatenate([one.pixels for one in views]).astype(np.float64)[at]
-    return Tracks(view[order], number[label[order]], pixels, number[label[ends[:, 0]]])
+    late = late_at(views, view[order], pixels)
+    return Tracks(view[order], number[label[order]], pixels, late, number[label[ends[:, 0]]])

@@ -71,6 +71,8 @@ def read_view(frame: Frame) -> View:
     """
     import cv2
 
+    # Rows that are read one after the other are where they were read.
+    frame = replace(frame, shutter_turn=None)
     depth = read_depth(frame)
     if depth is None:
         raise InputError("there is no depth map.", f"frame {frame.name}")

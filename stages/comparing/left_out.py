@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.placing import poses_of
+from stages.comparing.placing import poses_of, turn_of
 from stages.comparing.seen import Levels, Seen, fitted, seen_from
 from stages.errors import InputError
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.images import read_depth, read_photo
 from stages.scans.poses import inverted
-from stages.scans.scan import ColorImage, Frame, SkippedFrame
+from stages.scans.scan import ColorImage, Frame, Pose, SkippedFrame
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # Depth that differs by more than this share of it, and this many metres, shows something else.
 _SAME_SHARE, _SAME_M = 0.01, 0.04
@@ -137,6 +137,9 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         raise InputError("there is no camera pose.", f"frame {frame.name}")
     apart = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
     given = np.asarray(frame.world_from_camera, np.float64) @ inverted(apart)
+    if frame.shutter_turn is not None:
+        frame = _with_its_turn(frame, given, apart, surface)
+        image, camera, shown = read_photo(frame)
     found: list[tuple[Score, ColorImage]] = []
     for pose in poses_of(image, camera, given, surface):
         seen = seen_from(surface, camera, pose)
@@ -153,6 +156,15 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         (one for one in found if one[0].coverage >= least), key=lambda one: (one[0].affine, not one[0].placed)
     )
     return score, np.hstack([image, drawn])
+
+
+def _with_its_turn(frame: Frame, given: Pose, apart: Pose, surface: Surface) -> Frame:
+    """Return a frame with how its own camera turned while rows were read, by what it shows of the mesh."""
+    frame = replace(frame, shutter_turn=None)
+    image, camera, _ = read_photo(frame)
+    *_, nearest = poses_of(image, camera, given, surface)
+    turn = turn_of(image, camera, nearest, surface)
+    return frame if turn is None else replace(frame, shutter_turn=apart[:3, :3].T @ turn)
 
 
 def _counted(seen: Seen, frame: Frame) -> NDArray[np.bool_]:

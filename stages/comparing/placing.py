@@ -77,31 +77,71 @@ def _refined(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) ->
 
     Recognised points are few, each off by a pixel or so; the flow is known wherever there is much to see.
     """
-    import cv2
-
-    photo = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     for _ in range(_REFINEMENTS):
-        seen = seen_from(surface, camera, pose)
-        if np.count_nonzero(seen.hit) < _LEAST_PIXELS:
-            return None
-        levels = fitted(seen.levels, image.astype(np.float32), seen.hit)
-        drawn = cv2.cvtColor(
-            np.where(seen.hit[..., None], levels, image).astype(np.uint8), cv2.COLOR_RGB2GRAY
-        )
-        search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        flow = search.calc(drawn, photo, np.zeros((*drawn.shape, 2), np.float32))
-        smooth = cv2.GaussianBlur(drawn.astype(np.float32), (0, 0), 1.0)
-        detail = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(smooth, cv2.CV_32F, 0, 1) ** 2
-        detail[cv2.erode(seen.hit.astype(np.uint8), np.ones((_BORDER, _BORDER), np.uint8)) == 0] = 0
-        rows, columns = _strongest(detail)
-        pixels = np.stack([columns, rows], axis=1) + np.asarray(flow)[rows, columns]
-        better = _from_points(
-            seen.places[rows, columns], pixels.astype(np.float64), camera, _FLOW_REPROJECTION
-        )
+        found = _followed(image, camera, pose, surface)
+        better = None if found is None else _from_points(*found, camera, _FLOW_REPROJECTION)
         if better is None:
             return None
         pose = better
     return pose
+
+
+def turn_of(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> NDArray[np.float64] | None:
+    """Return how a camera turned while the rows of its photo were read, by optical flow from the mesh.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8, of a camera without lens distortion, rows as they were read.
+    pose : world_from_camera from which it nearly shows the mesh.
+
+    Returns
+    -------
+    (3,) rotation vector in the camera's axes, radians, see `Frame.shutter_turn`; None if too little is seen.
+    """
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
+    found = _followed(image, camera, pose, surface)
+    if found is None or len(found[0]) < _LEAST_POINTS:
+        return None
+    points, pixels = found
+    late = (pixels[:, 1:] + 0.5) / camera.height - 0.5
+    to_camera = inverted(pose)
+    near = points @ to_camera[:3, :3].T + to_camera[:3, 3]
+
+    def off(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+        moved = Rotation.from_rotvec(steps[:3]).apply(near) + steps[3:6]
+        x, y, z = Rotation.from_rotvec(-late * steps[6:]).apply(moved).T
+        z = np.maximum(z, 1e-6)
+        there = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
+        return np.asarray((there - pixels).ravel())
+
+    return np.asarray(least_squares(off, np.zeros(9), loss="soft_l1").x[6:])
+
+
+def _followed(
+    image: ColorImage, camera: Camera, pose: Pose, surface: Surface
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return places of the mesh (n, 3) and the pixels (n, 2) of a photo that show them, by optical flow.
+
+    None where the pose shows hardly anything of the mesh.
+    """
+    import cv2
+
+    seen = seen_from(surface, camera, pose)
+    if np.count_nonzero(seen.hit) < _LEAST_PIXELS:
+        return None
+    levels = fitted(seen.levels, image.astype(np.float32), seen.hit)
+    photo = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    drawn = cv2.cvtColor(np.where(seen.hit[..., None], levels, image).astype(np.uint8), cv2.COLOR_RGB2GRAY)
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    flow = search.calc(drawn, photo, np.zeros((*drawn.shape, 2), np.float32))
+    smooth = cv2.GaussianBlur(drawn.astype(np.float32), (0, 0), 1.0)
+    detail = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(smooth, cv2.CV_32F, 0, 1) ** 2
+    detail[cv2.erode(seen.hit.astype(np.uint8), np.ones((_BORDER, _BORDER), np.uint8)) == 0] = 0
+    rows, columns = _strongest(detail)
+    pixels = np.stack([columns, rows], axis=1) + np.asarray(flow)[rows, columns]
+    return seen.places[rows, columns], pixels.astype(np.float64)
 
 
 def _strongest(detail: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -59,6 +59,7 @@ def evened_alone(frames: Sequence[Frame], max_jump: float) -> Sequence[Frame]:
             confidence=None,
             least_confidence=0,
             mask=None,
+            shutter_turn=None,
         )
     ]
 

@@ -77,7 +77,7 @@ def upsampled_frame(frame: Frame, params: FuseParams, least_ratio: float = 0.0) 
     factor, (height, width) = params.upsample_factor, depth.shape
     wide = scaled(pinhole(frame.camera), factor * width, factor * height)
     # Depth that is read has neither any more.
-    frame = replace(frame, camera=wide, confidence=None, least_confidence=0, mask=None)
+    frame = replace(frame, camera=wide, confidence=None, least_confidence=0, mask=None, shutter_turn=None)
     if photo is None:
         return replace(frame, depth=upsampled(depth, None, factor))
     placed = replace(

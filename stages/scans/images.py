@@ -1,7 +1,8 @@
 """Read a frame's images: 8-bit RGB colour, metric float32 depth.
 
 Lens distortion of RGB-D frames is removed here, so that what comes out is a pinhole image; pairs keep theirs,
-because rectification removes it together with the rotation.
+because rectification removes it together with the rotation. Where it is known how a camera turns while rows
+are read, they come out as if all were read at once.
 """
 
 from __future__ import annotations
@@ -37,9 +38,10 @@ def read_color(frame: Frame) -> ColorImage | None:
         return None
     image = _color(frame.color, frame.name)
     camera = frame.color_camera or frame.camera
-    if frame.depth is None or not camera.distortion:
+    turn = _turn_of_color(frame)
+    if frame.depth is None or not (camera.distortion or turn is not None):
         return image
-    return cast(ColorImage, undistorted(image, camera, smooth=True))
+    return cast(ColorImage, undistorted(image, camera, smooth=True, turn=turn))
 
 
 def read_pinhole(frame: Frame) -> ColorImage | None:
@@ -85,10 +87,11 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
     camera = scaled(known, width, height)
     mask = read_mask(frame)
     seen = None if mask is None else _in_size(mask, camera)
-    if camera.distortion:
-        image = cast(ColorImage, undistorted(image, camera, smooth=True, sharp=True))
+    turn = _turn_of_color(frame)
+    if camera.distortion or turn is not None:
+        image = cast(ColorImage, undistorted(image, camera, smooth=True, sharp=True, turn=turn))
         whole = np.full((height, width), 255, np.uint8) if seen is None else seen
-        seen = cast("NDArray[np.uint8]", undistorted(whole, camera, smooth=False))
+        seen = cast("NDArray[np.uint8]", undistorted(whole, camera, smooth=False, turn=turn))
     return image, pinhole(camera), None if seen is None else seen > 0
 
 
@@ -156,8 +159,8 @@ def read_depth(frame: Frame) -> DepthImage | None:
     mask = read_mask(frame)
     if mask is not None:
         depth[mask == 0] = 0
-    if frame.camera.distortion:
-        depth = cast(DepthImage, undistorted(depth, frame.camera, smooth=False))
+    if frame.camera.distortion or frame.shutter_turn is not None:
+        depth = cast(DepthImage, undistorted(depth, frame.camera, smooth=False, turn=frame.shutter_turn))
     return np.where(np.isfinite(depth) & (depth > _NEAREST), depth, np.float32(0))
 
 
@@ -171,6 +174,13 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
             "Give images of the calibrated size, or the calibration of this size.",
             _called(source, name),
         )
+
+
+def _turn_of_color(frame: Frame) -> NDArray[np.float64] | None:
+    """Return how the colour camera turns while its rows are read, in its own axes."""
+    if frame.shutter_turn is None or frame.color_from_depth is None or frame.color_camera is None:
+        return frame.shutter_turn
+    return np.asarray(frame.color_from_depth[:3, :3] @ frame.shutter_turn)
 
 
 def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:

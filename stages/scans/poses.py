@@ -16,6 +16,8 @@ from stages.scans.scan import Pose
 _RIGID_TOLERANCE = 1e-3
 # Metres or radians; nobody carries a camera so far.
 LARGEST_VALUE = 1e9
+# Radians: no camera turns by more while it reads one image.
+_MOST_TURN = 1.0
 
 # From a camera with y up and z back (OpenGL) to one with y down and z forward.
 _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
@@ -72,6 +74,23 @@ def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | No
     pose = np.eye(4)
     pose[:3] = top
     return pose
+
+
+def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
+    """Return the (3,) rotation vector by which a camera turns while its rows are read, as a file tells it.
+
+    Raises
+    ------
+    InputError
+        If it is not three numbers, of no more than a radian together.
+    """
+    numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
+    if len(numbers) != 3 or not math.hypot(*numbers) <= _MOST_TURN:
+        raise InputError(
+            f"{where}: shutter_turn is no rotation vector of three numbers, {_MOST_TURN:g} radian at most.",
+            path,
+        )
+    return np.array(numbers, np.float64)
 
 
 def pose_from_quaternion(

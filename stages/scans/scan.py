@@ -166,6 +166,9 @@ class Frame:
     depth_range : metres, the nearest and the farthest depth that the frame shows, where the folder tells;
         single views are searched for depth in between.
     up : (3,) float64 of length 1, what is up in the axes of the camera, where an accelerometer tells.
+    shutter_turn : (3,) float64, a rotation vector in the axes of the depth camera, radians: how the camera
+        turns from the first row of its images to the last one, where rows are read one after the other; the
+        pose is that at the middle row. None where all are read at once, or nobody knows.
     """
 
     name: str
@@ -184,6 +187,7 @@ class Frame:
     mask: Path | Packed | NDArray[np.uint8] | None = None
     depth_range: tuple[float, float] | None = None
     up: NDArray[np.float64] | None = None
+    shutter_turn: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         parts = {

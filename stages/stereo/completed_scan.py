@@ -128,5 +128,6 @@ def _completed_frame(
         confidence=None,
         least_confidence=0,
         mask=mask,
+        shutter_turn=None,
     )
     return kept, whole

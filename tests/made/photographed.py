@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from stages.scans.scan import Camera, Frame
 from stages.surface.mesh import Mesh
@@ -38,19 +39,28 @@ def pose(x: float, y: float, z: float = -0.8, turn: float = 0.0) -> np.ndarray:
     return found
 
 
-def hits(world_from_camera: np.ndarray, z: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places x and y on the plane at z that the pixels show, and their depth."""
+def hits(
+    world_from_camera: np.ndarray, z: float = 0.0, turn: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places x and y on the plane at z that the pixels show, and their depth.
+
+    With `turn`, a rotation vector, the camera turns by so much while its rows are read.
+    """
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
-    way = rays @ world_from_camera[:3, :3].T
+    late = (np.arange(CAMERA.height) + 0.5) / CAMERA.height - 0.5
+    turns = Rotation.from_rotvec(late[:, None] * (np.zeros(3) if turn is None else turn)).as_matrix()
+    way = np.einsum("rij,rcj->rci", world_from_camera[:3, :3] @ turns, rays)
     depth = (z - world_from_camera[2, 3]) / way[..., 2]
     at = world_from_camera[:3, 3] + way * depth[..., None]
     return at[..., 0], at[..., 1], depth
 
 
-def photo(number: int, world_from_camera: np.ndarray, *, with_depth: bool = True) -> Frame:
-    """A frame that shows the wall, and black beside it."""
-    x, y, depth = hits(world_from_camera)
+def photo(
+    number: int, world_from_camera: np.ndarray, *, with_depth: bool = True, turn: np.ndarray | None = None
+) -> Frame:
+    """A frame that shows the wall, and black beside it; `turn` see `hits`."""
+    x, y, depth = hits(world_from_camera, turn=turn)
     on_wall = (np.minimum(x, y) >= 0) & (np.maximum(x, y) <= 1) & (depth > 0)
     levels = np.where(on_wall[..., None], paint(x, y), 0)
     return Frame(

@@ -26,8 +26,8 @@ class Made:
     tracks: Tracks
 
 
-def made(seed: int = 3, views: int = 6, points: int = 300) -> Made:
-    """Make it; depth is exact, pixels are off by 0.2."""
+def made(seed: int = 3, views: int = 6, points: int = 300, degrees: float = 0.0) -> Made:
+    """Make it; depth is exact, pixels are off by 0.2, cameras turn by so many degrees while rows are read."""
     rng = np.random.default_rng(seed)
     steps = np.zeros((views, 6))
     steps[:, 0] = np.linspace(-0.35, 0.35, views)
@@ -36,33 +36,42 @@ def made(seed: int = 3, views: int = 6, points: int = 300) -> Made:
     steps[:, 3:] += 0.03 * rng.normal(size=(views, 3))
     lens = np.array([*DEPTH_LENS, -0.04, 0, 0, 0, 0]) * np.array([0.97, 0.97, *[1] * 7])
     apart = motion(np.array([[0.02, -0.004, 0.003, 0.005, -0.008, 0.002]]))
-    cameras = Cameras(motion(steps), np.tile(lens, (views, 1)), np.tile(apart, (views, 1, 1)))
+    turns = np.radians(degrees) * np.random.default_rng(seed).normal(size=(views, 3))
+    turns -= turns.mean(axis=0)
+    cameras = Cameras(motion(steps), np.tile(lens, (views, 1)), np.tile(apart, (views, 1, 1)), turns)
     flat = rng.uniform((-0.8, -0.5), (0.8, 0.5), (points, 2))
     places = np.column_stack([flat, _wall(*flat.T)])
     number = np.repeat(np.arange(points), views)
     view = np.tile(np.arange(views), points)
-    pixels = project(in_color(cameras, view, places[number]), cameras.lenses[view])
+    late = np.zeros(len(view))
+    for _ in range(6):
+        pixels = project(in_color(cameras, view, places[number], late), cameras.lenses[view])
+        late = np.clip((pixels[:, 1] + 0.5) / SIZE[1] - 0.5, -0.5, 0.5)
     inside = ((pixels > 2) & (pixels < np.array(SIZE) - 3)).all(axis=1)
     often = np.bincount(number[inside], minlength=points) >= 3
     kept = inside & often[number]
     _, point = np.unique(number[kept], return_inverse=True)
     noisy = pixels[kept] + 0.2 * rng.normal(size=(np.count_nonzero(kept), 2))
-    tracks = Tracks(view[kept], point, noisy, np.zeros(0, np.intp))
-    return Made([_view(n, pose) for n, pose in enumerate(cameras.poses)], cameras, places[often], tracks)
+    tracks = Tracks(view[kept], point, noisy, late[kept], np.zeros(0, np.intp))
+    seen = [_view(n, pose, turn) for n, (pose, turn) in enumerate(zip(cameras.poses, turns, strict=True))]
+    return Made(seen, cameras, places[often], tracks)
 
 
 def _wall(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 1.5 + 0.15 * np.sin(3 * x) * np.cos(4 * y) + 0.1 * x
 
 
-def _view(number: int, pose: np.ndarray) -> View:
+def _view(number: int, pose: np.ndarray, turn: np.ndarray) -> View:
     columns, rows = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     fx, fy, cx, cy = DEPTH_LENS
     way = np.stack([(columns - cx) / fx, (rows - cy) / fy, np.ones(columns.shape)], axis=-1)
+    late = (np.arange(SIZE[1]) + 0.5) / SIZE[1] - 0.5
+    steps = np.concatenate([np.zeros((SIZE[1], 3)), late[:, None] * turn], axis=1)
+    ahead = np.einsum("rij,rcj->rci", pose[:3, :3] @ motion(steps)[:, :3, :3], way)
     depth = np.full(columns.shape, 1.5)
     for _ in range(30):
-        hit = (way * depth[..., None]) @ pose[:3, :3].T + pose[:3, 3]
-        depth += (_wall(hit[..., 0], hit[..., 1]) - hit[..., 2]) / (way @ pose[:3, :3].T)[..., 2]
+        hit = ahead * depth[..., None] + pose[:3, 3]
+        depth += (_wall(hit[..., 0], hit[..., 1]) - hit[..., 2]) / ahead[..., 2]
     return View(
         name=f"{number:04d}",
         pixels=np.zeros((0, 2), np.float32),

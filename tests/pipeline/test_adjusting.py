@@ -15,9 +15,10 @@ from pipeline.config import Config
 from pipeline.run import run
 from stages import adjust
 from stages.adjusting.cameras import motion
-from stages.errors import UsageError
+from stages.errors import InputError, UsageError
 from stages.scans.formats.trajectories import read_tum
 from stages.scans.read import read_scan
+from stages.scans.reading.adjusted import with_adjusted
 
 pytestmark = pytest.mark.slow
 
@@ -85,3 +86,37 @@ def test_what_is_written_gives_the_frames_back_to_the_bit(disturbed: Path, tmp_p
         np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
         np.testing.assert_array_equal(one.color_from_depth, other.color_from_depth)
         assert one.color_camera == other.color_camera
+        assert one.shutter_turn is None
+
+
+def test_turns_that_are_written_come_back_to_their_frames(disturbed: Path, tmp_path: Path) -> None:
+    scan = read_scan(disturbed)
+    scan = replace(scan, frames=scan.frames[:4])
+    turns = np.random.default_rng(5).normal(size=(4, 3)) / 50
+    frames = [replace(frame, shutter_turn=turn) for frame, turn in zip(scan.frames, turns, strict=True)]
+    found = replace(adjust(scan), frames=tuple(frames), places=(0, 2), accepted=True, has_turns=True)
+    adjusting.write(tmp_path, found)
+    placed = adjusting.placed(scan, tmp_path).frames
+    by_name = with_adjusted(scan, tmp_path / "cameras.json").frames
+    for frames in (placed, by_name):
+        for number in (0, 2):
+            np.testing.assert_array_equal(frames[number].shutter_turn, turns[number])
+        assert frames[1].shutter_turn is None
+
+
+@pytest.mark.parametrize("wrong", [[0.1, 0.2], [1, 1, 1], ["x", 0, 0], {"a": 1}, [float("nan"), 0, 0]])
+def test_a_turn_that_is_none_is_told(disturbed: Path, tmp_path: Path, wrong: object) -> None:
+    scan = read_scan(disturbed)
+    name = scan.frames[0].name
+    pose = scan.frames[0].world_from_camera.tolist()
+    document = {"accepted": True, "names": {"0": name}, "poses": {"0": pose}, "shutter_turns": {"0": wrong}}
+    (tmp_path / "cameras.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"shutter_turn is no rotation vector|NaN"):
+        with_adjusted(scan, tmp_path / "cameras.json")
+
+
+def test_turns_of_nobody_are_told(disturbed: Path, tmp_path: Path) -> None:
+    document = {"accepted": True, "names": {}, "poses": {}, "shutter_turns": {"0": [0, 0, 0]}}
+    (tmp_path / "cameras.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match="lacks the names"):
+        with_adjusted(read_scan(disturbed), tmp_path / "cameras.json")

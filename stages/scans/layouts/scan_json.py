@@ -22,7 +22,9 @@
           "least_confidence": 1,         depth of less is missing
           "mask": "mask/000000.png",     8-bit; 0 where the image shows nothing of the scene; optional
           "up": [0, -1, 0],              what is up in the camera's axes, by an accelerometer; optional
-          "depth_range": [0.5, 4.0]      metres, where to look for depth that is not there; optional
+          "depth_range": [0.5, 4.0],     metres, where to look for depth that is not there; optional
+          "shutter_turn": [0.01, 0, 0]   rotation vector, radians: how the camera turns from the first row of
+                                         its images to the last one; optional
         }
       ]
     }
@@ -41,11 +43,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import matrix_of, rigid
+from stages.scans.poses import matrix_of, rigid, turn_of
 from stages.scans.reading.files import inside
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -120,6 +123,8 @@ def _frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
         table["depth_range"] = list(frame.depth_range)
     if frame.up is not None:
         table["up"] = frame.up.tolist()
+    if frame.shutter_turn is not None:
+        table["shutter_turn"] = frame.shutter_turn.tolist()
     return table
 
 
@@ -184,6 +189,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 mask=images["mask"],
                 depth_range=_depth_range(entry, name, path),
                 up=None if (up := _direction(entry, f"frame {name}: up", path)) is None else np.array(up),
+                shutter_turn=_shutter_turn(entry, name, path),
             )
         )
     posed = any(frame.world_from_camera is not None for frame in frames)
@@ -255,6 +261,11 @@ def _depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, f
             f"frame {name}: depth_range is not the nearest and the farthest depth, metres.", path
         )
     return float(numbers[0]), float(numbers[1])
+
+
+def _shutter_turn(entry: dict[str, Any], name: str, path: Path) -> NDArray[np.float64] | None:
+    value = entry.get("shutter_turn")
+    return None if value is None else turn_of(value, path, f"frame {name}")
 
 
 def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:

@@ -5,7 +5,9 @@
 "color_camera": {"width": 640, "fx": …},   null where the given one stays
 "color_from_depth": [[…], …],              4x4, metres; null likewise
 "names": {"0": "000000", …},               of adjusted frames, by their place in the scan
-"poses": {"0": [[…], …], …}                4x4 world_from_camera, metres, by the same
+"poses": {"0": [[…], …], …},               4x4 world_from_camera, metres, by the same
+"shutter_turns": {"0": […], …}             rotation vectors, radians: how cameras turn from the first row to
+                                           the last one; null, or missing, where rows are read at once
 }
 """
 
@@ -15,10 +17,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration
-from stages.scans.poses import matrix_of, rigid
+from stages.scans.poses import matrix_of, rigid, turn_of
 from stages.scans.scan import Camera, Frame, Pose, Scan
 
 
@@ -35,7 +40,8 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
         raise InputError("a cameras.json of `scanloom adjust` is expected.", path)
     poses = _poses(document, path)
     camera = _color_camera(document, path)
-    frames = [_adjusted(frame, poses.get(frame.name), camera) for frame in scan.frames]
+    turns = _turns(document, path)
+    frames = [_adjusted(frame, poses.get(frame.name), camera, turns.get(frame.name)) for frame in scan.frames]
     if poses and not any(frame.name in poses for frame in scan.frames):
         raise InputError(f"it is of another scan: none of its frames is one of the {len(frames)} here.", path)
     posed = any(frame.world_from_camera is not None for frame in frames)
@@ -43,9 +49,16 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
     return replace(scan, frames=frames, missing=missing)
 
 
-def _adjusted(frame: Frame, pose: Pose | None, camera: tuple[Camera, Pose] | None) -> Frame:
+def _adjusted(
+    frame: Frame,
+    pose: Pose | None,
+    camera: tuple[Camera, Pose] | None,
+    turn: NDArray[np.float64] | None,
+) -> Frame:
     if pose is not None:
         frame = replace(frame, world_from_camera=pose)
+    if turn is not None:
+        frame = replace(frame, shutter_turn=turn)
     if camera is not None and frame.color is not None and frame.depth is not None:
         frame = replace(frame, color_camera=camera[0], color_from_depth=camera[1])
     return frame
@@ -58,6 +71,15 @@ def _poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
     if not all(isinstance(name, str) for name in names.values()):
         raise InputError("a frame's name is no text.", path)
     return {names[place]: _pose(poses[place], f"frame {names[place]}", path) for place in poses}
+
+
+def _turns(document: dict[str, Any], path: Path) -> dict[str, NDArray[np.float64]]:
+    names, turns = document["names"], document.get("shutter_turns")
+    if turns is None:
+        return {}
+    if not isinstance(turns, dict) or not set(turns) <= set(names):
+        raise InputError("it lacks the names of its frames; run `scanloom adjust` again.", path)
+    return {names[place]: turn_of(turns[place], path, f"frame {names[place]}") for place in turns}
 
 
 def _color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] | None:

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from stages import Frame, adjust, read_scan
-from stages.adjusting.cameras import motion, motion_apart
+from stages.adjusting.cameras import motion, motion_apart, steps_of
 from stages.adjusting.key_frames import key_frames
-from stages.scans.images import read_color
+from stages.scans.images import read_color, read_depth
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 
@@ -42,11 +42,43 @@ def jittered(frames: Sequence[Frame], metres: float, degrees: float, zoom: float
     return result
 
 
+def rolling(frames: Sequence[Frame], degrees: float) -> tuple[list[Frame], np.ndarray]:
+    """Return frames whose rows were read one after the other by cameras that turned, and how they did."""
+    turns = np.radians(degrees) * np.random.default_rng(7).normal(size=(len(frames), 3))
+    turns -= turns.mean(axis=0)
+    result = []
+    for frame, turn in zip(frames, turns, strict=True):
+        camera = frame.camera
+        v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+        steps = np.concatenate(
+            [np.zeros((camera.height, 3)), ((v[:, :1] + 0.5) / camera.height - 0.5) * turn], axis=1
+        )
+        x, y, z = np.einsum("rij,rcj->cri", motion(steps)[:, :3, :3], rays).transpose(2, 1, 0)
+        where = [
+            (f * one / z + c).astype(np.float32)
+            for f, one, c in ((camera.fx, x, camera.cx), (camera.fy, y, camera.cy))
+        ]
+        color = cv2.remap(read_color(frame), *where, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        depth = cv2.remap(read_depth(frame), *where, cv2.INTER_NEAREST) / z.astype(np.float32)
+        result.append(replace(frame, color=color, depth=depth))
+    return result, turns
+
+
 def apart(frames: Sequence[Frame], others: Sequence[Frame]) -> np.ndarray:
     """Return how far steps from frame to frame differ, (n, 2) metres and degrees: the world may move."""
     both = [[one.world_from_camera for one in some] for some in (frames, others)]
     steps = [[np.linalg.inv(a) @ b for a, b in itertools.pairwise(poses)] for poses in both]
     return np.array([motion_apart(a, b) for a, b in zip(*steps, strict=True)])
+
+
+def apart_in_all(frames: Sequence[Frame], others: Sequence[Frame]) -> float:
+    """Return the RMS distance of camera centres after the best rigid motion (Umeyama), metres."""
+    a, b = (np.stack([one.world_from_camera[:3, 3] for one in some]) for some in (frames, others))
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    left, _, right = np.linalg.svd(a.T @ b)
+    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    return float(np.sqrt(((a - b @ turn.T) ** 2).sum(axis=1).mean()))
 
 
 @pytest.mark.slow
@@ -88,6 +120,53 @@ def test_a_wrong_focal_length_comes_back_with_the_poses(half):
     assert np.linalg.norm(found.frames[0].color_from_depth[:3, 3]) < 0.004
     assert np.median(apart(half, found.frames), axis=0)[0] < 0.002
     assert found.camera_before.fx == pytest.approx(1.05 * half[0].camera.fx)
+
+
+@pytest.mark.slow
+def test_turns_while_rows_are_read_are_found_with_the_poses(half):
+    made, turns = rolling(half, 1.0)
+    disturbed = jittered(made, 0.006, 0.3)
+    found = adjust(disturbed)
+    assert found.has_turns
+    assert "rolling shutter" in found.why
+    assert found.figures()["shutter_turn_median_deg"] == pytest.approx(
+        np.median(np.degrees(np.linalg.norm(turns, axis=1))), rel=0.25
+    )
+    told = np.stack([frame.shutter_turn for frame in found.frames])
+    assert np.linalg.norm(told - turns) < 0.3 * np.linalg.norm(turns)
+    assert np.median(apart(half, found.frames), axis=0)[0] < 0.003
+    # Rows that are put right are adjusted from where they were read.
+    again = adjust(list(found.frames))
+    assert not again.accepted
+
+
+@pytest.mark.slow
+def test_frames_between_key_frames_turn_too(frames, monkeypatch):
+    monkeypatch.setattr("stages.adjusting.adjust._MOST_KEYS", 8)
+    made, turns = rolling(frames[:14], 1.0)
+    found = adjust(jittered(made, 0.004, 0.2))
+    assert found.key_frames == 8
+    assert found.has_turns
+    told = np.stack([frame.shutter_turn for frame in found.frames])
+    assert np.linalg.norm(told - turns) < 0.5 * np.linalg.norm(turns)
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_swung_about_is_nearer_to_its_true_way(shared_data):
+    scan = read_scan(shared_data / "real" / "rgbd_dataset_freiburg1_rpy")
+    found = adjust(scan)
+    assert found.has_turns
+    assert found.after.median < 1.5
+    assert apart_in_all(scan.frames, found.frames) < 0.014
+    # Times and poses, which nothing was told of, say how fast it turned: up and down, left and right.
+    turns, speeds = [], []
+    for before, one, after in zip(found.frames, found.frames[1:], found.frames[2:], strict=False):
+        step = np.linalg.inv(before.world_from_camera) @ after.world_from_camera
+        speeds.append(steps_of(step[None])[0, 3:5] * 1e9 / (after.timestamp - before.timestamp))
+        turns.append(one.shutter_turn[:2])
+    turn, speed = np.ravel(turns), np.ravel(speeds)
+    assert np.corrcoef(turn, speed)[0, 1] > 0.8
+    assert (turn @ speed) / (speed @ speed) == pytest.approx(0.026, abs=0.006)
 
 
 @pytest.mark.slow

@@ -9,7 +9,8 @@ from views_of_a_wall import Made, made
 from stages.adjusting.bundle import solved
 from stages.adjusting.cameras import FREE, Cameras, motion, motion_apart, steps_of
 from stages.adjusting.lifting import lifted
-from stages.adjusting.problem import Problem, State
+from stages.adjusting.problem import Frees, Problem, State
+from stages.adjusting.resection import resected
 from stages.adjusting.surfaces import Surfaces
 
 PRIOR = np.array([0.02] * 3 + [np.radians(0.6)] * 3)
@@ -25,9 +26,8 @@ def meeting(scene: Made) -> Surfaces:
     return Surfaces.of(scene.views, np.array(couples))
 
 
-def problem(scene: Made, given: np.ndarray) -> Problem:
-    surfaces = meeting(scene)
-    return Problem.of(scene.tracks, given, PRIOR, surfaces=surfaces, frees_camera=True, width=320)
+def problem(scene: Made, given: np.ndarray, frees: Frees) -> Problem:
+    return Problem.of(scene.tracks, given, PRIOR, surfaces=meeting(scene), frees=frees, width=320)
 
 
 def off(one: Cameras, other: Cameras) -> np.ndarray:
@@ -57,11 +57,17 @@ def test_points_are_lifted_through_cameras_that_stand_apart(scene):
     assert np.median(np.linalg.norm(seen - true, axis=1)[known]) < 0.003
 
 
-def test_the_gradient_is_that_of_the_cost(scene):
+@pytest.mark.parametrize("turns", [False, True])
+def test_the_gradient_is_that_of_the_cost(turns):
+    scene = made(degrees=0.3 if turns else 0.0)
     rng = np.random.default_rng(2)
     start = disturbed(scene, rng)
+    if turns:
+        start = replace(start, turns=start.turns + np.radians(0.03) * rng.normal(size=start.turns.shape))
     state = State(start, scene.points + 0.003 * rng.normal(size=scene.points.shape), np.zeros(FREE))
-    stated = problem(scene, scene.cameras.poses).looked_up(scene.views, state)
+    stated = problem(scene, scene.cameras.poses, Frees(camera=True, turns=turns)).looked_up(
+        scene.views, state
+    )
     assert (stated.planes.depths > 0).mean() > 0.9
     assert (stated.meetings.depths > 0).mean() > 0.5
     linear = stated.linear(state)
@@ -70,10 +76,16 @@ def test_the_gradient_is_that_of_the_cost(scene):
     by = (linear.by_pose * weighed, linear.by_camera * weighed, linear.by_point * weighed)
     poses, camera, points = (one.sum(axis=1) for one in by)
     met, couple = linear.meetings, stated.surfaces.couples[stated.surfaces.couple]
+    size = 9 if turns else 6
+    moved, turned = np.zeros((2, views, size))
+    moved[:, :6] = rng.normal(size=(views, 6))
+    turned[:, 6:] = rng.normal(size=(views, size - 6))
+    still = np.zeros((views, size))
     for name, direction in {
-        "poses": (rng.normal(size=(views, 6)), np.zeros(FREE), np.zeros((count, 3))),
-        "camera": (np.zeros((views, 6)), rng.normal(size=FREE), np.zeros((count, 3))),
-        "points": (np.zeros((views, 6)), np.zeros(FREE), rng.normal(size=(count, 3))),
+        "poses": (moved, np.zeros(FREE), np.zeros((count, 3))),
+        "camera": (still, rng.normal(size=FREE), np.zeros((count, 3))),
+        "points": (still, np.zeros(FREE), rng.normal(size=(count, 3))),
+        **({"turns": (turned, np.zeros(FREE), np.zeros((count, 3)))} if turns else {}),
     }.items():
         step = 1e-7
         there, back = (
@@ -98,7 +110,7 @@ def test_poses_and_camera_come_back(scene):
         lenses=np.stack([view.lens for view in scene.views]),
         color_from_depth=np.tile(np.eye(4), (len(scene.views), 1, 1)),
     )
-    found = solved(scene.views, given, given, scene.tracks, meeting(scene), PRIOR, frees_camera=True)
+    found = solved(scene.views, given, given, scene.tracks, meeting(scene), PRIOR, Frees(camera=True))
     before, after = off(scene.cameras, given), off(scene.cameras, found)
     assert np.median(after[:, 0]) < 0.4 * np.median(before[:, 0])
     assert np.median(after[:, 1]) < 0.4 * np.median(before[:, 1])
@@ -108,10 +120,43 @@ def test_poses_and_camera_come_back(scene):
     assert np.abs(found.lenses - found.lenses[0]).max() == 0, "there is one camera"
 
 
+def test_turns_while_rows_are_read_come_back_with_the_poses():
+    scene = made(views=8, points=600, degrees=1.0)
+    start = replace(disturbed(scene, np.random.default_rng(8)), turns=np.zeros((8, 3)))
+
+    def found(frees: Frees) -> Cameras:
+        return solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, frees)
+
+    rolling, at_once = found(Frees(turns=True)), found(Frees())
+    assert not at_once.turns.any()
+    true = scene.cameras.turns
+    assert np.linalg.norm(rolling.turns - true) < 0.2 * np.linalg.norm(true)
+    apart, without = (np.median(off(scene.cameras, one), axis=0) for one in (rolling, at_once))
+    assert (apart < 0.4 * without).all()
+
+
+def test_each_camera_alone_finds_its_turn_where_points_stay():
+    scene = made(degrees=1.0)
+    start = replace(scene.cameras, turns=np.zeros((6, 3)))
+    stated = Problem.of(scene.tracks, start.poses, PRIOR, frees=Frees(turns=True))
+    _, state = resected(scene.views, stated, State(start, scene.points, np.zeros(FREE)), 4)
+    true = scene.cameras.turns
+    assert np.linalg.norm(state.cameras.turns - true) < 0.1 * np.linalg.norm(true)
+    np.testing.assert_array_equal(state.points, scene.points)
+
+
+def test_what_all_cameras_turn_by_is_their_lens():
+    scene = made(degrees=1.0)
+    common = np.radians((1.0, -0.5, 0.3))
+    start = replace(scene.cameras, turns=scene.cameras.turns + common)
+    found = solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, Frees(turns=True))
+    assert np.linalg.norm(found.turns.mean(axis=0)) < np.radians(0.1)
+
+
 def test_surfaces_alone_bring_poses_together(scene):
     start = disturbed(scene, np.random.default_rng(6))
     nothing = scene.tracks.of(np.arange(scene.tracks.count) < 1)
-    found = solved(scene.views, start, start, nothing, meeting(scene), 50 * PRIOR, frees_camera=False)
+    found = solved(scene.views, start, start, nothing, meeting(scene), 50 * PRIOR, Frees())
     gaps = []
     for cameras in (start, found):
         surfaces = meeting(scene)
@@ -119,7 +164,7 @@ def test_surfaces_alone_bring_poses_together(scene):
         stated = Problem.of(nothing, cameras.poses, PRIOR, surfaces=surfaces).looked_up(scene.views, state)
         held = stated.meetings.depths > 0
         assert held.mean() > 0.5
-        behind = stated.meetings.behind(stated.across(state)[0])
+        behind = stated.meetings.behind(stated.across(state).there)
         gaps.append(np.median(np.abs(behind[held])))
     assert gaps[1] < 0.3 * gaps[0]
 
@@ -127,12 +172,12 @@ def test_surfaces_alone_bring_poses_together(scene):
 def test_points_without_depth_change_nothing(scene):
     blind = [replace(view, depth=np.zeros_like(view.depth)) for view in scene.views]
     start = disturbed(scene, np.random.default_rng(7))
-    assert solved(blind, start, start, scene.tracks, Surfaces.none(), PRIOR, frees_camera=True) is start
+    assert solved(blind, start, start, scene.tracks, Surfaces.none(), PRIOR, Frees(camera=True)) is start
 
 
 def test_a_camera_that_is_given_stays(scene):
     start = disturbed(scene, np.random.default_rng(5))
-    found = solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, frees_camera=False)
+    found = solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, Frees())
     np.testing.assert_array_equal(found.lenses, start.lenses)
     np.testing.assert_array_equal(found.color_from_depth, start.color_from_depth)
     assert np.median(off(scene.cameras, found)[:, 1]) < 0.1 * np.median(off(scene.cameras, start)[:, 1])

@@ -74,3 +74,13 @@ def test_what_cannot_be_judged_is_named(painted):
     ]
     assert found.figures()["psnr_raw_db"] is None
     assert paint(np.array(0.5), np.array(0.5)).shape == (3,)
+
+
+@pytest.mark.slow
+def test_a_photo_whose_rows_are_read_one_after_the_other_is_placed_with_its_turn(painted):
+    rolling = photo(0, pose(0.5, 0.5), turn=np.radians((1.5, -2.5, 1.0)))
+    (as_if_at_once,) = left_out(painted, [rolling]).scores
+    # That its camera turns is known of those that took part, but not how much.
+    (with_turn,) = left_out(painted, [replace(rolling, shutter_turn=np.radians((0.0, 1.0, 0.0)))]).scores
+    assert with_turn.affine > as_if_at_once.affine + 4
+    assert with_turn.affine > 26

@@ -69,7 +69,7 @@ def test_what_is_written_is_read_back(tmp_path, tiny):
               tiny.second, 123456789012345678),
         Frame("two", own, None, None, tmp_path / "depth" / "2.npy", 1.0, (7,), tiny.identity, None,
               large, tiny.second, tmp_path / "trust" / "2.png", 3, tmp_path / "mask.png", (0.25, 4.0),
-              np.array((0.6, -0.8, 0.0))),
+              np.array((0.6, -0.8, 0.0)), np.array((0.01, -0.02, 0.003))),
     ]  # fmt: skip
     (tmp_path / "color").mkdir()
     (tmp_path / "depth").mkdir()
