@@ -64,6 +64,11 @@ class AdjustParams:
         "camera): by default used where it is clearly better than poses alone; true asks for it, false "
         "keeps the given one.",
     )
+    shutter: bool | None = param(
+        None,
+        "Look for how cameras turn while the rows of their images are read (a rolling shutter): by default "
+        "used where it is clearly better; true asks for it, false takes all rows as read at once.",
+    )
     pose_deviation: float = param(
         0.02,
         "Standard deviation of the given poses, with 0.3° for each 10 mm.",
@@ -81,6 +86,7 @@ class AdjustKeywords(TypedDict, total=False):
 
     enabled: bool | None
     camera: bool | None
+    shutter: bool | None
     pose_deviation: float
 
 
@@ -162,7 +168,7 @@ def _adjusted(
     found = match(key_views, couples, lambda done, of: steps.at(len(chosen) + done * matching // of))
     prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
     camera = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
-    made = bundle(key_views, given, found, prior, camera, lambda: steps.done(1))
+    made = bundle(key_views, given, found, prior, camera, params.shutter, lambda: steps.done(1))
     if made is None:
         why = "too few points are seen by three frames"
         return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)

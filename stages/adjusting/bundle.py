@@ -66,6 +66,7 @@ def bundle(
     found: Matches,
     pose_prior: NDArray[np.float64],
     camera: bool | None,
+    shutter: bool | None,
     tell: Callable[[], object],
 ) -> Bundle | None:
     """Adjust cameras to matches.
@@ -75,6 +76,7 @@ def bundle(
     found : all matches that a motion explains.
     pose_prior : (6,) standard deviations of the given poses, metres and radians.
     camera : adjust the colour camera: True, False, or None where it is clearly better on held-out points.
+    shutter : the same for how cameras turn while rows are read.
     tell : called after each of five parts of the work.
 
     Returns
@@ -98,6 +100,10 @@ def bundle(
     def off(cameras: Cameras) -> NDArray[np.float64]:
         return errors(views, cameras, judged)
 
+    def promises_turns(cameras: Cameras) -> bool:
+        alone = _each_alone(views, given, cameras, few, pose_prior)
+        return _ratio(off(cameras), off(alone)) < _PROMISING
+
     train = joined.of(~held)
     few = train.of(np.arange(train.count) % max(train.count // _FEW, 1) == 0)
     best = given if camera else fitted(given, few, Frees())
@@ -110,10 +116,9 @@ def bundle(
             if (camera and number == 0) or _ratio(off(best), off(other)) < needed:
                 best, has_camera = other, True
             tell()
-    frees = Frees(has_camera, turns=True)
-    if _ratio(off(best), off(_each_alone(views, given, best, few, pose_prior))) < _PROMISING:
-        other = fitted(best, few, frees)
-        if _ratio(off(best), off(other)) < _BETTER_TURNS:
+    if shutter or (shutter is None and promises_turns(best)):
+        other = fitted(best, few, Frees(has_camera, turns=True))
+        if shutter or _ratio(off(best), off(other)) < _BETTER_TURNS:
             best, has_turns = other, True
     tell()
     # With cameras that nearly fit, wrong matches are told from right ones, and right ones from wrong ones.

@@ -135,9 +135,21 @@ def test_turns_while_rows_are_read_are_found_with_the_poses(half):
     told = np.stack([frame.shutter_turn for frame in found.frames])
     assert np.linalg.norm(told - turns) < 0.3 * np.linalg.norm(turns)
     assert np.median(apart(half, found.frames), axis=0)[0] < 0.003
+    at_once = adjust(disturbed, shutter=False)
+    assert not at_once.has_turns
+    assert all(frame.shutter_turn is None for frame in at_once.frames)
+    assert found.after.median < 0.6 * at_once.after.median
     # Rows that are put right are adjusted from where they were read.
     again = adjust(list(found.frames))
     assert not again.accepted
+
+
+@pytest.mark.slow
+def test_turns_that_are_asked_for_are_next_to_none_where_rows_were_read_at_once(half):
+    found = adjust(jittered(half, 0.01, 0.5), shutter=True)
+    assert found.has_turns
+    assert found.turns_deg[0] < 0.1
+    assert found.after.median < 0.3
 
 
 @pytest.mark.slow
