@@ -32,6 +32,8 @@ def turned(turns: NDArray[np.float64], late: NDArray[np.float64]) -> NDArray[np.
     turns : (n, 3) of the cameras, see `Cameras.turns`.
     late : (n,) of the rows.
     """
+    if not turns.any():
+        return np.broadcast_to(np.eye(4), (len(late), 4, 4))
     return motion(np.concatenate([np.zeros((len(late), 3)), late[:, None] * turns], axis=1))
 
 
@@ -39,11 +41,11 @@ def as_read(
     points: NDArray[np.float64], turns: NDArray[np.float64], late: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return points (n, 3) of the axes at the middle row in those as a row is read."""
-    return carried(turned(turns, -late), points) if turns.any() else points
+    return carried(turned(turns, -late), points)
 
 
 def in_the_middle(
     points: NDArray[np.float64], turns: NDArray[np.float64], late: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return points (n, 3) of the axes as a row is read in those at the middle row."""
-    return carried(turned(turns, late), points) if turns.any() else points
+    return carried(turned(turns, late), points)

@@ -26,7 +26,6 @@ class Surfaces:
     late : (k,) how late that is, see stages/adjusting/shutter.py.
     rows : (m, 2) of each view's depth map, in its heights: the focal length, and how far the centre is
         below the middle.
-    rows : (m, 2) of each view: where it sees what is as far down as it is away, and what is straight ahead,
     """
 
     couples: NDArray[np.intp]
