@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stages.comparing.left_out import left_out
 from stages.picturing.render import write_png
 from stages.progress import Progress, silent
@@ -64,6 +66,6 @@ def _like(frame: Frame, neighbour: Frame, found: dict[str, Frame]) -> Frame:
         camera=used.camera if frame.camera.is_guess else frame.camera,
         color_camera=used.color_camera,
         color_from_depth=used.color_from_depth,
-        # Its own, where its neighbours have one, is looked for when it is judged.
-        shutter_turn=used.shutter_turn,
+        # That it has one is known of its neighbours; its own is looked for when it is judged.
+        shutter_turn=None if used.shutter_turn is None else np.zeros(3),
     )

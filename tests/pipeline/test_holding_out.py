@@ -1,0 +1,36 @@
+"""Photos that no stage saw are moved as those taken just after them were, and have the same camera."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed import CAMERA, photo, pose
+
+from pipeline.holding_out import like_neighbours
+from stages.scans.scan import Frame
+
+
+@pytest.fixture
+def frames() -> list[Frame]:
+    return [photo(number, pose(0.1 * number, 0.5)) for number in range(6)]
+
+
+def test_they_move_with_the_frame_after_them(frames):
+    left_out, given = frames[1::3], [frame for number, frame in enumerate(frames) if number % 3 != 1]
+    shift = np.eye(4)
+    shift[:3, 3] = 0.01, -0.02, 0.03
+    used = [
+        replace(frame, world_from_camera=shift @ frame.world_from_camera, color_camera=CAMERA)
+        for frame in given
+    ]
+    for one, before in zip(like_neighbours(left_out, 3, given, used), left_out, strict=True):
+        np.testing.assert_allclose(one.world_from_camera, shift @ before.world_from_camera, atol=1e-12)
+        assert one.color_camera == CAMERA
+        assert one.shutter_turn is None
+
+
+def test_that_rows_are_read_one_after_the_other_is_known_of_them_but_not_how_it_turned(frames):
+    turn = np.array([0.01, 0.02, -0.01])
+    used = [replace(frame, shutter_turn=turn) for frame in frames[1:]]
+    (one,) = like_neighbours(frames[:1], 6, frames[1:], used)
+    np.testing.assert_array_equal(one.shutter_turn, np.zeros(3))
