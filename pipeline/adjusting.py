@@ -52,7 +52,7 @@ def placed(scan: Scan, folder: Path) -> Scan:
     if not (folder / _FILE).exists():
         return scan
     found = json.loads((folder / _FILE).read_text(encoding="utf-8"))
-    turns = found.get("shutter_turns") or {}
+    turns = found["shutter_turns"] or {}
     frames = [
         _placed(frame, found["poses"].get(str(place)), turns.get(str(place)))
         for place, frame in enumerate(scan.frames)

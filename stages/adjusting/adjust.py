@@ -101,8 +101,9 @@ def adjust(
 
     A few couples of frames say first whether anything is to be gained. If so, points that three frames or
     more show are recognised, and poses, points and one colour camera are fitted to where they are seen and
-    how deep they are measured (bundle adjustment), held to the poses given. Every fifth point is held out: by
-    these it is judged. Equal input gives equal bits, on any number of threads.
+    how deep they are measured (bundle adjustment), held to the poses given; so is how cameras turn while the
+    rows of their images are read, where that leaves less. Every fifth point is held out: by these it is
+    judged. Equal input gives equal bits, on any number of threads.
 
     Parameters
     ----------
@@ -112,8 +113,9 @@ def adjust(
 
     References
     ----------
-    Triggs, McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment – a modern synthesis", 2000; features and
-    fundamental matrices are OpenCV's, the sparse algebra SciPy's.
+    Triggs, McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment – a modern synthesis", 2000; Hedborg,
+    Forssén, Felsberg and Ringaby, "Rolling shutter bundle adjustment", 2012; features and fundamental
+    matrices are OpenCV's, the sparse algebra SciPy's.
     """
     params = resolve(AdjustParams, params, changes)
     frames = tuple(scan.frames if isinstance(scan, Scan) else scan)
@@ -279,7 +281,7 @@ def _with(
     views: dict[int, View],
     keys: Sequence[int],
 ) -> Frame:
-    """Return a frame with its pose, where it has another, and the colour camera, if there is another."""
+    """Return a frame with what was found of it: pose and turn, and the colour camera if there is another."""
     if placed is not None:
         turn = placed.turn if made.has_turns else frame.shutter_turn
         frame = replace(frame, world_from_camera=placed.pose, shutter_turn=turn)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,16 +95,11 @@ def bundle(
     judged = found.take(of_held)
 
     surfaces = Surfaces.of(views, np.unique(found.couples, axis=0))
-
-    def fitted(start: Cameras, train: Tracks, frees: Frees) -> Cameras:
-        return solved(views, given, start, train, surfaces, pose_prior, frees)
+    measured = Measured(views, given, surfaces, pose_prior)
+    fitted = partial(solved, measured)
 
     def off(cameras: Cameras) -> NDArray[np.float64]:
         return errors(views, cameras, judged)
-
-    def promises_turns(cameras: Cameras) -> bool:
-        alone = _each_alone(views, given, cameras, few, pose_prior)
-        return _ratio(off(cameras), off(alone)) < _PROMISING
 
     train = joined.of(~held)
     few = train.of(np.arange(train.count) % max(train.count // _FEW, 1) == 0)
@@ -116,7 +113,8 @@ def bundle(
             if (camera and number == 0) or _ratio(off(best), off(other)) < needed:
                 best, has_camera = other, True
             tell()
-    if shutter or (shutter is None and promises_turns(best)):
+    may_turn = shutter is None and _ratio(off(best), off(_each_alone(measured, best, few))) < _PROMISING
+    if shutter or may_turn:
         other = fitted(best, few, Frees(has_camera, turns=True))
         if shutter or _ratio(off(best), off(other)) < _BETTER_TURNS:
             best, has_turns = other, True
@@ -158,48 +156,44 @@ def _ratio(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     return float(np.percentile(other[both], _MOST) / np.percentile(one[both], _MOST))
 
 
-def solved(
-    views: Sequence[View],
-    given: Cameras,
-    start: Cameras,
-    train: Tracks,
-    surfaces: Surfaces,
-    pose_prior: NDArray[np.float64],
-    frees: Frees,
-) -> Cameras:
+class Measured(NamedTuple):
+    """What all fits have in common.
+
+    Attributes
+    ----------
+    views : what was seen, and how deep.
+    given : their cameras.
+    surfaces : of couples of views, which are to meet.
+    pose_prior : (6,) standard deviations of the given poses, metres and radians.
+    """
+
+    views: Sequence[View]
+    given: Cameras
+    surfaces: Surfaces
+    pose_prior: NDArray[np.float64]
+
+
+def solved(measured: Measured, start: Cameras, train: Tracks, frees: Frees) -> Cameras:
     """Return the cameras of least cost, by turns of looking up depth and stepping."""
-    begun = _begun(views, given, start, train, surfaces, pose_prior, frees)
+    begun = _begun(measured, start, train, frees)
     if begun is None:
         return start
     problem, state = begun
     for _ in range(_TURNS):
-        problem = problem.looked_up(views, state)
+        problem = problem.looked_up(measured.views, state)
         state = solve(problem, state, _STEPS)
     return state.cameras
 
 
-def _each_alone(
-    views: Sequence[View],
-    given: Cameras,
-    start: Cameras,
-    train: Tracks,
-    pose_prior: NDArray[np.float64],
-) -> Cameras:
+def _each_alone(measured: Measured, start: Cameras, train: Tracks) -> Cameras:
     """Return cameras that turn while rows are read, each fitted alone to points where they are measured."""
-    begun = _begun(views, given, start, train, Surfaces.none(), pose_prior, Frees(turns=True))
-    return start if begun is None else resected(views, *begun, _STEPS)[1].cameras
+    begun = _begun(measured._replace(surfaces=Surfaces.none()), start, train, Frees(turns=True))
+    return start if begun is None else resected(measured.views, *begun, _STEPS)[1].cameras
 
 
-def _begun(
-    views: Sequence[View],
-    given: Cameras,
-    start: Cameras,
-    train: Tracks,
-    surfaces: Surfaces,
-    pose_prior: NDArray[np.float64],
-    frees: Frees,
-) -> tuple[Problem, State] | None:
+def _begun(measured: Measured, start: Cameras, train: Tracks, frees: Frees) -> tuple[Problem, State] | None:
     """Return the problem, and points at the means of where views measure them; None if none is measured."""
+    views, given, surfaces, pose_prior = measured
     places = in_world(start, train.view, lifted(views, start, train.view, train.pixels), train.late)
     known = ~np.isnan(places[:, 0])
     counts = np.bincount(train.point[known], minlength=train.count)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import Cameras, carried, inverted_all
 from stages.adjusting.lens import project, rays
-from stages.adjusting.shutter import as_read, in_the_middle, late_at
+from stages.adjusting.shutter import as_read, in_the_middle, late_of
 from stages.adjusting.view import View
 
 # Where the cameras stand apart, the depth along a ray is found by steps; it is found once the last one
@@ -141,8 +141,8 @@ def transfer_errors(
     """
     here, other = couples.T
     seen = lifted(views, cameras, here, pixels[0])
-    points = in_world(cameras, here, seen, late_at(views, here, pixels[0]))
-    there = in_color(cameras, other, points, late_at(views, other, pixels[1]))
+    points = in_world(cameras, here, seen, late_of(views, here, pixels[0]))
+    there = in_color(cameras, other, points, late_of(views, other, pixels[1]))
     there[:, 2] = np.where(there[:, 2] > 1e-3, there[:, 2], np.nan)
     off = project(there, cameras.lenses[other]) - pixels[1]
     return np.asarray(np.hypot(*off.T))

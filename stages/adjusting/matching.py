@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.adjusting.cameras import Cameras
 from stages.adjusting.lens import rays
 from stages.adjusting.lifting import in_world, lifted, transfer_errors
-from stages.adjusting.shutter import late_at
+from stages.adjusting.shutter import late_of
 from stages.adjusting.view import View
 from stages.progress import Progress, silent
 from stages.registration.sift import matches
@@ -89,7 +89,7 @@ def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.
     both = list(zip(found.couples.T, found.pixels(views), strict=True))
     seen = [lifted(views, cameras, view, pixels) for view, pixels in both]
     places = [
-        in_world(cameras, view, points, late_at(views, view, pixels))
+        in_world(cameras, view, points, late_of(views, view, pixels))
         for (view, pixels), points in zip(both, seen, strict=True)
     ]
     gap = np.linalg.norm(places[0] - places[1], axis=1)

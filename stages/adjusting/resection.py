@@ -13,7 +13,7 @@ from stages.adjusting.cameras import FREE, Cameras, inverted_all
 from stages.adjusting.lifting import in_world, lifted
 from stages.adjusting.matching import match
 from stages.adjusting.problem import Frees, Problem, State
-from stages.adjusting.shutter import late_at
+from stages.adjusting.shutter import late_of
 from stages.adjusting.tracks import Tracks
 from stages.adjusting.view import View, view_or_none
 from stages.scans.prefetch import read_ahead, workers
@@ -59,9 +59,9 @@ def placed_between(
         order = np.argsort(np.abs(numbers - place), kind="stable")
         nearest, around = order[:1], np.sort(order[:_AROUND])
         # It stands to the nearest key frame as before.
-        was = Cameras.given([frames[place]], [view.lens]).poses
-        expected = cameras.poses[nearest] @ inverted_all(given.poses[nearest]) @ was
-        alone = replace(cameras.of(nearest), poses=expected, turns=np.zeros((1, 3)))
+        was = Cameras.given([frames[place]], [view.lens])
+        expected = cameras.poses[nearest] @ inverted_all(given.poses[nearest]) @ was.poses
+        alone = replace(cameras.of(nearest), poses=expected, turns=was.turns)
         return _placed(view, alone, [views[n] for n in around], cameras.of(around), pose_prior, frees)
 
     threads = workers()
@@ -89,14 +89,14 @@ def _placed(
     found = match(views, [(number, last) for number in range(last)])
     there, here = found.pixels(views)
     keyed = found.couples[:, 0]
-    points = in_world(cameras, keyed, lifted(keys, cameras, keyed, there), late_at(keys, keyed, there))
+    points = in_world(cameras, keyed, lifted(keys, cameras, keyed, there), late_of(keys, keyed, there))
     known = ~np.isnan(points[:, 0])
     points, here = points[known], here[known]
     if len(points) < _LEAST:
         return None
     count = len(points)
     alone = np.zeros(count, np.intp)
-    tracks = Tracks(alone, np.arange(count), here, late_at([view], alone, here), np.zeros(0, np.intp))
+    tracks = Tracks(alone, np.arange(count), here, late_of([view], alone, here), np.zeros(0, np.intp))
     problem = Problem.of(tracks, one.poses, pose_prior, frees=Frees(turns=frees.turns))
     problem, state = resected([view], problem, State(one, points, np.zeros(FREE)), _STEPS)
     near = np.count_nonzero(problem.pixels_off(state) < _OFF_PX)

@@ -1,8 +1,7 @@
 """A rolling shutter: rows are read one after the other, and the camera turns meanwhile (Hedborg et al. 2012).
 
-A pose is that at the middle row. A row is read later by a share of the time that all take, -0.5 for the first
-and 0.5 for the last; by then the camera has turned by that share of its `Cameras.turns`. Depth maps are taken
-to be read as colour images are.
+A pose is that at the middle row. A row is read later by a share of the time that all take; by then the camera
+has turned by that share of its `Cameras.turns`. Depth maps are taken to be read as colour images are.
 """
 
 from __future__ import annotations
@@ -14,14 +13,15 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import carried, motion
 from stages.adjusting.view import View
+from stages.scans.shutter import late_at
 
 
-def late_at(
+def late_of(
     views: Sequence[View], view: NDArray[np.intp], pixels: NDArray[np.floating]
 ) -> NDArray[np.float64]:
     """Return how late (n,) pixels of the views' colour images are read."""
     heights = np.array([one.size[1] for one in views], np.float64)
-    return np.asarray((pixels[:, 1] + 0.5) / heights[view] - 0.5)
+    return late_at(pixels[:, 1], heights[view])
 
 
 def turned(turns: NDArray[np.float64], late: NDArray[np.float64]) -> NDArray[np.float64]:

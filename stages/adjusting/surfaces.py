@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.adjusting.view import View
+from stages.scans.shutter import late_at
 
 # Cells of a view each way that a point is taken from.
 _CELLS = 8
@@ -24,8 +25,7 @@ class Surfaces:
     couple : (k,) of each point.
     points : (k, 3) metres, in the axes of the first view as they are read.
     late : (k,) how late that is, see stages/adjusting/shutter.py.
-    rows : (m, 2) of each view's depth map, in its heights: the focal length, and how far the centre is
-        below the middle.
+    rows : (m, 3) of each view's depth map, pixels: focal length and centre down its columns, and its height.
     """
 
     couples: NDArray[np.intp]
@@ -38,7 +38,7 @@ class Surfaces:
     def none(cls) -> Surfaces:
         """Return no points."""
         return cls(
-            np.zeros((0, 2), np.intp), np.zeros(0, np.intp), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))
+            np.zeros((0, 2), np.intp), np.zeros(0, np.intp), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
         )
 
     @classmethod
@@ -50,20 +50,15 @@ class Surfaces:
         kept = np.array(counts, np.intp) > 0
         couple = np.repeat(np.cumsum(kept) - 1, counts)
         together = np.concatenate([np.zeros((0, 3)), *points])
-        rows = np.array([_rows(view) for view in views]).reshape(-1, 2)
+        rows = np.array([(*view.depth_lens[[1, 3]], view.depth.shape[0]) for view in views], np.float64)
         found = cls(couples[kept], couple, together, np.zeros(0), rows)
         return replace(found, late=found.late_where(found.couples[couple, 0], together))
 
     def late_where(self, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how late (n,) views read points (n, 3) of their own axes; never more than all takes."""
-        down, ahead = self.rows[view].T
-        z = np.maximum(points[:, 2], 1e-3)
-        return np.asarray(np.clip(points[:, 1] / z * down + ahead, -0.5, 0.5))
-
-
-def _rows(view: View) -> tuple[float, float]:
-    height = view.depth.shape[0]
-    return view.depth_lens[1] / height, (view.depth_lens[3] + 0.5) / height - 0.5
+        fy, cy, height = self.rows[view].T
+        rows = points[:, 1] / np.maximum(points[:, 2], 1e-3) * fy + cy
+        return np.clip(late_at(rows, height), -0.5, 0.5)
 
 
 def points_of(view: View, cells: int) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.adjusting.matching import Matches
-from stages.adjusting.shutter import late_at
+from stages.adjusting.shutter import late_of
 from stages.adjusting.view import View
 
 # A track needs so many views.
@@ -66,5 +66,5 @@ def tracks(views: Sequence[View], found: Matches) -> Tracks:
     order = order[sound[label[order]]]
     at = used[order]
     pixels = np.concatenate([one.pixels for one in views]).astype(np.float64)[at]
-    late = late_at(views, view[order], pixels)
+    late = late_of(views, view[order], pixels)
     return Tracks(view[order], number[label[order]], pixels, late, number[label[ends[:, 0]]])

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.placing import poses_of, turn_of
+from stages.comparing.placing import poses_of, turn_seen
 from stages.comparing.seen import Levels, Seen, fitted, seen_from
 from stages.errors import InputError
 from stages.printing import by_figures, table
@@ -163,7 +163,7 @@ def _with_its_turn(frame: Frame, given: Pose, apart: Pose, surface: Surface) -> 
     frame = replace(frame, shutter_turn=None)
     image, camera, _ = read_photo(frame)
     *_, nearest = poses_of(image, camera, given, surface)
-    turn = turn_of(image, camera, nearest, surface)
+    turn = turn_seen(image, camera, nearest, surface)
     return frame if turn is None else replace(frame, shutter_turn=apart[:3, :3].T @ turn)
 
 

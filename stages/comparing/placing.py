@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stages.comparing.seen import fitted, seen_from
 from stages.scans.poses import inverted
 from stages.scans.scan import Camera, ColorImage, Pose
+from stages.scans.shutter import late_at
 from stages.surface.raycasting import Surface
 
 # Recognised points: how many are looked for, second best over best, pixels that they may be apart at first,
@@ -86,7 +87,7 @@ def _refined(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) ->
     return pose
 
 
-def turn_of(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> NDArray[np.float64] | None:
+def turn_seen(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> NDArray[np.float64] | None:
     """Return how a camera turned while the rows of its photo were read, by optical flow from the mesh.
 
     Parameters
@@ -105,7 +106,7 @@ def turn_of(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> 
     if found is None or len(found[0]) < _LEAST_POINTS:
         return None
     points, pixels = found
-    late = (pixels[:, 1:] + 0.5) / camera.height - 0.5
+    late = late_at(pixels[:, 1:], camera.height)
     to_camera = inverted(pose)
     near = points @ to_camera[:3, :3].T + to_camera[:3, 3]
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files.images import decode_color, file_bytes, read_raw_depth, read_stored, require_raw_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
-from stages.scans.undistortion import undistorted
+from stages.scans.shutter import turn_of_color
+from stages.scans.undistortion import Maps, maps_of, undistorted
 
 # Nothing is nearer than this (m); what would be is no measurement, and its inverse no number.
 _NEAREST = 1e-6
@@ -38,10 +39,9 @@ def read_color(frame: Frame) -> ColorImage | None:
         return None
     image = _color(frame.color, frame.name)
     camera = frame.color_camera or frame.camera
-    turn = _turn_of_color(frame)
-    if frame.depth is None or not (camera.distortion or turn is not None):
+    if frame.depth is None:
         return image
-    return cast(ColorImage, undistorted(image, camera, smooth=True, turn=turn))
+    return cast(ColorImage, undistorted(image, _maps(image, camera, turn_of_color(frame)), smooth=True))
 
 
 def read_pinhole(frame: Frame) -> ColorImage | None:
@@ -56,9 +56,8 @@ def read_pinhole(frame: Frame) -> ColorImage | None:
     if image is None:
         return None
     require_size(image, frame.camera, frame.color, frame.name)
-    if not frame.camera.distortion:
-        return image
-    return cast(ColorImage, undistorted(image, frame.camera, smooth=True))
+    maps = _maps(image, frame.camera, turn_of_color(frame))
+    return cast(ColorImage, undistorted(image, maps, smooth=True))
 
 
 def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | None]:
@@ -87,11 +86,11 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
     camera = scaled(known, width, height)
     mask = read_mask(frame)
     seen = None if mask is None else _in_size(mask, camera)
-    turn = _turn_of_color(frame)
-    if camera.distortion or turn is not None:
-        image = cast(ColorImage, undistorted(image, camera, smooth=True, sharp=True, turn=turn))
+    maps = maps_of(camera, width, height, turn_of_color(frame))
+    if maps is not None:
+        image = cast(ColorImage, undistorted(image, maps, smooth=True, sharp=True))
         whole = np.full((height, width), 255, np.uint8) if seen is None else seen
-        seen = cast("NDArray[np.uint8]", undistorted(whole, camera, smooth=False, turn=turn))
+        seen = cast("NDArray[np.uint8]", undistorted(whole, maps, smooth=False))
     return image, pinhole(camera), None if seen is None else seen > 0
 
 
@@ -128,9 +127,7 @@ def read_seen(frame: Frame) -> NDArray[np.bool_]:
     """
     mask = read_mask(frame)
     seen = np.full((frame.camera.height, frame.camera.width), 255, np.uint8) if mask is None else mask
-    if frame.camera.distortion:
-        seen = cast("NDArray[np.uint8]", undistorted(seen, frame.camera, smooth=False))
-    return np.asarray(seen > 0)
+    return undistorted(seen, _maps(seen, frame.camera, frame.shutter_turn), smooth=False) > 0
 
 
 def read_right(frame: Frame) -> ColorImage | None:
@@ -159,8 +156,8 @@ def read_depth(frame: Frame) -> DepthImage | None:
     mask = read_mask(frame)
     if mask is not None:
         depth[mask == 0] = 0
-    if frame.camera.distortion or frame.shutter_turn is not None:
-        depth = cast(DepthImage, undistorted(depth, frame.camera, smooth=False, turn=frame.shutter_turn))
+    maps = _maps(depth, frame.camera, frame.shutter_turn)
+    depth = cast(DepthImage, undistorted(depth, maps, smooth=False))
     return np.where(np.isfinite(depth) & (depth > _NEAREST), depth, np.float32(0))
 
 
@@ -176,11 +173,8 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
         )
 
 
-def _turn_of_color(frame: Frame) -> NDArray[np.float64] | None:
-    """Return how the colour camera turns while its rows are read, in its own axes."""
-    if frame.shutter_turn is None or frame.color_from_depth is None or frame.color_camera is None:
-        return frame.shutter_turn
-    return np.asarray(frame.color_from_depth[:3, :3] @ frame.shutter_turn)
+def _maps(image: NDArray[Any], camera: Camera, turn: NDArray[np.float64] | None) -> Maps | None:
+    return maps_of(camera, image.shape[1], image.shape[0], turn)
 
 
 def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:

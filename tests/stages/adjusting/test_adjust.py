@@ -161,6 +161,12 @@ def test_frames_between_key_frames_turn_too(frames, monkeypatch):
     assert found.has_turns
     told = np.stack([frame.shutter_turn for frame in found.frames])
     assert np.linalg.norm(told - turns) < 0.5 * np.linalg.norm(turns)
+    # Where turns are known, and none are looked for, frames between have theirs, too.
+    known = [replace(frame, shutter_turn=turn) for frame, turn in zip(made, turns, strict=True)]
+    placed = adjust(jittered(known, 0.006, 0.3), shutter=False)
+    assert placed.unplaced == 0
+    assert all(a.shutter_turn is b.shutter_turn for a, b in zip(placed.frames, known, strict=True))
+    assert np.median(apart(frames[:14], placed.frames), axis=0)[0] < 0.002
 
 
 @pytest.mark.slow
@@ -170,6 +176,9 @@ def test_a_camera_that_is_swung_about_is_nearer_to_its_true_way(shared_data):
     assert found.has_turns
     assert found.after.median < 1.5
     assert apart_in_all(scan.frames, found.frames) < 0.014
+    at_once = adjust(scan, shutter=False)
+    assert apart_in_all(scan.frames, at_once.frames) > 0.016
+    assert found.after.median < 0.8 * at_once.after.median
     # Times and poses, which nothing was told of, say how fast it turned: up and down, left and right.
     turns, speeds = [], []
     for before, one, after in zip(found.frames, found.frames[1:], found.frames[2:], strict=False):

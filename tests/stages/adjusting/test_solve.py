@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from views_of_a_wall import Made, made
 
-from stages.adjusting.bundle import solved
+from stages.adjusting.bundle import Measured, solved
 from stages.adjusting.cameras import FREE, Cameras, motion, motion_apart, steps_of
 from stages.adjusting.lifting import lifted
 from stages.adjusting.problem import Frees, Problem, State
@@ -24,6 +24,10 @@ def scene() -> Made:
 def meeting(scene: Made) -> Surfaces:
     couples = [(a, b) for a in range(len(scene.views)) for b in (a - 1, a + 1) if 0 <= b < len(scene.views)]
     return Surfaces.of(scene.views, np.array(couples))
+
+
+def measured(scene: Made, given: Cameras) -> Measured:
+    return Measured(scene.views, given, meeting(scene), PRIOR)
 
 
 def problem(scene: Made, given: np.ndarray, frees: Frees) -> Problem:
@@ -110,7 +114,7 @@ def test_poses_and_camera_come_back(scene):
         lenses=np.stack([view.lens for view in scene.views]),
         color_from_depth=np.tile(np.eye(4), (len(scene.views), 1, 1)),
     )
-    found = solved(scene.views, given, given, scene.tracks, meeting(scene), PRIOR, Frees(camera=True))
+    found = solved(measured(scene, given), given, scene.tracks, Frees(camera=True))
     before, after = off(scene.cameras, given), off(scene.cameras, found)
     assert np.median(after[:, 0]) < 0.4 * np.median(before[:, 0])
     assert np.median(after[:, 1]) < 0.4 * np.median(before[:, 1])
@@ -125,7 +129,7 @@ def test_turns_while_rows_are_read_come_back_with_the_poses():
     start = replace(disturbed(scene, np.random.default_rng(8)), turns=np.zeros((8, 3)))
 
     def found(frees: Frees) -> Cameras:
-        return solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, frees)
+        return solved(measured(scene, start), start, scene.tracks, frees)
 
     rolling, at_once = found(Frees(turns=True)), found(Frees())
     assert not at_once.turns.any()
@@ -149,14 +153,14 @@ def test_what_all_cameras_turn_by_is_their_lens():
     scene = made(degrees=1.0)
     common = np.radians((1.0, -0.5, 0.3))
     start = replace(scene.cameras, turns=scene.cameras.turns + common)
-    found = solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, Frees(turns=True))
+    found = solved(measured(scene, start), start, scene.tracks, Frees(turns=True))
     assert np.linalg.norm(found.turns.mean(axis=0)) < np.radians(0.1)
 
 
 def test_surfaces_alone_bring_poses_together(scene):
     start = disturbed(scene, np.random.default_rng(6))
     nothing = scene.tracks.of(np.arange(scene.tracks.count) < 1)
-    found = solved(scene.views, start, start, nothing, meeting(scene), 50 * PRIOR, Frees())
+    found = solved(measured(scene, start)._replace(pose_prior=50 * PRIOR), start, nothing, Frees())
     gaps = []
     for cameras in (start, found):
         surfaces = meeting(scene)
@@ -172,12 +176,15 @@ def test_surfaces_alone_bring_poses_together(scene):
 def test_points_without_depth_change_nothing(scene):
     blind = [replace(view, depth=np.zeros_like(view.depth)) for view in scene.views]
     start = disturbed(scene, np.random.default_rng(7))
-    assert solved(blind, start, start, scene.tracks, Surfaces.none(), PRIOR, Frees(camera=True)) is start
+    assert (
+        solved(Measured(blind, start, Surfaces.none(), PRIOR), start, scene.tracks, Frees(camera=True))
+        is start
+    )
 
 
 def test_a_camera_that_is_given_stays(scene):
     start = disturbed(scene, np.random.default_rng(5))
-    found = solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, Frees())
+    found = solved(measured(scene, start), start, scene.tracks, Frees())
     np.testing.assert_array_equal(found.lenses, start.lenses)
     np.testing.assert_array_equal(found.color_from_depth, start.color_from_depth)
     assert np.median(off(scene.cameras, found)[:, 1]) < 0.1 * np.median(off(scene.cameras, start)[:, 1])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from photographed import CAMERA, hits, paint, photo, pose
 
-from stages.scans.images import read_color, read_depth, read_photo
+from stages.scans.images import read_color, read_depth, read_photo, read_pinhole, read_seen
 from stages.scans.scan import Camera, Frame
 
 TURN = np.radians((2.0, -3.0, 1.5))
@@ -71,6 +71,19 @@ def test_what_was_not_seen_is_no_depth_and_does_not_count():
     _, _, seen = read_photo(frame)
     assert 0.6 < seen.mean() < 0.98
     assert not read_depth(frame)[~seen].any()
+
+
+def test_a_view_without_depth_and_its_mask_turn_as_well():
+    levels, _ = still()
+    mask = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
+    mask[:, :80] = 255
+    view = replace(photo(0, STAND, with_depth=False, turn=TURN), shutter_turn=TURN, mask=mask)
+    assert np.median(np.abs(read_pinhole(view) - levels)[INNER]) < 2
+    _, _, shown = read_photo(view)
+    np.testing.assert_array_equal(read_seen(view), shown)
+    # The straight edge of the mask was not sheared with the image: it is, where that is put right.
+    edge = [np.flatnonzero(row).max() for row in read_seen(view)[12:-12]]
+    assert np.ptp(edge) >= 5
 
 
 def test_a_colour_camera_beside_turns_with_the_depth_camera():
