@@ -46,7 +46,7 @@ from stages.texturing.views import Correction, DrawnMesh, drawn_mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 14
+RESULT_VERSION = 15
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
@@ -68,7 +68,7 @@ class TextureParams:
     """How finely photos are kept on a mesh, and how they are put together."""
 
     texels_per_pixel: float = param(
-        1.25,
+        1.15,
         "Texels for a pixel of the photo that shows a place best, along each side.",
         group=_FILE,
         low=0.1,
