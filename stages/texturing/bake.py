@@ -37,7 +37,7 @@ from stages.texturing.reducing import reduced
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 6
+RESULT_VERSION = 7
 
 _MIN_SIZE = 64
 # Of the images, that charts fill.

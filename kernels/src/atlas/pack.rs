@@ -11,7 +11,7 @@ use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 
 /// Shapes whose sides differ by less than this factor are looked for a place from where the last one of them lies.
-const ALIKE: f64 = 1.15;
+const ALIKE: f64 = 1.3;
 
 /// Charts in images of one width.
 #[derive(Debug)]

@@ -4,7 +4,7 @@ use super::shape::Shape;
 
 const WORD: usize = 64;
 /// Of a shape's height, steps in which places for it are looked for from top to bottom.
-const STEPS: usize = 24;
+const STEPS: usize = 16;
 
 #[derive(Debug)]
 pub struct Page {
