@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.files.row_numbers import numbers_on
-from stages.scans.formats import orb_slam
+from stages.files.telling import tell
+from stages.scans.formats import orb_slam, realsense
 from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import matrix_in, number_of, number_row, table_in
@@ -31,6 +32,11 @@ _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
 # Suffixes of files that hold bare numbers.
 TEXTS = (".txt", ".csv")
 MATRIX_AND_BASELINE = 10
+# Of a depth map, in a metre.
+_LEAST_UNITS = 0.5
+# Of the cameras of a device; depth maps are brought to the one of colour far more often than the other way.
+_OF_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
+_OF_MATRIX = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k")
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
 _FOCAL_LENGTHS = (1e-3, 1e9)
 # The rational model's terms, which cancel each other, are some hundreds.
@@ -42,7 +48,8 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
 
     A 3x3 (or 4x4) matrix as text; or JSON, TOML or YAML with `fx fy cx cy`, or `camera_matrix`, `K` or
     `intrinsic_matrix` (which Open3D stores column-major), and `distortion`; Kalibr's camchain of one camera;
-    ORB-SLAM's settings. A camera for another size of the same shape is scaled, which is told.
+    ORB-SLAM's settings, and RealSense's. Of several the one for this size is taken, or that of colour; a
+    camera for another size of the same shape is scaled. Both are told.
     """
     if path.suffix in TEXTS:
         return for_images(matrix_camera(text_matrix(path), (), width, height, path), width, height, path)
@@ -59,7 +66,8 @@ def read_depth_scale(path: Path) -> float | None:
     scale = number_of(value, "depth_scale", path)
     if scale <= 0:
         raise InputError(f"depth_scale is {scale:g}; it must be positive.", path)
-    return scale
+    # No unit is longer than a metre: RealSense's library says how many metres a unit is.
+    return 1 / scale if scale < _LEAST_UNITS else scale
 
 
 def checked(camera: Camera, path: Path) -> Camera:
@@ -111,6 +119,7 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
             "that in a copy of the file.",
             path,
         )
+    values = realsense.as_table(_of_one_camera(values, width, height, path))
     size = stated_size(values, width, height, path)
     bent = next(
         (values[key] for key in ("distortion", "distortion_coefficients", "D", "d", "dist") if key in values),
@@ -123,6 +132,32 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     return for_images(replace(camera, fisheye=fisheye), width, height, path)
 
 
+def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
+    """Return a camera's table: the one given, or one in it, for such images or, of several, of colour."""
+    if _is_camera(values):
+        return values
+    inner = {name: one for name, one in values.items() if isinstance(one, dict) and _is_camera(one)}
+    if len(inner) < 2:
+        return next(iter(inner.values()), values)
+    of_size = [
+        name for name, one in inner.items() if stated_size(one, width, height, path) == (width, height)
+    ]
+    fitting = of_size or list(inner)
+    chosen = [name for name in fitting if _OF_COLOR.search(name)] if len(fitting) > 1 else fitting
+    if len(chosen) != 1:
+        raise InputError(
+            f"it holds the cameras {', '.join(list(inner)[:8])}, and the one of these images is needed: "
+            "leave only that in a copy of the file.",
+            path,
+        )
+    tell(f"holds the cameras {', '.join(list(inner)[:8])}: {chosen[0]} is taken", path)
+    return inner[chosen[0]]
+
+
+def _is_camera(values: dict[str, Any]) -> bool:
+    return any(key in values for key in _OF_MATRIX) or {"fx", "fy"} <= values.keys()
+
+
 def _without_model(
     values: dict[str, Any], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
@@ -132,7 +167,7 @@ def _without_model(
         if matrix.shape in _CAMERA_SHAPES and matrix[2, :2].any():
             matrix = matrix.T
         return matrix_camera(matrix, distortion, width, height, path)
-    for key in ("matrix", "camera_matrix", "K", "k"):
+    for key in _OF_MATRIX:
         if key in values:
             return matrix_camera(matrix_in(values, key, path), distortion, width, height, path)
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:

@@ -13,6 +13,7 @@ from stages.errors import InputError
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.confidence_folder import confidence_of
+from stages.scans.reading.depth_pictures import without_pictures
 from stages.scans.reading.depth_units import FIFTHS, told_units
 from stages.scans.reading.files import (
     COLOR_FOLDERS,
@@ -55,9 +56,9 @@ def _folders(folder: Path) -> tuple[Path, Path] | None:
 def _side_by_side(folder: Path) -> tuple[list[Path], list[Path]]:
     """Return the depth maps and the colour images that lie in one folder, told apart by their names."""
     files = images(folder, DEPTHS)
-    depths = [path for path in files if "depth" in path.stem.lower()]
-    colors = [path for path in files if path not in depths and _COLOR.search(path.stem)]
-    return depths, colors
+    of_depth = [path for path in files if "depth" in path.stem.lower()]
+    colors = [path for path in files if path not in of_depth and _COLOR.search(path.stem)]
+    return without_pictures(of_depth), colors
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
@@ -66,7 +67,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         depths, colors = _side_by_side(folder)
         named = "the images named depth", "the images named color or rgb"
     else:
-        depths, colors = images(folders[0], DEPTHS), images(folders[1])
+        depths, colors = without_pictures(images(folders[0], DEPTHS)), images(folders[1])
         named = f"{folders[0].name}/", f"{folders[1].name}/"
     if not depths or not colors:
         raise InputError("a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder)

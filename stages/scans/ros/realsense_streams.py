@@ -16,6 +16,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.scans.formats import calibration, rig_calibration
+from stages.scans.formats.realsense import is_like_opencv
 from stages.scans.poses import inverted
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig
@@ -35,8 +36,6 @@ from stages.scans.scan import Camera, Pose
 
 # A person changes an option now and then, a damaged file a million times: so many values are read.
 MOST_OPTIONS = 100
-# Whatever the name says, the maker's own library projects all three like this, to thousandths of a pixel.
-_LIKE_OPENCV = ("brown conrady", "inverse brown conrady", "modified brown conrady", "plumb_bob")
 # Millimetres are by far the most frequent, but not what every model records.
 _USUAL_UNITS = 0.001
 # Metres; a unit of less than a nanometre or more than a kilometre is damaged.
@@ -158,7 +157,7 @@ def _recorded_camera(recording: RealSense, name: str) -> Camera:
             recording.path,
         )
     distortion = said.distortion[:5] if any(said.distortion) else ()
-    if distortion and said.model.lower() not in _LIKE_OPENCV:
+    if distortion and not is_like_opencv(said.model):
         raise InputError(
             f"the lens of {name} is described as {said.model[:40]!r}, which is not known; Brown-Conrady's "
             "models are.",

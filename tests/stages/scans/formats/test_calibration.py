@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.errors import InputError
+from stages.files.telling import telling
 from stages.scans.formats.calibration import read_camera, read_depth_scale
 from stages.scans.formats.rig_calibration import read_rig
 
@@ -336,6 +337,51 @@ def test_kalibr_with_one_camera_and_with_several(tmp_path):
     assert read_camera(file, 32, 24).fy == 110
     file.write_text(f"cam0:\n{camera}cam1:\n{camera}")
     with pytest.raises(InputError, match="it holds the cameras cam0, cam1, and the one of these images"):
+        read_camera(file, 32, 24)
+
+
+def realsense(**changes):
+    """A stream as RealSense's library describes it."""
+    return {
+        "width": 32,
+        "height": 24,
+        "fx": 100.0,
+        "fy": 110.0,
+        "ppx": 16.0,
+        "ppy": 12.0,
+        "model": "distortion.inverse_brown_conrady",
+        "coeffs": BENT,
+    } | changes
+
+
+def test_a_stream_of_realsense(tmp_path):
+    file = tmp_path / "intrinsics.json"
+    file.write_text(json.dumps(realsense(depth_scale=0.00025)))
+    camera = read_camera(file, 32, 24)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion) == (100, 110, 16, 12, tuple(BENT))
+    assert read_depth_scale(file) == 4000
+    file.write_text(json.dumps(realsense(model="kannala_brandt4", coeffs=[0.1, 0.2, 0.3, 0.4, 0])))
+    camera = read_camera(file, 32, 24)
+    assert (camera.fisheye, camera.distortion) == (True, (0.1, 0.2, 0.3, 0.4))
+    file.write_text(json.dumps(realsense(model="ftheta")))
+    with pytest.raises(InputError, match="the lens model ftheta is not supported"):
+        read_camera(file, 32, 24)
+
+
+def test_of_the_cameras_of_a_device_one_is_taken(tmp_path):
+    file = tmp_path / "cameras.json"
+    file.write_text(json.dumps({"camera": CAMERA}))
+    assert read_camera(file, 32, 24).fy == 110
+    depth = realsense(fx=90.0)
+    file.write_text(json.dumps({"raw_depth": depth, "color": realsense(), "offset": {"T": T}}))
+    with telling() as told:
+        assert read_camera(file, 32, 24).fx == 100
+    assert told == [("holds the cameras raw_depth, color: color is taken", file)]
+    # Depth as it is measured, beside larger images of colour.
+    file.write_text(json.dumps({"raw_depth": depth, "color": realsense(width=64, height=48)}))
+    assert read_camera(file, 32, 24).fx == 90
+    file.write_text(json.dumps({"infra1": depth, "infra2": realsense()}))
+    with pytest.raises(InputError, match="it holds the cameras infra1, infra2, and the one of these images"):
         read_camera(file, 32, 24)
 
 

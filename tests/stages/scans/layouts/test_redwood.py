@@ -57,6 +57,14 @@ def test_depth_scale_of_the_intrinsic_file_is_used(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
+def test_metres_of_a_unit_are_understood(scan_folder, tiny):
+    document = json.loads((scan_folder / "intrinsic.json").read_text())
+    (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"depth_scale": 0.00025}))
+    for number in (2, 10):
+        tiny.depth(scan_folder / "depth" / f"{number}.png", 4000)
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
 def test_depth_in_fifths_of_millimetres_is_told(scan_folder):
     ramp = 5 * np.linspace(500, 1500, 32 * 24).reshape(24, 32).astype(np.uint16)
     for image in (scan_folder / "depth").iterdir():
@@ -152,6 +160,22 @@ def test_colour_and_depth_side_by_side_in_the_order_of_their_numbers(scan_folder
         ("rgb_2.jpg", "depth_2.png"),
         ("rgb_10.jpg", "depth_10.png"),
     ]
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_pictures_of_depth_are_no_depth(scan_folder, tiny):
+    for number in (2, 10):
+        tiny.color(scan_folder / "depth" / f"colorized_{number}.png")
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+    for number in (2, 10):
+        (scan_folder / "color" / f"{number}.jpg").rename(scan_folder / f"rgb_{number}.jpg")
+        (scan_folder / "depth" / f"{number}.png").rename(scan_folder / f"depth_{number}.png")
+        picture = scan_folder / f"depthColorized_{number}.png"
+        (scan_folder / "depth" / f"colorized_{number}.png").rename(picture)
+    for name in ("color", "depth"):
+        (scan_folder / name).rmdir()
+    scan = read_scan(scan_folder)
+    assert [f.color.name for f in scan.frames] == ["rgb_2.jpg", "rgb_10.jpg"]
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
