@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 
 from stages.errors import InputError
@@ -74,17 +74,23 @@ def unused(scan: Scan) -> tuple[Unused, ...]:
         if (real := os.path.realpath(path)) not in known:
             known.add(real)
             files.append(path)
-    kinds = Counter((path.parent, path.suffix.lower()) for path in files)
+    kinds: dict[tuple[Path, str], list[str]] = defaultdict(list)
+    for path in files:
+        kinds[path.parent, path.suffix.lower()].append(path.stem)
     with only_looking():
         found = [
             Unused(path.relative_to(scan.folder).as_posix(), 1, _looks_like(path, scan))
             for path in files
-            if kinds[path.parent, path.suffix.lower()] <= _most_alone(path.suffix.lower())
+            if len(kinds[path.parent, path.suffix.lower()]) <= _most_alone(path.suffix.lower())
         ]
     several = [
-        Unused((place / f"*{suffix}").relative_to(scan.folder).as_posix(), count, _kind_of(place, suffix))
-        for (place, suffix), count in kinds.items()
-        if count > _most_alone(suffix)
+        Unused(
+            (place / f"{_beginning(stems)}*{suffix}").relative_to(scan.folder).as_posix(),
+            len(stems),
+            _kind_of(place, suffix),
+        )
+        for (place, suffix), stems in kinds.items()
+        if len(stems) > _most_alone(suffix)
     ]
     return tuple(sorted([*found, *several], key=lambda one: (not one.looks_like, one.name)))
 
@@ -109,6 +115,13 @@ def _listed(place: Path) -> list[Path]:
     except OSError:
         return []
     return [one for one in found if one.name[0] != "." and not one.name.lower().startswith(_NOTES)]
+
+
+def _beginning(stems: Sequence[str]) -> str:
+    """Return what all names begin with, but for their numbers."""
+    # What the first and the last in order share, all between have.
+    both = takewhile(lambda pair: pair[0] == pair[1], zip(min(stems), max(stems), strict=False))
+    return "".join(one for one, _ in both).rstrip("0123456789")
 
 
 def _most_alone(suffix: str) -> int:

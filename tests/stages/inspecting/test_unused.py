@@ -55,7 +55,11 @@ def test_many_files_of_a_kind_are_one_line(scan_folder):
     (scan_folder / "masks").mkdir()
     for number in range(5):
         (scan_folder / "masks" / f"{number}.png").write_bytes(b"")
-    assert told(scan_folder) == ["masks/*.png (5 files) looks like masks: scan.masks=masks"]
+        (scan_folder / f"depth_picture_10{number}.jpg").write_bytes(b"")
+    assert told(scan_folder) == [
+        "depth_picture_*.jpg (5 files) looks like images",
+        "masks/*.png (5 files) looks like masks: scan.masks=masks",
+    ]
 
 
 def test_a_camera_that_was_found_beside_the_images_is_used(scan_folder):
