@@ -36,7 +36,9 @@ MATRIX_AND_BASELINE = 10
 _LEAST_UNITS = 0.5
 # Of the cameras of a device; depth maps are brought to the one of colour far more often than the other way.
 _OF_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
-_OF_MATRIX = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k")
+_OF_MATRIX = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx")
+_OF_DISTORTION = ("distortion", "distortion_coefficients", "distortion_coeffs", "D", "d", "dist")
+_TERMS, _FISHEYE_TERMS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
 _FOCAL_LENGTHS = (1e-3, 1e9)
 # The rational model's terms, which cancel each other, are some hundreds.
@@ -121,11 +123,10 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
         )
     values = realsense.as_table(_of_one_camera(values, width, height, path))
     size = stated_size(values, width, height, path)
-    bent = next(
-        (values[key] for key in ("distortion", "distortion_coefficients", "D", "d", "dist") if key in values),
-        None,
-    )
     fisheye = is_fisheye(values.get("distortion_model"), path)
+    bent = next((values[key] for key in _OF_DISTORTION if key in values), None)
+    if bent is None and {"k1", "k2"} <= values.keys():
+        bent = [values.get(term, 0.0) for term in (_FISHEYE_TERMS if fisheye else _TERMS)]
     distortion = coefficients(bent, path, fisheye=fisheye)
     camera = _without_model(values, distortion, *size, path)
     tell_of_camera(values, camera, path)

@@ -12,6 +12,15 @@ from typing import Any
 _LIKE_OPENCV = ("brown conrady", "inverse brown conrady", "modified brown conrady", "plumb bob")
 _NAMES = {"ppx": "cx", "ppy": "cy", "coeffs": "distortion"}
 _FISHEYE, _FISHEYE_COEFFICIENTS = "kannala brandt4", 4
+# Where the library's numbers of the models are written in place of their names.
+_MODELS = (
+    "none",
+    "modified brown conrady",
+    "inverse brown conrady",
+    "ftheta",
+    "brown conrady",
+    _FISHEYE,
+)
 
 
 def is_like_opencv(model: str) -> bool:
@@ -24,14 +33,18 @@ def as_table(values: dict[str, Any]) -> dict[str, Any]:
     if "ppx" not in values or "ppy" not in values:
         return values
     table = {_NAMES.get(key, key): value for key, value in values.items() if key != "model"}
-    model = _plain(str(values.get("model", "none")))
-    bent = table.get("distortion")
+    model, bent = _model(values.get("model", "none")), table.get("distortion")
     if model == _FISHEYE and isinstance(bent, list):
         # Five numbers are written whatever the lens.
         return table | {"distortion_model": "equidistant", "distortion": bent[:_FISHEYE_COEFFICIENTS]}
-    if model != "none" and model not in _LIKE_OPENCV:
-        table["distortion_model"] = model
-    return table
+    is_straight = not isinstance(bent, list) or not any(bent)
+    return table if is_straight or model in _LIKE_OPENCV else table | {"distortion_model": model}
+
+
+def _model(stated: object) -> str:
+    if isinstance(stated, int) and 0 <= stated < len(_MODELS):
+        return _MODELS[stated]
+    return _plain(str(stated))
 
 
 def _plain(model: str) -> str:

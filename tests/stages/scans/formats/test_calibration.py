@@ -363,9 +363,36 @@ def test_a_stream_of_realsense(tmp_path):
     file.write_text(json.dumps(realsense(model="kannala_brandt4", coeffs=[0.1, 0.2, 0.3, 0.4, 0])))
     camera = read_camera(file, 32, 24)
     assert (camera.fisheye, camera.distortion) == (True, (0.1, 0.2, 0.3, 0.4))
+    # The library's number of a model; what is not bent is of none.
+    file.write_text(json.dumps(realsense(model=2)))
+    assert read_camera(file, 32, 24).distortion == tuple(BENT)
+    file.write_text(json.dumps(realsense(model="ftheta", coeffs=[0.0] * 5)))
+    assert read_camera(file, 32, 24).distortion == ()
     file.write_text(json.dumps(realsense(model="ftheta")))
     with pytest.raises(InputError, match="the lens model ftheta is not supported"):
         read_camera(file, 32, 24)
+
+
+@pytest.mark.parametrize(
+    ("said", "bent"),
+    [
+        ({"mtx": K, "dist": [BENT]}, BENT),
+        ({"K": K, "distortion_coeffs": BENT}, BENT),
+        (
+            {"fx": 100, "fy": 110, "cx": 16, "cy": 12, "k1": 0.1, "k2": -0.2, "p1": 0.003},
+            [0.1, -0.2, 0.003, 0, 0],
+        ),
+        (
+            {"K": K, "k1": 0.1, "k2": 0.2, "k3": 0.3, "k4": 0.4, "distortion_model": "equidistant"},
+            [0.1, 0.2, 0.3, 0.4],
+        ),
+    ],
+)
+def test_other_names_of_the_lens(tmp_path, said, bent):
+    file = tmp_path / "camera.json"
+    file.write_text(json.dumps(said))
+    camera = read_camera(file, 32, 24)
+    assert (camera.fx, camera.fy, camera.distortion) == (100, 110, tuple(bent))
 
 
 def test_of_the_cameras_of_a_device_one_is_taken(tmp_path):
