@@ -62,7 +62,9 @@ def read_depth_scale(path: Path) -> float | None:
     """Return how many units of a depth file are one metre, as a camera file says; None when it does not."""
     if path.suffix in TEXTS:
         return None
-    value = orb_slam.as_table(documents.read_document(path)).get("depth_scale")
+    values = orb_slam.as_table(documents.read_document(path))
+    tables = [values, *(one for one in values.values() if isinstance(one, dict))]
+    value = next((one["depth_scale"] for one in tables if one.get("depth_scale") is not None), None)
     if value is None:
         return None
     scale = number_of(value, "depth_scale", path)

@@ -399,10 +399,11 @@ def test_of_the_cameras_of_a_device_one_is_taken(tmp_path):
     file = tmp_path / "cameras.json"
     file.write_text(json.dumps({"camera": CAMERA}))
     assert read_camera(file, 32, 24).fy == 110
-    depth = realsense(fx=90.0)
+    depth = realsense(fx=90.0, depth_scale=0.001)
     file.write_text(json.dumps({"raw_depth": depth, "color": realsense(), "offset": {"T": T}}))
     with telling() as told:
         assert read_camera(file, 32, 24).fx == 100
+    assert read_depth_scale(file) == 1000
     assert told == [("holds the cameras raw_depth, color: color is taken", file)]
     # Depth as it is measured, beside larger images of colour.
     file.write_text(json.dumps({"raw_depth": depth, "color": realsense(width=64, height=48)}))
