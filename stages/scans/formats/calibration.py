@@ -20,7 +20,7 @@ from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
 from stages.scans.formats import orb_slam, realsense
 from stages.scans.formats.contradictions import tell_of_camera
-from stages.scans.formats.image_size import for_images, stated_size
+from stages.scans.formats.image_size import for_images, stated_size, with_rows_first
 from stages.scans.formats.table_values import matrix_in, number_of, number_row, table_in
 from stages.scans.scan import Camera
 
@@ -130,7 +130,7 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     if bent is None and {"k1", "k2"} <= values.keys():
         bent = [values.get(term, 0.0) for term in (_FISHEYE_TERMS if fisheye else _TERMS)]
     distortion = coefficients(bent, path, fisheye=fisheye)
-    camera = _without_model(values, distortion, *size, path)
+    camera = with_rows_first(_without_model(values, distortion, *size, path), width, height)
     tell_of_camera(values, camera, path)
     return for_images(replace(camera, fisheye=fisheye), width, height, path)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,21 @@ def was_scaled(told: Sequence[tuple[str, Path]]) -> bool:
 def is_off_centre(camera: Camera) -> bool:
     """Say whether the principal point is far from the middle of the images: they are probably others."""
     return any(abs(share - 0.5) > _OFF_CENTRE for share in _centre(camera))
+
+
+def with_rows_first(camera: Camera, width: int, height: int) -> Camera:
+    """Return a camera for images whose size was written rows first, as NumPy has it, if its centre says so.
+
+    Parameters
+    ----------
+    camera : as if columns had been first.
+    width, height : of the images, in pixels.
+    """
+    if (camera.width, camera.height) != (height, width) or width == height:
+        return camera
+    turned = replace(camera, width=width, height=height)
+    before, after = (max(abs(share - 0.5) for share in _centre(one)) for one in (camera, turned))
+    return turned if after < before else camera
 
 
 def _centre(camera: Camera) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from stages.scans.scan import SkippedFrame
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
 DEPTHS = (*IMAGES, ".npy", ".pfm", ".exr")
 # The folders of a stream, under the names that data sets and exports use.
-COLOR_FOLDERS = ("color", "rgb", "image", "images", "colors")
+COLOR_FOLDERS = ("color", "rgb", "image", "images", "colors", "mono", "gray", "grey")
 DEPTH_FOLDERS = ("depth", "depths", "depth_images")
 _LONGEST_NAME = 255
 # Fewer pairs among the frames of the smaller side are a coincidence of numbers.

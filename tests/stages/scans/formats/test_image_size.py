@@ -90,6 +90,17 @@ def test_cropped_and_turned_images_are_refused(tmp_path, width, height):
         read_camera(tmp_path / "a.json", width, height)
 
 
+def test_rows_first_is_understood_where_the_centre_says_so(tmp_path):
+    table = {"K": [[616.7, 0, 324.8], [0, 616.9, 238.0], [0, 0, 1]], "resolution": [480, 640]}
+    (tmp_path / "a.json").write_text(json.dumps(table))
+    camera = read_camera(tmp_path / "a.json", 640, 480)
+    assert (camera.width, camera.height, camera.cx) == (640, 480, 324.8)
+    table["K"][0][2], table["K"][1][2] = 238.0, 324.8
+    (tmp_path / "a.json").write_text(json.dumps(table))
+    with pytest.raises(InputError, match="they are cropped or turned"):
+        read_camera(tmp_path / "a.json", 640, 480)
+
+
 def test_a_centre_that_is_of_another_size_is_told(tmp_path):
     (tmp_path / "K.txt").write_text("200 0 32.5 0 200 24.5 0 0 1")
     with telling() as told:

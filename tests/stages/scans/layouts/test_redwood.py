@@ -143,6 +143,11 @@ def test_open3d_test_data(shared_data):
     assert any("camera_primesense.json" in text for text in scan.warnings)
 
 
+def test_grey_images_may_lie_in_a_folder_of_their_own_name(scan_folder, tiny):
+    (scan_folder / "color").rename(scan_folder / "mono")
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
 def test_other_names_of_the_folders(scan_folder, tiny):
     (scan_folder / "depth").rename(scan_folder / "depth_images")
     (scan_folder / "color").rename(scan_folder / "images")
