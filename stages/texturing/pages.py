@@ -79,6 +79,14 @@ class Pages:
         area = float(areas(mesh.vertices, mesh.triangles).sum())
         return math.sqrt(area / float(np.abs(signed_areas(self.corners)).sum()))
 
+    def usual_texel_size(self) -> float:
+        """Return how large a texel is on the mesh, metres, the median of all."""
+        texels = np.abs(signed_areas(self.corners))
+        order = np.argsort(self.texels_per_m, kind="stable")
+        before = np.cumsum(texels[order])
+        middle = min(int(np.searchsorted(before, before[-1] / 2)), len(order) - 1)
+        return 1 / float(self.texels_per_m[order[middle]])
+
 
 def laid_out(
     mesh: Mesh,

@@ -149,7 +149,7 @@ class Textured:
     sizes : (width, height) of each image, texels.
     charts : pieces the surface is cut into.
     filled : share of the images that shows the surface.
-    texel_size : metres, the median of the triangles.
+    texel_size : metres, the median of the texels.
     seen : share of the surface that some photo shows; the rest has the mesh's own colours.
     views : photos that count at a texel, in the mean.
     difference_before, difference_after : median difference of photos from their mean in levels, without and
@@ -442,7 +442,7 @@ def _result(mesh: Mesh, found: _Found, pages: Pages, images: Sequence[_Image]) -
         sizes=pages.sizes,
         charts=int(pages.charts.max()) + 1,
         filled=sum(one.filled for one in images) / texels,
-        texel_size=1 / float(np.median(pages.texels_per_m)),
+        texel_size=pages.usual_texel_size(),
         seen=found.seen,
         views=float(views.mean()) if len(views) else 0.0,
         difference_before=found.exposures.before,
