@@ -36,9 +36,13 @@ MATRIX_AND_BASELINE = 10
 _LEAST_UNITS = 0.5
 # Of the cameras of a device; depth maps are brought to the one of colour far more often than the other way.
 _OF_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
-_OF_MATRIX = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx")
-_OF_DISTORTION = ("distortion", "distortion_coefficients", "distortion_coeffs", "D", "d", "dist")
-_TERMS, _FISHEYE_TERMS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
+_OF_MATRIX = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")
+_OF_DISTORTION = re.compile("d|dist(ortion)?_?(coef.*|param.*)?", re.IGNORECASE)
+_LIKE_DISTORTION = re.compile("distort|coef", re.IGNORECASE)
+# Tables that programs put a camera's numbers into, beside its lens.
+_INNER = ("intrinsic", "intrinsics")
+_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
 _FOCAL_LENGTHS = (1e-3, 1e9)
 # The rational model's terms, which cancel each other, are some hundreds.
@@ -70,6 +74,9 @@ def read_depth_scale(path: Path) -> float | None:
     scale = number_of(value, "depth_scale", path)
     if scale <= 0:
         raise InputError(f"depth_scale is {scale:g}; it must be positive.", path)
+    if "cam_K" in values:
+        # BOP's data sets say how many millimetres a unit is.
+        return 1000 / scale
     # No unit is longer than a metre: RealSense's library says how many metres a unit is.
     return 1 / scale if scale < _LEAST_UNITS else scale
 
@@ -126,20 +133,42 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     values = realsense.as_table(_of_one_camera(values, width, height, path))
     size = stated_size(values, width, height, path)
     fisheye = is_fisheye(values.get("distortion_model"), path)
-    bent = next((values[key] for key in _OF_DISTORTION if key in values), None)
-    if bent is None and {"k1", "k2"} <= values.keys():
-        bent = [values.get(term, 0.0) for term in (_FISHEYE_TERMS if fisheye else _TERMS)]
-    distortion = coefficients(bent, path, fisheye=fisheye)
+    distortion = coefficients(_distortion(values, fisheye), path, fisheye=fisheye)
+    _tell_of_distortion(values, path)
     camera = with_rows_first(_without_model(values, distortion, *size, path), width, height)
     tell_of_camera(values, camera, path)
     return for_images(replace(camera, fisheye=fisheye), width, height, path)
+
+
+def _distortion(values: dict[str, Any], fisheye: bool) -> object:
+    """Return what a table states of the lens: coefficients in a row, or each under its own name."""
+    named = {key: value for key, value in values.items() if _OF_DISTORTION.fullmatch(str(key))}
+    stated = next((value for value in named.values() if value is not None), None)
+    terms = values if stated is None else stated
+    if not isinstance(terms, dict) or not {"k1", "k2"} <= terms.keys():
+        return stated
+    # The last three are those of the rational model.
+    names = _FISHEYE_TERMS if fisheye else _TERMS if terms.keys() & set(_TERMS[5:]) else _TERMS[:5]
+    return [terms.get(name, 0.0) for name in names]
+
+
+def _tell_of_distortion(values: dict[str, Any], path: Path) -> None:
+    """Tell of what seems to say how the lens bends, under a name that is not known."""
+    if any(_OF_DISTORTION.fullmatch(str(key)) for key in values):
+        return
+    for key, value in values.items():
+        if _LIKE_DISTORTION.search(str(key)) and isinstance(value, (list, dict)) and value:
+            tell(f"states {str(key)[:40]}, which is not known: the lens is taken to be straight", path)
 
 
 def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
     """Return a camera's table: the one given, or one in it, for such images or, of several, of colour."""
     if _is_camera(values):
         return values
-    inner = {name: one for name, one in values.items() if isinstance(one, dict) and _is_camera(one)}
+    tables = {name: _with_inner(one) for name, one in values.items() if isinstance(one, dict)}
+    inner = {name: one for name, one in tables.items() if _is_camera(one)}
+    if len(inner) == 1 and next(iter(inner)) in _INNER:
+        return _with_inner(values)
     if len(inner) < 2:
         return next(iter(inner.values()), values)
     of_size = [
@@ -155,6 +184,12 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
         )
     tell(f"holds the cameras {', '.join(list(inner)[:8])}: {chosen[0]} is taken", path)
     return inner[chosen[0]]
+
+
+def _with_inner(values: dict[str, Any]) -> dict[str, Any]:
+    """Return a table with the numbers of its `intrinsic` as its own."""
+    inner = next((values[name] for name in _INNER if isinstance(values.get(name), dict)), None)
+    return values if inner is None or not _is_camera(inner) else values | inner
 
 
 def _is_camera(values: dict[str, Any]) -> bool:

@@ -21,7 +21,7 @@ _SAME_FOCAL_LENGTH = 0.01
 _UNITS = (1.0, 100.0, 1000.0)
 # Cameras of one pair, and the two axes of one camera, have focal lengths that are nearer than so.
 _ALIKE = 1.25
-_MATRICES = ("camera_matrix", "K", "k", "mtx", "matrix", "intrinsic_matrix")
+_MATRICES = ("camera_matrix", "K", "k", "mtx", "cam_K", "matrix", "intrinsic_matrix")
 # A matrix that nobody filled in.
 _NOT_FILLED_IN = 1.0
 _SAME_TURN_DEG = 0.5

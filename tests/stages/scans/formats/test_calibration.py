@@ -378,6 +378,12 @@ def test_a_stream_of_realsense(tmp_path):
     [
         ({"mtx": K, "dist": [BENT]}, BENT),
         ({"K": K, "distortion_coeffs": BENT}, BENT),
+        ({"camera_matrix": K, "dist_coeff": [BENT]}, BENT),
+        ({"camera_matrix": K, "distCoeffs": [BENT]}, BENT),
+        ({"K": K, "k1": 1, "k2": 2, "k3": 3, "k4": 4, "k5": 5, "k6": 6}, [1, 2, 0, 0, 3, 4, 5, 6]),
+        ({"RGB": {"intrinsic": {"K": K}, "distortion": {"k1": 0.1, "k2": 0.2}}}, [0.1, 0.2, 0, 0, 0]),
+        ({"intrinsic": {"K": K}, "distortion": {"k1": 0.1, "k2": 0.2, "k3": 0.5}}, [0.1, 0.2, 0, 0, 0.5]),
+        ({"cam_K": np.ravel(K).tolist(), "depth_scale": 0.1}, []),
         (
             {"fx": 100, "fy": 110, "cx": 16, "cy": 12, "k1": 0.1, "k2": -0.2, "p1": 0.003},
             [0.1, -0.2, 0.003, 0, 0],
@@ -393,6 +399,21 @@ def test_other_names_of_the_lens(tmp_path, said, bent):
     file.write_text(json.dumps(said))
     camera = read_camera(file, 32, 24)
     assert (camera.fx, camera.fy, camera.distortion) == (100, 110, tuple(bent))
+
+
+def test_a_lens_under_an_unknown_name_is_told(tmp_path):
+    file = tmp_path / "camera.json"
+    file.write_text(json.dumps({"K": K, "lens_distortion": BENT}))
+    with telling() as told:
+        assert read_camera(file, 32, 24).distortion == ()
+    assert told == [("states lens_distortion, which is not known: the lens is taken to be straight", file)]
+
+
+@pytest.mark.parametrize(("said", "units"), [({"cam_K": K}, 10000), ({"K": K}, 10), ({"fx": 100}, 10)])
+def test_in_bop_a_depth_scale_is_in_millimetres(tmp_path, said, units):
+    file = tmp_path / "camera.json"
+    file.write_text(json.dumps(said | {"depth_scale": 0.1}))
+    assert read_depth_scale(file) == pytest.approx(units)
 
 
 def test_of_the_cameras_of_a_device_one_is_taken(tmp_path):
