@@ -33,7 +33,7 @@ _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
 TEXTS = (".txt", ".csv")
 MATRIX_AND_BASELINE = 10
 # Of a depth map, in a metre.
-_LEAST_UNITS = 0.5
+_LEAST_UNITS, _MILLIMETRES = 0.5, 1000.0
 # Of the cameras of a device; depth maps are brought to the one of colour far more often than the other way.
 _OF_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
 _OF_MATRIX = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")
@@ -76,7 +76,7 @@ def read_depth_scale(path: Path) -> float | None:
         raise InputError(f"depth_scale is {scale:g}; it must be positive.", path)
     if "cam_K" in values:
         # BOP's data sets say how many millimetres a unit is.
-        return 1000 / scale
+        return _MILLIMETRES / scale
     # No unit is longer than a metre: RealSense's library says how many metres a unit is.
     return 1 / scale if scale < _LEAST_UNITS else scale
 
