@@ -13,6 +13,7 @@ from stages.errors import InputError
 from stages.files.noting import only_looking
 from stages.printing import by_fields
 from stages.scans.formats import calibration, rig_calibration, trajectories
+from stages.scans.reading.adjusted import with_adjusted
 from stages.scans.reading.files import DEPTHS, IMAGES
 from stages.scans.scan import Scan
 
@@ -149,6 +150,8 @@ def _looks_like(path: Path, scan: Scan) -> str:
         return _SUFFIXES.get(suffix, "")
     if (count := _poses_in(path)) > 1:
         return f"{count} poses: scan.poses={path.name}"
+    if _reads(lambda: with_adjusted(scan, path)):
+        return f"what adjust found: scan.adjusted={path.name}"
     camera = scan.frames[0].camera
     size = camera.width, camera.height
     if scan.is_stereo and _reads(lambda: rig_calibration.read_rig(path, *size)):

@@ -21,7 +21,8 @@ from stages.files.telling import tell
 from stages.scans.formats import orb_slam, realsense
 from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size, with_rows_first
-from stages.scans.formats.table_values import matrix_in, number_of, number_row, table_in
+from stages.scans.formats.lens_names import distortion_in
+from stages.scans.formats.table_values import MATRICES, matrix_in, number_of, number_row, table_in
 from stages.scans.scan import Camera
 
 # What files call OpenCV's fisheye model, and the models of its ordinary one.
@@ -36,13 +37,8 @@ MATRIX_AND_BASELINE = 10
 _LEAST_UNITS, _MILLIMETRES = 0.5, 1000.0
 # Of the cameras of a device; depth maps are brought to the one of colour far more often than the other way.
 _OF_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
-_OF_MATRIX = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")
-_OF_DISTORTION = re.compile("d|dist(ortion)?_?(coef.*|param.*)?", re.IGNORECASE)
-_LIKE_DISTORTION = re.compile("distort|coef", re.IGNORECASE)
 # Tables that programs put a camera's numbers into, beside its lens.
 _INNER = ("intrinsic", "intrinsics")
-_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
 _FOCAL_LENGTHS = (1e-3, 1e9)
 # The rational model's terms, which cancel each other, are some hundreds.
@@ -133,36 +129,18 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     values = realsense.as_table(_of_one_camera(values, width, height, path))
     size = stated_size(values, width, height, path)
     fisheye = is_fisheye(values.get("distortion_model"), path)
-    distortion = coefficients(_distortion(values, fisheye), path, fisheye=fisheye)
-    _tell_of_distortion(values, path)
+    distortion = coefficients(distortion_in(values, path, fisheye=fisheye), path, fisheye=fisheye)
     camera = with_rows_first(_without_model(values, distortion, *size, path), width, height)
     tell_of_camera(values, camera, path)
     return for_images(replace(camera, fisheye=fisheye), width, height, path)
 
 
-def _distortion(values: dict[str, Any], fisheye: bool) -> object:
-    """Return what a table states of the lens: coefficients in a row, or each under its own name."""
-    named = {key: value for key, value in values.items() if _OF_DISTORTION.fullmatch(str(key))}
-    stated = next((value for value in named.values() if value is not None), None)
-    terms = values if stated is None else stated
-    if not isinstance(terms, dict) or not {"k1", "k2"} <= terms.keys():
-        return stated
-    # The last three are those of the rational model.
-    names = _FISHEYE_TERMS if fisheye else _TERMS if terms.keys() & set(_TERMS[5:]) else _TERMS[:5]
-    return [terms.get(name, 0.0) for name in names]
-
-
-def _tell_of_distortion(values: dict[str, Any], path: Path) -> None:
-    """Tell of what seems to say how the lens bends, under a name that is not known."""
-    if any(_OF_DISTORTION.fullmatch(str(key)) for key in values):
-        return
-    for key, value in values.items():
-        if _LIKE_DISTORTION.search(str(key)) and isinstance(value, (list, dict)) and value:
-            tell(f"states {str(key)[:40]}, which is not known: the lens is taken to be straight", path)
-
-
 def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
     """Return a camera's table: the one given, or one in it, for such images or, of several, of colour."""
+    if is_of_adjust(values):
+        raise InputError(
+            "it is what `adjust` found, which scan.adjusted takes; a calibration is expected.", path
+        )
     if _is_camera(values):
         return values
     tables = {name: _with_inner(one) for name, one in values.items() if isinstance(one, dict)}
@@ -186,6 +164,11 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
     return inner[chosen[0]]
 
 
+def is_of_adjust(values: dict[str, Any]) -> bool:
+    """Say whether a table is the cameras.json of `adjust`."""
+    return isinstance(values.get("accepted"), bool)
+
+
 def _with_inner(values: dict[str, Any]) -> dict[str, Any]:
     """Return a table with the numbers of its `intrinsic` as its own."""
     inner = next((values[name] for name in _INNER if isinstance(values.get(name), dict)), None)
@@ -193,7 +176,7 @@ def _with_inner(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _is_camera(values: dict[str, Any]) -> bool:
-    return any(key in values for key in _OF_MATRIX) or {"fx", "fy"} <= values.keys()
+    return any(key in values for key in MATRICES) or {"fx", "fy"} <= values.keys()
 
 
 def _without_model(
@@ -205,7 +188,7 @@ def _without_model(
         if matrix.shape in _CAMERA_SHAPES and matrix[2, :2].any():
             matrix = matrix.T
         return matrix_camera(matrix, distortion, width, height, path)
-    for key in _OF_MATRIX:
+    for key in MATRICES:
         if key in values:
             return matrix_camera(matrix_in(values, key, path), distortion, width, height, path)
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:

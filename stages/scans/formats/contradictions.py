@@ -11,7 +11,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.files.telling import tell
-from stages.scans.formats.table_values import matrix_in
+from stages.scans.formats.table_values import MATRICES, matrix_in
 from stages.scans.scan import Camera, Pose, StereoRig
 
 # Files round, and fx of a rectified pair is not quite that of its camera.
@@ -21,7 +21,6 @@ _SAME_FOCAL_LENGTH = 0.01
 _UNITS = (1.0, 100.0, 1000.0)
 # Cameras of one pair, and the two axes of one camera, have focal lengths that are nearer than so.
 _ALIKE = 1.25
-_MATRICES = ("camera_matrix", "K", "k", "mtx", "cam_K", "matrix", "intrinsic_matrix")
 # A matrix that nobody filled in.
 _NOT_FILLED_IN = 1.0
 _SAME_TURN_DEG = 0.5
@@ -95,7 +94,7 @@ def tell_of_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
             path,
         )
     stated = values.get("fx")
-    if not isinstance(stated, (int, float)) or not any(name in values for name in _MATRICES):
+    if not isinstance(stated, (int, float)) or not any(name in values for name in MATRICES):
         return
     if abs(stated - camera.fx) > _SAME_FOCAL_LENGTH * camera.fx:
         tell(

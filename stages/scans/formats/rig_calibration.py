@@ -26,14 +26,21 @@ from stages.scans.formats.calibration import (
 )
 from stages.scans.formats.contradictions import tell_of_rectified, tell_of_rig, tell_of_two_relations
 from stages.scans.formats.image_size import for_images, stated_size
+from stages.scans.formats.lens_names import distortions_of_pair
 from stages.scans.formats.table_values import matrix_in, number_of, table_in
 from stages.scans.poses import inverted, matrix_of, rigid
 from stages.scans.scan import Camera, Pose, StereoRig
 
 # Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
-_MATRICES = (("K1", "K2"), ("M1", "M2"), ("camera_matrix_left", "camera_matrix_right"), ("Kl", "Kr"))
+_MATRICES = (
+    ("K1", "K2"),
+    ("M1", "M2"),
+    ("cameraMatrix1", "cameraMatrix2"),
+    ("camera_matrix_left", "camera_matrix_right"),
+    ("mtxL", "mtxR"),
+    ("Kl", "Kr"),
+)
 _PROJECTIONS = ("projection_matrix", "P", "p")
-_DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", "Dr"))
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
 
@@ -79,11 +86,11 @@ def read_rig(
         )
         right_from_left = _extrinsics(values, path, required=baseline is None)
     elif (keys := _present(values, _MATRICES)) is not None:
-        bent = _present(values, _DISTORTIONS) or ("", "")
+        lenses = distortions_of_pair(values, path)
         size = stated_size(values, width, height, path)
         cameras = [
-            matrix_camera(matrix_in(values, key, path), coefficients(values.get(lens), path), *size, path)
-            for key, lens in zip(keys, bent, strict=True)
+            matrix_camera(matrix_in(values, key, path), coefficients(lens, path), *size, path)
+            for key, lens in zip(keys, lenses, strict=True)
         ]
         left, right = (for_images(camera, width, height, path) for camera in cameras)
         right_from_left = _extrinsics(values, path, required=baseline is None)

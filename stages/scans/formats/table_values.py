@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 
+# What calibrations call the matrix of a camera.
+MATRICES = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")
+
 
 def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
     """Return a matrix given as nested rows, as a flat list, or as OpenCV's rows, cols and data."""

@@ -36,7 +36,7 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
         If the file is no such file, or of none of the frames.
     """
     document = documents.read_json(path)
-    if not isinstance(document, dict) or not isinstance(document.get("accepted"), bool):
+    if not isinstance(document, dict) or not calibration.is_of_adjust(document):
         raise InputError("a cameras.json of `scanloom adjust` is expected.", path)
     poses = _poses(document, path)
     camera = _color_camera(document, path)

@@ -51,6 +51,14 @@ def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
     assert "camera_path.txt" not in " ".join(told(scan_folder, poses="camera_path.txt"))
 
 
+def test_what_adjust_found_is_no_camera(scan_folder):
+    name = read_scan(scan_folder, complete=False).frames[0].name
+    found = {"accepted": True, "color_camera": None, "color_from_depth": None}
+    found |= {"names": {"0": name}, "poses": {"0": np.eye(4).tolist()}}
+    (scan_folder / "cameras.json").write_text(json.dumps(found))
+    assert told(scan_folder) == ["cameras.json looks like what adjust found: scan.adjusted=cameras.json"]
+
+
 def test_many_files_of_a_kind_are_one_line(scan_folder):
     (scan_folder / "masks").mkdir()
     for number in range(5):

@@ -378,6 +378,7 @@ def test_a_stream_of_realsense(tmp_path):
     [
         ({"mtx": K, "dist": [BENT]}, BENT),
         ({"K": K, "distortion_coeffs": BENT}, BENT),
+        ({"K": K, "coeffs": BENT}, BENT),
         ({"camera_matrix": K, "dist_coeff": [BENT]}, BENT),
         ({"camera_matrix": K, "distCoeffs": [BENT]}, BENT),
         ({"K": K, "k1": 1, "k2": 2, "k3": 3, "k4": 4, "k5": 5, "k6": 6}, [1, 2, 0, 0, 3, 4, 5, 6]),
@@ -407,6 +408,30 @@ def test_a_lens_under_an_unknown_name_is_told(tmp_path):
     with telling() as told:
         assert read_camera(file, 32, 24).distortion == ()
     assert told == [("states lens_distortion, which is not known: the lens is taken to be straight", file)]
+
+
+@pytest.mark.parametrize(
+    ("matrices", "lenses"),
+    [
+        ("K1 K2", "dist1 dist2"),
+        ("M1 M2", "dist_coeffs1 dist_coeffs2"),
+        ("cameraMatrix1 cameraMatrix2", "distCoeffs1 distCoeffs2"),
+        ("mtxL mtxR", "distL distR"),
+    ],
+)
+def test_other_names_of_a_pair(tmp_path, matrices, lenses):
+    file = tmp_path / "rig.json"
+    said = dict.fromkeys(matrices.split(), K) | dict.fromkeys(lenses.split(), BENT) | {"R": R, "T": T}
+    file.write_text(json.dumps(said))
+    rig = read_rig(file, 32, 24)[0]
+    assert rig.left.distortion == rig.right.distortion == tuple(BENT)
+    unknown = {f"{key}_distortion": said.pop(key) for key in lenses.split()}
+    file.write_text(json.dumps(said | unknown))
+    with telling() as told:
+        assert read_rig(file, 32, 24)[0].left.distortion == ()
+    assert [one for one, _ in told] == [
+        f"states {key}, which is not known: the lens is taken to be straight" for key in unknown
+    ]
 
 
 @pytest.mark.parametrize(("said", "units"), [({"cam_K": K}, 10000), ({"K": K}, 10), ({"fx": 100}, 10)])

@@ -49,17 +49,11 @@ def test_json_trajectory_is_world_to_camera_column_major(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
-def test_depth_scale_of_the_intrinsic_file_is_used(scan_folder, tiny):
+# Units a metre, and metres of a unit.
+@pytest.mark.parametrize("stated", [4000, 0.00025])
+def test_depth_scale_of_the_intrinsic_file_is_used(scan_folder, tiny, stated):
     document = json.loads((scan_folder / "intrinsic.json").read_text())
-    (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"depth_scale": 4000}))
-    for number in (2, 10):
-        tiny.depth(scan_folder / "depth" / f"{number}.png", 4000)
-    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
-
-
-def test_metres_of_a_unit_are_understood(scan_folder, tiny):
-    document = json.loads((scan_folder / "intrinsic.json").read_text())
-    (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"depth_scale": 0.00025}))
+    (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"depth_scale": stated}))
     for number in (2, 10):
         tiny.depth(scan_folder / "depth" / f"{number}.png", 4000)
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
@@ -213,6 +207,15 @@ def test_a_camera_file_of_any_name_beside_the_images(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
     said = "the camera is read from cam_params_mine.json, which lies beside the images"
     assert said in read_scan(scan_folder).warnings
+
+
+def test_what_adjust_left_beside_the_images_is_no_calibration(scan_folder):
+    camera = {"width": 32, "height": 24, "fx": 90, "fy": 90, "cx": 16, "cy": 12}
+    (scan_folder / "intrinsic.json").rename(scan_folder / "mine.json")
+    (scan_folder / "cameras.json").write_text(json.dumps({"accepted": True, "color_camera": camera}))
+    assert read_scan(scan_folder).frames[0].camera.fx == 100
+    with pytest.raises(InputError, match="it is what `adjust` found"):
+        read_scan(scan_folder, ScanParams(calibration="cameras.json"))
 
 
 def test_of_two_different_camera_files_none_is_taken(scan_folder):
