@@ -11,7 +11,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,10 @@ _ROOT = Path(__file__).parents[2]
 _CODE = "from pipeline.batch.one import main; main()"
 # Seconds that a scheduler may take to answer.
 _PATIENCE = 10
+# Seconds that no task ends for, after which it is looked for workers.
+_LOOK = 60.0
+# Seconds between two looks at what has ended.
+_PAUSE = 0.1
 
 
 def run_task(words: str, threads: int) -> str:
@@ -87,8 +92,6 @@ def work_by_dask(
     records = Records(queue.folder / "done")
     open_ones = [number for number in queue.numbers if number not in records.ended()]
     with explained(f"the queue {queue.folder} cannot be worked on"), _client(scheduler, workers) as client:
-        from distributed import as_completed
-
         tasks = {
             client.submit(
                 run_task,
@@ -102,10 +105,35 @@ def work_by_dask(
             for number in open_ones
         }
         tell(Noted(f"{len(tasks)} scans are given to the scheduler at {client.scheduler.address}"))
-        for count, future in enumerate(as_completed(tasks), 1):
+        for count, future in enumerate(_completed(client, [*tasks], tell), 1):
             record = _ended(queue, records, tasks[future], future)
             tell(JobEnded(record))
             tell(Counted(len(queue.numbers) - len(tasks) + count, len(queue.numbers)))
+
+
+def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]:
+    """Return tasks as they end, and tell where they wait for want of a worker, once for each time."""
+    from distributed import as_completed
+
+    ended = as_completed(tasks)
+    looked, is_told = time.monotonic(), False
+    while not ended.is_empty():
+        if ended.has_ready():
+            yield next(ended)
+            looked = time.monotonic()
+        elif time.monotonic() < looked + _LOOK:
+            time.sleep(_PAUSE)
+        else:
+            looked, is_alone = time.monotonic(), not client.nthreads()
+            if is_alone and not is_told:
+                tell(
+                    Noted(
+                        f"no worker is at the scheduler {client.scheduler.address}; scans that wait for one: "
+                        f"{ended.count()}. Whatever starts workers tells whether they wait for their turn, "
+                        "and their logs why they ended"
+                    )
+                )
+            is_told = is_alone
 
 
 def _ended(queue: Queue, records: Records, number: int, future: Any) -> Record:
@@ -167,5 +195,6 @@ def _cluster(system: str, workers: int | None) -> Any:
         raise InputError(
             f"workers cannot be started by {system}: {error}; ~/.config/dask/jobqueue.yaml says how."
         ) from error
-    cluster.scale(jobs=workers)
+    # Centres end jobs when their time is over: as long as scans wait, others are asked for in their place.
+    cluster.adapt(minimum_jobs=workers, maximum_jobs=workers)
     return cluster

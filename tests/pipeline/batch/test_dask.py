@@ -117,35 +117,90 @@ def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
         assert (out / name / "clean.ply").read_bytes() == quiet
 
 
-SBATCH = """#!/bin/sh
+SBATCH = """#!{python}
 # As SLURM: takes a script, says the number of its job, and runs it elsewhere.
-{python} -c "import subprocess, sys; subprocess.Popen(['sh', sys.argv[1]], start_new_session=True, \
-stdout=open('{log}', 'ab'), stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)" "$1"
-echo "Submitted batch job 7"
+import subprocess, sys
+with open({log!r}, "ab", buffering=0) as log:
+    job = subprocess.Popen(
+        ["sh", sys.argv[1]], start_new_session=True, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+    )
+    log.write(b"a worker's process: %d\\n" % job.pid)
+print("Submitted batch job 7")
 """
 
 
-def test_workers_are_started_by_slurm(tmp_path: Path):
+@pytest.fixture
+def slurm(tmp_path: Path) -> dict[str, str]:
+    """What a process's environment adds where SLURM is; its workers write to `log`."""
     if find_spec("dask_jobqueue") is None:
         pytest.skip("dask-jobqueue is not installed")
-    scans, out = write_small_scans(tmp_path / "scans", 2), tmp_path / "out"
     (tmp_path / "bin").mkdir()
     for name, text in (
-        ("sbatch", SBATCH.format(python=sys.executable, log=tmp_path / "log")),
+        ("sbatch", SBATCH.format(python=sys.executable, log=str(tmp_path / "log"))),
         ("scancel", "#!/bin/sh\n"),
     ):
         (tmp_path / "bin" / name).write_text(text)
         (tmp_path / "bin" / name).chmod(0o755)
-    batch = started(
-        *("cli.app", "batch", scans, "-o", out, *WORDS, "--scheduler", "slurm", "--jobs", 1),
-        PATH=f"{tmp_path / 'bin'}:{os.environ['PATH']}",
-        DASK_JOBQUEUE__SLURM__CORES="1",
-        DASK_JOBQUEUE__SLURM__MEMORY="2GB",
-        DASK_JOBQUEUE__SLURM__LOCAL_DIRECTORY=str(tmp_path / "dask"),
-    )
-    said, _ = batch.communicate(timeout=240)
+    return {
+        "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}",
+        "DASK_JOBQUEUE__SLURM__CORES": "1",
+        "DASK_JOBQUEUE__SLURM__MEMORY": "2GB",
+        "DASK_JOBQUEUE__SLURM__LOCAL_DIRECTORY": str(tmp_path / "dask"),
+        # A machine that does everything at once may take longer than a minute to start one.
+        "DASK_JOBQUEUE__SLURM__DEATH_TIMEOUT": "200",
+    }
+
+
+def workers_started(log: Path) -> list[int]:
+    """Return the processes that have started workers so far."""
+    return [int(found) for found in re.findall(r"a worker's process: (\d+)", log.read_text())]
+
+
+def test_workers_are_started_by_slurm_and_others_where_their_time_is_over(
+    slurm: dict[str, str], tmp_path: Path
+):
+    scans, out = write_small_scans(tmp_path / "scans", 3), tmp_path / "out"
+    words = (*WORDS, "--scheduler", "slurm", "--jobs", 1)
+    batch = started("cli.app", "batch", scans, "-o", out, *words, **slurm, PYTHONFAULTHANDLER="1")
+    while batch.poll() is None and not (out / "scan-0000" / "clean.ply").is_file():
+        time.sleep(0.05)
+    (worker,) = workers_started(tmp_path / "log")
+    os.killpg(worker, signal.SIGKILL)
+    try:
+        said, _ = batch.communicate(timeout=240)
+    except subprocess.TimeoutExpired:
+        batch.send_signal(signal.SIGABRT)
+        pytest.fail(f"{batch.communicate()[0]}\n{(tmp_path / 'log').read_text()}")
     assert batch.returncode == 0, said
-    assert (out / "scan-0001" / "clean.ply").is_file()
+    assert all((out / f"scan-000{number}" / "clean.ply").is_file() for number in range(3))
+    assert len(workers_started(tmp_path / "log")) == 2
+
+
+NO_WORKER = """
+import sys
+from pathlib import Path
+import pipeline.batch.dask
+from pipeline.batch.queue import Job, Settings, new_queue
+from pipeline.batch.told import Noted
+
+def tell(told):
+    print(told.text, flush=True)
+    if "no worker" in told.text:
+        raise InterruptedError
+
+pipeline.batch.dask._LOOK = 0.2
+queue = new_queue(Path(sys.argv[1]), 1, Settings(""), [Job(0, "x", "x")])
+pipeline.batch.dask.work_by_dask(queue, "slurm", workers=1, tell=tell)
+"""
+
+
+def test_scans_that_wait_for_a_worker_are_told(slurm: dict[str, str], tmp_path: Path):
+    (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho Submitted batch job 7\n")
+    words = [sys.executable, "-c", NO_WORKER, str(tmp_path)]
+    child = subprocess.run(words, capture_output=True, text=True, timeout=120, env=os.environ | slurm)
+    told = child.stdout.splitlines()
+    assert len(told) == 2, child.stderr
+    assert re.match(r"no worker is at the scheduler tcp://\S+; scans that wait for one: 1\. ", told[1])
 
 
 CTRL_C = """
