@@ -7,7 +7,8 @@ take turns, and the median counts, because a machine's speed drifts. Open3D is i
 starts, by those that use it. Open3D's loop is what its users write: decode, touch, integrate, with the
 constants of its documentation (16³ blocks, truncation of 8 voxels, weight over 3) but a block count small
 enough for memory. With --samples, the folder of scans with a known truth, a second table tells how near to it
-our own voxels come, and Open3D's in the same stage.
+our own voxels come, and Open3D's in the same stage. The last table tells, in voxels, how far outward the
+sides of thin sheets are.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from stages.comparing.compare import compare
 from stages.fusion.fuse import fuse
 from stages.scans.images import read_color, read_depth
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
+from stages.scans.scan import Camera, Frame, Scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
@@ -170,6 +171,38 @@ def main() -> None:
             )
     if options.samples:
         print_truth(options.samples)
+    print_thin()
+
+
+def sheet(side: int, x: float, thickness: float) -> Frame:
+    """Half a metre of sheet at the origin seen from a metre before it (−1) or behind it (1)."""
+    camera = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
+    rows, columns = np.mgrid[:120, :160]
+    across, down = (columns - camera.cx) / camera.fx + x, (rows - camera.cy) / camera.fy
+    depth = np.where((abs(across) < 0.25) & (abs(down) < 0.25), 1, 3).astype(np.float32)
+    pose = np.diag([-side, 1.0, -side, 1.0])
+    pose[0, 3], pose[2, 3] = -side * x, side * (1 + thickness / 2)
+    return Frame(f"{side} {x}", camera, depth=depth, world_from_camera=pose)
+
+
+def print_thin() -> None:
+    """Print how far off the sides of a thin sheet are, which few frames see from before and many from behind."""
+    voxel = 0.01
+    print("\n| sheet, voxels thick | | few frames' side | many frames' side |")
+    print("|---|---|---|---|")
+    for thickness in (1.5, 2.0, 3.0, 4.0, 6.0):
+        frames = [sheet(-1, 0.02 * k, thickness * voxel) for k in range(3)]
+        frames += [sheet(1, 0.02 * k, thickness * voxel) for k in range(12)]
+        for backend in ("own", "open3d"):
+            mesh = fuse(
+                frames, voxel_size=voxel, truncation=5 * voxel, min_weight=1, color=False, backend=backend
+            ).mesh
+            inner = (np.abs(mesh.vertices[:, :2]).max(axis=1) < 0.18) & (np.abs(mesh.vertices[:, 2]) < 0.5)
+            off = []
+            for side in (-1, 1):
+                z = side * mesh.vertices[inner & (side * mesh.vertices[:, 2] > 0), 2]
+                off.append(f"{np.median(z) / voxel - thickness / 2:+.2f}" if len(z) else "gone")
+            print(f"| {thickness:g} | {backend} | {off[0]} | {off[1]} |", flush=True)
 
 
 def print_truth(samples: Path) -> None:

@@ -23,7 +23,8 @@ from stages.files.image_bytes import (
     promised_size,
     require_room_for,
 )
-from stages.files.opening import content_of, opened, require_regular, said_of
+from stages.files.numpy_files import mapped
+from stages.files.opening import content_of, opened, said_of
 from stages.files.room import require_room
 
 # Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
@@ -90,8 +91,7 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
 def read_array(path: Path, what: str) -> NDArray[Any]:
     """Return the array of a .npy file, which stays on disk; raises InputError, which calls it `what`."""
     try:
-        # Mapped, not read: a header that promises more than the file holds then fails at once.
-        array: NDArray[Any] = np.load(require_regular(path), mmap_mode="r", allow_pickle=False)
+        array = mapped(path)
     except _NPY_FAULTS as error:
         require_room(path.stat().st_size if path.is_file() else 0)
         raise InputError(f"{what} cannot be read ({error}).", path) from error

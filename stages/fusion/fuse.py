@@ -39,7 +39,7 @@ from stages.surface.mesh import Mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 7
+RESULT_VERSION = 8
 
 R = TypeVar("R")
 

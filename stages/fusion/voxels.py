@@ -54,16 +54,26 @@ def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
 
 @dataclass(frozen=True)
 class Weighing:
-    """How much a measurement at depth z counts: 1 / (1 − growth + growth (z / depth)²)².
+    """How exact depth z is: its deviation is noise × (1 − growth + growth (z / depth)²).
+
+    It weighs one over the square of that, and counts less where it lies farther behind the surface than its
+    noise reaches: there others may see the other side of something thin.
 
     Attributes
     ----------
     depth : metres; what is measured there weighs 1.
     growth : from 0, where all depth is equally exact, to 1, where its noise grows with its square.
+    noise : standard deviation at that depth, metres; above 0.
     """
 
     depth: float = 1.0
     growth: float = 0.0
+    noise: float = 1e-4
+
+    def deviations(self) -> tuple[float, float, float]:
+        """Return the deviation of what weighs 1, that at depth 0, and what is added for each square metre."""
+        constant, quadratic = 1 - self.growth, self.growth / self.depth**2
+        return self.noise, self.noise * constant, self.noise * quadratic
 
 
 class Field(Protocol):
@@ -204,7 +214,7 @@ class Volume:
                 view.surface.depth,
                 view.surface.obliqueness,
                 color,
-                weighing=(1.0, 1 - weighing.growth, weighing.growth / weighing.depth**2),
+                weighing=weighing.deviations(),
                 wanted_threads=self._threads,
             )
         except _kernels.LimitError as error:

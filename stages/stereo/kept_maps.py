@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import StageError
+from stages.files.numpy_files import mapped
 from stages.scans.scan import DepthImage
 
 
@@ -37,8 +38,8 @@ class KeptMaps:
 
     def depth(self, at: int) -> DepthImage:
         """Return the depth that was kept for a view."""
-        return np.asarray(np.load(self._folder / f"depth{at}.npy", allow_pickle=False), np.float32)
+        return np.array(mapped(self._folder / f"depth{at}.npy"), np.float32)
 
     def confidence(self, at: int) -> NDArray[np.uint8]:
         """Return the confidence that was kept for a view."""
-        return np.asarray(np.load(self._folder / f"confidence{at}.npy", allow_pickle=False), np.uint8)
+        return np.array(mapped(self._folder / f"confidence{at}.npy"), np.uint8)

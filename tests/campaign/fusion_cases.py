@@ -65,7 +65,8 @@ class _Field:
         self._truncation = truncation
         self._shots = shots
         self._color = draw.random() < 0.7
-        self._weighing = (1.0, draw.choice((0.0, 0.5, 1.0)), draw.choice((0.0, 0.5, 1e6)))
+        noise = draw.choice((1.0, 1e-2, 1e-4))
+        self._weighing = (noise, noise * draw.choice((0.0, 0.5, 1.0)), noise * draw.choice((0.0, 0.5, 1e6)))
         limits = (0.0, draw.choice((3.0, 1e38)), draw.choice((0.05, 1e9)), draw.choice((0.1, 0.0)))
         self._views = [_oriented(shot, limits, draw) for shot in shots]
         self.keys = [self._touched(shot, view, draw) for shot, view in zip(shots, self._views, strict=True)]

@@ -4,7 +4,8 @@
 //! where one is missing (beside a jump they are) the nearest pixel counts. What lies between that depth and the voxel's own,
 //! along the surface's normal there, is added to the voxel: cut off at one truncation before the surface, and not at
 //! all farther behind it, which says nothing (Curless and Levoy, "A volumetric method for building complex models from
-//! range images", 1996).
+//! range images", 1996). Behind the surface it counts in full as far as its noise may reach, and less and less from there on:
+//! what others see there is the other side of something thin, which would be pushed away and torn.
 //!
 //! A slice of 64 voxels goes through one step after another, so that each step is a loop without branches. What comes
 //! out is the same to the bit in every set of instructions: products and sums are rounded one by one, quotients exactly.
@@ -22,6 +23,12 @@ const AT_ONCE: usize = 16;
 /// not count as one that saw the voxel, or the field would be closed beside silhouettes, where no frame saw the other side.
 const OTHER: f32 = 8.0;
 
+/// A measurement counts in full so many standard deviations of it behind the surface, and no less than so many voxels; within so many
+/// voxels more it falls to the least weight there is, so that the surface has a far side even where nobody has seen it.
+const SURE: f32 = 3.0;
+const SURE_VOXELS: f32 = 0.5;
+const FADING_VOXELS: f32 = 1.5;
+
 /// A frame and how voxels are projected into it: the homogeneous pixel (u z, v z, z) of a voxel is an affine function of its
 /// coordinates.
 #[derive(Debug)]
@@ -33,6 +40,41 @@ pub struct Frame<'a> {
     step: [[f64; 3]; 3],
     /// Of the voxels of a slice, from its first.
     within: [[f32; SLICE]; 3],
+    behind: Behind,
+}
+
+/// How much less what is behind the surface counts; lengths in truncations.
+#[derive(Clone, Copy, Debug)]
+struct Behind {
+    /// What is sure of depth z: at least so much, and constant + quadratic z².
+    least: f32,
+    constant: f32,
+    quadratic: f32,
+    /// From what is sure on, the share that is lost in one truncation.
+    steepness: f32,
+}
+
+impl Behind {
+    fn new(view: &View, voxel_size: f64) -> Self {
+        let voxel = voxel_size as f32 / view.truncation;
+        let sure = SURE / view.truncation;
+        Self {
+            least: SURE_VOXELS * voxel,
+            constant: sure * view.weighing.constant,
+            quadratic: sure * view.weighing.quadratic,
+            steepness: 1.0 / (FADING_VOXELS * voxel),
+        }
+    }
+
+    /// The share of its weight that a measurement of depth z has, at a distance in front of its surface.
+    #[inline(always)]
+    fn share(&self, distance: f32, z: f32) -> f32 {
+        let noise = self.constant + self.quadratic * (z * z);
+        let sure = if noise > self.least { noise } else { self.least };
+        let share = 1.0 + (distance + sure) * self.steepness;
+        let share = if share < 1.0 { share } else { 1.0 };
+        if share > 0.0 { share } else { 0.0 }
+    }
 }
 
 impl<'a> Frame<'a> {
@@ -46,7 +88,13 @@ impl<'a> Frame<'a> {
         let within = [0, 1, 2].map(|i| {
             std::array::from_fn(|k| (step[0][i] * (k % SIDE) as f64 + step[1][i] * (k / SIDE) as f64) as f32)
         });
-        Self { view, origin: [0, 1, 2].map(|i| row(i, 3)), step, within }
+        Self {
+            view,
+            origin: [0, 1, 2].map(|i| row(i, 3)),
+            step,
+            within,
+            behind: Behind::new(view, voxel_size),
+        }
     }
 
     /// Homogeneous pixel of the first voxel of a block's slice.
@@ -130,7 +178,8 @@ fn add(frame: &Frame<'_>, block: &mut Written<'_>) {
         below: [0.0; SLICE],
         nearest: [0; SLICE],
     };
-    let (mut distance, mut total, mut looks) = ([0.0; SLICE], [0.0; SLICE], [0; SLICE]);
+    let (mut distance, mut looks) = ([0.0; SLICE], [0; SLICE]);
+    let (mut own, mut total) = ([0; SLICE], [0.0; SLICE]);
     for slice in 0..SIDE {
         project(frame, frame.first(block.block, slice), &mut at);
         if !any(&at.z, |z| z > 0.0) {
@@ -141,19 +190,17 @@ fn add(frame: &Frame<'_>, block: &mut Written<'_>) {
             continue;
         }
         fetch(&frame.view.looks, &at.nearest, &mut looks);
+        for i in 0..SLICE {
+            let weight = (looks[i] >> 24) as i32 as f32 * frame.behind.share(distance[i], at.z[i]);
+            // SAFETY: it is a number from 0 to 255.
+            own[i] = unsafe { whole(weight + 0.5) }.max(1) as u32;
+        }
         let to = &mut *block.distances;
-        weigh(
-            &mut to.sum[slice],
-            &mut to.weight[slice],
-            &mut to.frames[slice],
-            &distance,
-            &looks,
-            &mut total,
-        );
+        weigh(&mut to.sum[slice], &mut to.weight[slice], &mut to.frames[slice], &distance, &own, &mut total);
         if let Some(colors) = &mut block.colors
             && any(&distance, |d| d.abs() < 1.0)
         {
-            paint(colors, slice, &distance, &looks, &total);
+            paint(colors, slice, &distance, &looks, &own, &total);
         }
     }
 }
@@ -267,7 +314,7 @@ fn weigh(
     weights: &mut Slice<u16>,
     frames: &mut Slice<u8>,
     distance: &Slice<f32>,
-    looks: &Slice<u32>,
+    own: &Slice<u32>,
     total: &mut Slice<f32>,
 ) {
     let (mut new, mut near) = ([0u32; SLICE], [0u32; SLICE]);
@@ -275,7 +322,7 @@ fn weigh(
         let d = distance[i];
         let is_seen = d > -1.0;
         let cut = if d < 1.0 { d } else { 1.0 };
-        let (old, weight) = (u32::from(weights[i]), looks[i] >> 24);
+        let (old, weight) = (u32::from(weights[i]), own[i]);
         let is_full = old + weight > u32::from(u16::MAX);
         let kept = if is_full { old >> 1 } else { old };
         let sum = if is_full { sums[i] * 0.5 } else { sums[i] };
@@ -295,14 +342,21 @@ fn weigh(
 
 /// Mix the colours of pixels with those of voxels within one truncation of the surface.
 #[inline(always)]
-fn paint(to: &mut Colors, slice: usize, distance: &Slice<f32>, looks: &Slice<u32>, total: &Slice<f32>) {
+fn paint(
+    to: &mut Colors,
+    slice: usize,
+    distance: &Slice<f32>,
+    looks: &Slice<u32>,
+    own: &Slice<u32>,
+    total: &Slice<f32>,
+) {
     let fractions = &mut to.fractions[slice];
     let (mut share, mut near) = ([0f32; SLICE], [0u32; SLICE]);
     for i in 0..SLICE {
         let (d, most) = (distance[i], COLOR_FRAMES * UNIT);
         near[i] = if (d > -1.0) & (d < 1.0) { u32::MAX } else { 0 };
         let of = if total[i] < most { total[i] } else { most };
-        let own = (looks[i] >> 24) as i32 as f32 / of;
+        let own = own[i] as i32 as f32 / of;
         // The first colour is taken as it is, whatever the weight of the space that was seen empty before.
         share[i] = if fractions[i] & COLORED == 0 { 1.0 } else { own };
     }

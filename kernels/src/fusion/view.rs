@@ -70,6 +70,8 @@ pub struct View {
     pub measures: Vec<Measure>,
     /// Red, green, blue from below, then the weight in [`UNIT`]s.
     pub looks: Vec<u32>,
+    pub weighing: Weighing,
+    pub truncation: f32,
 }
 
 impl View {
@@ -105,7 +107,7 @@ impl View {
         });
         let (above, last) = measures.split_at_mut(stride * height);
         last.copy_from_slice(&above[stride * (height - 1)..]);
-        Self { camera, measures, looks }
+        Self { camera, measures, looks, weighing, truncation }
     }
 
     /// Pixels from a row to the next.

@@ -158,7 +158,7 @@ def test_images_of_a_scan_are_files(tmp_path: Path, kind: Callable[[Path], None]
 ALLOWED = {
     "stages/files/opening.py": {"fdopen", "open"},
     "stages/files/exr.py": {"File"},  # after content_of
-    "stages/files/images.py": {"np.load"},  # require_regular
+    "stages/files/numpy_files.py": {"np.load"},  # require_regular
     "stages/files/own_process.py": {"read_text"},  # of the system
     "stages/stereo/networks/serving.py": {"fdopen"},  # a pipe of its own
     "stages/files/zip_archives.py": {"ZipFile", "open"},  # require_regular, entries
@@ -174,7 +174,6 @@ ALLOWED = {
     "stages/scans/ros/db3.py": {"connect"},  # after opened
     "stages/scans/video.py": {"VideoCapture"},  # after opened
     "stages/picturing/video.py": {"open"},  # an encoder, of a draft
-    "stages/stereo/kept_maps.py": {"np.load"},  # in a folder of its own
     "pipeline/cache.py": {"open"},  # locks and marks of the cache
     "pipeline/posix.py": {"open", "read_text"},  # locks, what is flushed; of the system
     "pipeline/windows.py": {"open"},  # what is flushed

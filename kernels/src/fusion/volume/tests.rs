@@ -189,8 +189,16 @@ fn told(shot: &Shot, place: [f64; 3]) -> Told {
     if (weight - weight.floor() - 0.5).abs() < NEARLY {
         return Told::Unsure;
     }
+    let weight = weight.round().clamp(1.0, HEAVIEST.into());
+    // In full up to three deviations behind the surface, then less and less for one and a half voxels.
+    let noise = f64::from(WEIGHING.constant) + f64::from(WEIGHING.quadratic) * at[2] * at[2];
+    let faded = ((-distance * TRUNCATION - (3.0 * noise).max(0.5 * VOXEL)) / (1.5 * VOXEL)).clamp(0.0, 1.0);
+    let weight = weight * (1.0 - faded);
+    if (weight - weight.floor() - 0.5).abs() < 20.0 * NEARLY {
+        return Told::Unsure;
+    }
     let color = [0, 1, 2].map(|c| f64::from(shot.color[3 * nearest + c]));
-    Told::Seen(distance, weight.round().clamp(1.0, HEAVIEST.into()), color)
+    Told::Seen(distance, weight.round().max(1.0), color)
 }
 
 #[test]

@@ -52,7 +52,7 @@ def pieced(large: Path, frames: list[Frame]) -> Coverage:
 def test_figures_and_places_are_those_of_the_whole(whole: Coverage, pieced: Coverage) -> None:
     expected, told = whole.figures(), pieced.figures()
     assert len(expected["places"]) > 10
-    assert {place.kind for place in whole.places} == {"hidden", "few", "oblique", "unmeasured"}
+    assert {place.kind for place in whole.places} == {"hidden", "few", "oblique", "unmeasured", "apart"}
     assert [one.pop("nearest_frames") for one in told["places"]] == [
         one.pop("nearest_frames") for one in expected["places"]
     ]
