@@ -186,7 +186,7 @@ def sheet(side: int, x: float, thickness: float) -> Frame:
 
 
 def print_thin() -> None:
-    """Print how far off the sides of a thin sheet are, which few frames see from before and many from behind."""
+    """Print how far off both sides of a thin sheet are; few frames see one of them, many the other."""
     voxel = 0.01
     print("\n| sheet, voxels thick | | few frames' side | many frames' side |")
     print("|---|---|---|---|")
