@@ -96,7 +96,7 @@ def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
     # Others tell something sooner, however busy the machine is.
     words = (*WORDS, "--timeout", 20, "--scheduler", scheduler)
     batch = started("cli.app", "batch", scans, "-o", out, *words)
-    killed = worker_at_work(hung.parent, time.monotonic() + 60)
+    killed = worker_at_work(hung.parent, time.monotonic() + 240)
     os.kill(killed, signal.SIGKILL)
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 1, said
