@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.files.documents import read_document
+from stages.files.numpy_files import mapped
 from stages.fusion.adding import (
     Outcome,
     Work,
@@ -239,7 +240,7 @@ def _write_brick(
 
 def _read_counts(folder: Path) -> NDArray[np.int64]:
     with reading(folder):
-        return np.asarray(np.load(folder / _COUNTS), np.int64).reshape(256)
+        return np.array(mapped(folder / _COUNTS), np.int64).reshape(256)
 
 
 def _outcomes(work: Work, index: _Index, made: _Made) -> list[Outcome]:

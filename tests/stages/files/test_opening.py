@@ -185,8 +185,7 @@ ALLOWED = {
     "pipeline/batch/process.py": {"open"},  # a log of its own, written
     "pipeline/batch/whole.py": {"open"},  # a draft
     "stages/cleaning/clean_in_pieces.py": {"memmap"},  # in a folder of its own
-    "stages/fusion/in_bricks.py": {"np.load"},  # files of an entry, verified, or in a folder of its own
-    "stages/fusion/joining.py": {"np.load"},  # the same
+    "stages/fusion/joining.py": {"np.load"},  # files of an entry, verified, or in a folder of its own
     "stages/simplification/strips.py": {"np.load"},  # in a folder of its own
     "stages/surface/pieces.py": {"memmap", "open"},  # after opened, and a draft
     "cli/app.py": {"open"},  # the null device
