@@ -31,11 +31,15 @@ from stages.comparing.compare import compare
 from stages.fusion.fuse import fuse
 from stages.scans.images import read_color, read_depth
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Scan
+from stages.scans.scan import Scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.topology import topology
+
+sys.path[:0] = [str(Path(__file__).parents[1] / "tests" / "made")]
+
+from thin_sheet import thin_sheet  # noqa: E402
 
 MAX_DEPTH = 4.0
 
@@ -174,29 +178,16 @@ def main() -> None:
     print_thin()
 
 
-def sheet(side: int, x: float, thickness: float) -> Frame:
-    """Half a metre of sheet at the origin seen from a metre before it (−1) or behind it (1)."""
-    camera = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
-    rows, columns = np.mgrid[:120, :160]
-    across, down = (columns - camera.cx) / camera.fx + x, (rows - camera.cy) / camera.fy
-    depth = np.where((abs(across) < 0.25) & (abs(down) < 0.25), 1, 3).astype(np.float32)
-    pose = np.diag([-side, 1.0, -side, 1.0])
-    pose[0, 3], pose[2, 3] = -side * x, side * (1 + thickness / 2)
-    return Frame(f"{side} {x}", camera, depth=depth, world_from_camera=pose)
-
-
 def print_thin() -> None:
     """Print how far off both sides of a thin sheet are; few frames see one of them, many the other."""
     voxel = 0.01
     print("\n| sheet, voxels thick | | few frames' side | many frames' side |")
     print("|---|---|---|---|")
     for thickness in (1.5, 2.0, 3.0, 4.0, 6.0):
-        frames = [sheet(-1, 0.02 * k, thickness * voxel) for k in range(3)]
-        frames += [sheet(1, 0.02 * k, thickness * voxel) for k in range(12)]
+        frames = [thin_sheet(-1, 0.02 * k, thickness * voxel, (200, 40, 30)) for k in range(3)]
+        frames += [thin_sheet(1, 0.02 * k, thickness * voxel, (20, 60, 220)) for k in range(12)]
         for backend in ("own", "open3d"):
-            mesh = fuse(
-                frames, voxel_size=voxel, truncation=5 * voxel, min_weight=1, color=False, backend=backend
-            ).mesh
+            mesh = fuse(frames, voxel_size=voxel, truncation=5 * voxel, min_weight=1, backend=backend).mesh
             inner = (np.abs(mesh.vertices[:, :2]).max(axis=1) < 0.18) & (np.abs(mesh.vertices[:, 2]) < 0.5)
             off = []
             for side in (-1, 1):

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from pipeline.batch.queue import Queue
 from pipeline.batch.records import FAILED, Record, Records
 from pipeline.batch.told import Counted, JobEnded, Noted, Tell, untold
 from pipeline.failures import explained
-from stages.errors import InputError, UsageError
+from stages.errors import InputError, StageError, UsageError
 from stages.scans.threads import environment_of
 
 # Systems that dask-jobqueue starts workers by, and its classes.
@@ -87,7 +87,9 @@ def work_by_dask(
     UsageError
         If Dask is not installed, or a system is named without a number of workers.
     InputError
-        If no scheduler answers.
+        If no scheduler answers, or a system refuses to start workers.
+    StageError
+        If the scheduler is gone before all have ended.
     """
     records = Records(queue.folder / "done")
     open_ones = [number for number in queue.numbers if number not in records.ended()]
@@ -105,22 +107,34 @@ def work_by_dask(
             for number in open_ones
         }
         tell(Noted(f"{len(tasks)} scans are given to the scheduler at {client.scheduler.address}"))
-        for count, future in enumerate(_completed(client, [*tasks], tell), 1):
+        for count, future in enumerate(_completed(client, tasks, tell), 1):
             record = _ended(queue, records, tasks[future], future)
             tell(JobEnded(record))
             tell(Counted(len(queue.numbers) - len(tasks) + count, len(queue.numbers)))
 
 
 def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]:
-    """Return tasks as they end, and tell where they wait for want of a worker, once for each time."""
+    """Return tasks as they end, and tell where they wait for want of a worker, once for each time.
+
+    Raises
+    ------
+    StageError
+        If the scheduler is gone.
+    """
     from distributed import as_completed
 
     ended = as_completed(tasks)
     looked, is_told = time.monotonic(), False
     while not ended.is_empty():
         if ended.has_ready():
-            yield next(ended)
-            looked = time.monotonic()
+            one = next(ended)
+            if one.cancelled():
+                raise StageError(
+                    f"the scheduler at {client.scheduler.address} is gone; what has ended is kept: run the "
+                    "batch again, with a scheduler that runs."
+                )
+            yield one
+            looked, is_told = time.monotonic(), False
         elif time.monotonic() < looked + _LOOK:
             time.sleep(_PAUSE)
         else:
@@ -189,12 +203,27 @@ def _cluster(system: str, workers: int | None) -> Any:
     if signal.getsignal(signal.SIGINT) is not ctrl_c:
         # As it is imported it takes Ctrl-C for an end in good order: whatever calls this would seem done.
         signal.signal(signal.SIGINT, ctrl_c)
+    cluster = None
     try:
         cluster = getattr(dask_jobqueue, SYSTEMS[system])()
-    except (ValueError, TypeError, OSError) as error:
+        cluster.sync(_ask, cluster, workers)
+    except (ValueError, TypeError, OSError, RuntimeError) as error:
+        if cluster is not None:
+            # It does not expect workers that were refused.
+            with suppress(AssertionError):
+                cluster.close()
         raise InputError(
-            f"workers cannot be started by {system}: {error}; ~/.config/dask/jobqueue.yaml says how."
+            f"workers cannot be started by {system}: {' '.join(str(error).split())}; "
+            "~/.config/dask/jobqueue.yaml says how."
         ) from error
+    return cluster
+
+
+async def _ask(cluster: Any, workers: int) -> None:
+    """Ask for workers, and wait until the system has taken that; raise RuntimeError where it refuses."""
+    # As its `scale` does, which would ask later, where a refusal is only logged.
+    for _ in range(workers):
+        cluster.worker_spec.update(cluster.new_worker_spec())
+    await cluster
     # Centres end jobs when their time is over: as long as scans wait, others are asked for in their place.
     cluster.adapt(minimum_jobs=workers, maximum_jobs=workers)
-    return cluster

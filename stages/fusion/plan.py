@@ -190,9 +190,9 @@ def _weighing(noise: Noise, views: Sequence[PosedDepth], voxel_size: float) -> W
     depth = np.concatenate([view.surface.depth[view.surface.depth > 0][::_EVERY] for view in views])
     median = 2 ** (round(2 * math.log2(float(np.median(depth)))) / 2)
     if noise.at(median) < _SHOWN * voxel_size:
-        return Weighing(noise=_SHOWN * voxel_size)
+        return Weighing(_SHOWN * voxel_size)
     deviation = 2 ** (round(2 * math.log2(noise.at(median))) / 2)
-    return Weighing(median, round(4 * noise.quadratic * median**2 / noise.at(median)) / 4, deviation)
+    return Weighing(deviation, median, round(4 * noise.quadratic * median**2 / noise.at(median)) / 4)
 
 
 def limits_of(params: FuseParams, *, alone: bool = False) -> DepthLimits:

@@ -61,14 +61,14 @@ class Weighing:
 
     Attributes
     ----------
-    depth : metres; what is measured there weighs 1.
+    noise : standard deviation, metres; above 0.
+    depth : metres, where it is that; what is measured there weighs 1.
     growth : from 0, where all depth is equally exact, to 1, where its noise grows with its square.
-    noise : standard deviation at that depth, metres; above 0.
     """
 
+    noise: float
     depth: float = 1.0
     growth: float = 0.0
-    noise: float = 1e-4
 
     def deviations(self) -> tuple[float, float, float]:
         """Return the deviation of what weighs 1, that at depth 0, and what is added for each square metre."""

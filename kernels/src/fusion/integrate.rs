@@ -190,11 +190,7 @@ fn add(frame: &Frame<'_>, block: &mut Written<'_>) {
             continue;
         }
         fetch(&frame.view.looks, &at.nearest, &mut looks);
-        for i in 0..SLICE {
-            let weight = (looks[i] >> 24) as i32 as f32 * frame.behind.share(distance[i], at.z[i]);
-            // SAFETY: it is a number from 0 to 255.
-            own[i] = unsafe { whole(weight + 0.5) }.max(1) as u32;
-        }
+        fade(&frame.behind, &at.z, &distance, &looks, &mut own);
         let to = &mut *block.distances;
         weigh(&mut to.sum[slice], &mut to.weight[slice], &mut to.frames[slice], &distance, &own, &mut total);
         if let Some(colors) = &mut block.colors
@@ -304,6 +300,16 @@ fn fetch<T: Copy>(image: &[T], pixels: &Slice<u32>, to: &mut Slice<T>) {
     for i in 0..SLICE {
         // SAFETY: `project` names pixels of the image alone.
         to[i] = unsafe { *image.get_unchecked(pixels[i] as usize) };
+    }
+}
+
+/// What the measurements of a slice weigh, behind the surface less.
+#[inline(always)]
+fn fade(behind: &Behind, z: &Slice<f32>, distance: &Slice<f32>, looks: &Slice<u32>, own: &mut Slice<u32>) {
+    for i in 0..SLICE {
+        let weight = (looks[i] >> 24) as i32 as f32 * behind.share(distance[i], z[i]);
+        // SAFETY: it is a number from 0 to 255.
+        own[i] = unsafe { whole(weight + 0.5) }.max(1) as u32;
     }
 }
 

@@ -117,6 +117,34 @@ def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
         assert (out / name / "clean.ply").read_bytes() == quiet
 
 
+def test_a_scheduler_that_is_gone_is_told(tmp_path: Path):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = ("--host", "127.0.0.1", "--port", port, "--no-dashboard")
+    scheduler = started("distributed.cli.dask_scheduler", *words)
+    write_small_scans(tmp_path / "scans", 1)
+    words = (*WORDS, "--scheduler", f"tcp://127.0.0.1:{port}")
+    while scheduler.poll() is None and not _answers(port):
+        time.sleep(0.05)
+    batch = started("cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words)
+    assert scheduler.stdout is not None
+    # It waits for a worker; there is none.
+    while "Receive client connection" not in scheduler.stdout.readline():
+        assert batch.poll() is None, batch.communicate()[0]
+    time.sleep(1)
+    scheduler.kill()
+    scheduler.communicate()
+    said, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 1, said
+    assert said.splitlines()[-1].startswith(f"scanloom: the scheduler at tcp://127.0.0.1:{port} is gone; ")
+
+
+def _answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
 SBATCH = """#!{python}
 # As SLURM: takes a script, says the number of its job, and runs it elsewhere.
 import subprocess, sys
@@ -174,6 +202,16 @@ def test_workers_are_started_by_slurm_and_others_where_their_time_is_over(
     assert batch.returncode == 0, said
     assert all((out / f"scan-000{number}" / "clean.ply").is_file() for number in range(3))
     assert len(workers_started(tmp_path / "log")) == 2
+
+
+def test_what_slurm_refuses_is_said_in_one_sentence(slurm: dict[str, str], tmp_path: Path):
+    (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho no such partition >&2\nexit 1\n")
+    write_small_scans(tmp_path / "scans", 1)
+    words = (*WORDS, "--scheduler", "slurm", "--jobs", 2)
+    batch = started("cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words, **slurm)
+    said, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 3, said
+    assert re.fullmatch(r"scanloom: workers cannot be started by slurm: .* no such partition; .*\n", said)
 
 
 NO_WORKER = """

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from thin_sheet import thin_sheet
 
 from stages import _kernels
 from stages.errors import StageError, UsageError
@@ -65,23 +66,11 @@ def test_what_nobody_measured_is_left_open() -> None:
     assert near[:, :2].max() > 0.2
 
 
-def sheet(side: int, x: float, color: tuple[int, int, int]) -> Frame:
-    """A sheet of cardboard at the origin, two voxels thick, before walls, seen from −1: before it, or 1."""
-    rows, columns = np.mgrid[:120, :160]
-    across, down = (columns - CAMERA.cx) / CAMERA.fx + x, (rows - CAMERA.cy) / CAMERA.fy
-    is_near = (abs(across) < 0.25) & (abs(down) < 0.25)
-    pose = np.diag([-side, 1.0, -side, 1.0])
-    pose[0, 3], pose[2, 3] = -side * x, side * (1 + VOXEL)
-    painted = np.where(is_near[..., None], np.uint8(color), np.uint8([90, 90, 90]))
-    depth = np.where(is_near, 1, 3).astype(np.float32)
-    return Frame(f"{side}{x}", CAMERA, color=painted, depth=depth, world_from_camera=pose)
-
-
 @pytest.mark.parametrize("behind", [3, 12])
 def test_both_sides_of_something_thin_are_where_they_are(behind: int) -> None:
     """However many frames see the other side, neither is pushed away, torn or painted in its colours."""
-    frames = [sheet(-1, 0.02 * k, (200, 40, 30)) for k in range(3)]
-    frames += [sheet(1, 0.02 * k, (20, 60, 220)) for k in range(behind)]
+    frames = [thin_sheet(-1, 0.02 * k, 2 * VOXEL, (200, 40, 30)) for k in range(3)]
+    frames += [thin_sheet(1, 0.02 * k, 2 * VOXEL, (20, 60, 220)) for k in range(behind)]
     mesh = fuse(frames, voxel_size=VOXEL, truncation=5 * VOXEL, min_weight=1).mesh
     assert mesh.colors is not None
     inner = np.abs(mesh.vertices[:, :2]).max(axis=1) < 0.18
@@ -112,7 +101,7 @@ def test_each_vertex_knows_how_many_frames_saw_it() -> None:
 def test_near_depth_counts_more_than_far_depth() -> None:
     """Two frames disagree by a centimetre, and one of them is four times as far."""
     camera = Camera(40, 40, 100.0, 100.0, 19.5, 19.5)
-    volume = Volume(VOXEL, 3 * VOXEL, Weighing(1.0, 1.0), color=False, max_bytes=1e8, threads=1)
+    volume = Volume(VOXEL, 3 * VOXEL, Weighing(1e-3, 1.0, 1.0), color=False, max_bytes=1e8, threads=1)
     limits = limits_of(FuseParams())
     for z, off in ((1.0, 0.0), (2.0, 0.01)):
         pose = np.eye(4)

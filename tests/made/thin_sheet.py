@@ -1,0 +1,28 @@
+"""A sheet with two sides close together, seen from before and from behind."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stages.scans.scan import Camera, Frame
+
+CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
+
+
+def thin_sheet(side: int, x: float, thickness: float, color: tuple[int, int, int]) -> Frame:
+    """Half a metre of sheet at the origin, of a colour that shows on this side, before a grey wall.
+
+    Parameters
+    ----------
+    side : −1 from a metre before it, 1 from behind.
+    x : of the camera, metres.
+    thickness : metres.
+    """
+    rows, columns = np.mgrid[:120, :160]
+    across, down = (columns - CAMERA.cx) / CAMERA.fx + x, (rows - CAMERA.cy) / CAMERA.fy
+    is_near = (abs(across) < 0.25) & (abs(down) < 0.25)
+    pose = np.diag([-side, 1.0, -side, 1.0])
+    pose[0, 3], pose[2, 3] = -side * x, side * (1 + thickness / 2)
+    painted = np.where(is_near[..., None], np.uint8(color), np.uint8([90, 90, 90]))
+    depth = np.where(is_near, 1, 3).astype(np.float32)
+    return Frame(f"{side} {x}", CAMERA, color=painted, depth=depth, world_from_camera=pose)
