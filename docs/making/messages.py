@@ -44,7 +44,7 @@ _NAMES = {
 _FUNCTIONS = re.compile(
     "warnings|doubts|unmet|too_far|not_proven|crowded|lines_left_out|trouble|explain|guessed|why|reason"
     "|_least_confidence|least_confidence|about_order|unknown_place|misfit|depth_range|markers|least_sharp"
-    "|odd_sizes|check_poses|check_registration|strays|judged|refusal|unknown|without_images|drifted|pieces"
+    "|odd_sizes|check_poses|_unregistered|strays|judged|refusal|unknown|without_images|drifted|pieces"
     "|largest|left_alone|repeating|without_surface|skipped|_camera$|_found$|_told$|_poses$|_path$|malformed"
 )
 # Layouts say what their folders look like, which nobody is warned of.

@@ -11,15 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.adjusting.adjusted import Adjusted, Transfer
+from stages.adjusting.anchor import Anchor, anchor_of
 from stages.adjusting.bundle import Bundle, bundle
-from stages.adjusting.cameras import Cameras, camera_of, motion_apart
+from stages.adjusting.cameras import FREE, STILL, Cameras, camera_of, motion_apart
 from stages.adjusting.key_frames import key_frames
 from stages.adjusting.look import Look, look, usable
 from stages.adjusting.matching import match
+from stages.adjusting.offset import Offset, Sight, offset, sights
 from stages.adjusting.partners import overlaps, partners
 from stages.adjusting.problem import Frees
 from stages.adjusting.resection import Placed, placed_between
-from stages.adjusting.view import BLACK, OVER_EXPOSED, View, color_camera, view_or_none
+from stages.adjusting.view import (
+    BLACK,
+    OVER_EXPOSED,
+    View,
+    color_camera,
+    has_one_camera,
+    place_of_color,
+    view_or_none,
+)
 from stages.params import check, param, resolve
 from stages.printing import counted
 from stages.progress import Progress, silent
@@ -29,8 +39,12 @@ from stages.scans.scan import Frame, Scan, SkippedFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
+# Where outlines say that photos lie elsewhere, points may land farther from their matches by this share.
+_NO_WORSE = 0.05
+# Points of outlines that hold the colour camera.
+_ANCHORS = 1000
 # Colour and depth agree where points land this near, pixels: nothing is to be gained.
 _GOOD_PX = 0.5
 # What is found is taken where the median error falls by more than this share, and by more pixels than this.
@@ -61,8 +75,8 @@ class AdjustParams:
     camera: bool | None = param(
         None,
         "Look for one colour camera of the whole scan (focal length, centre, k1, its place beside the depth "
-        "camera): by default used where it is clearly better than poses alone; true asks for it, false "
-        "keeps the given one.",
+        "camera): by default used where it is clearly better than poses alone, and moved to where outlines "
+        "of things say that photos are; true asks for it, false keeps the given one.",
     )
     shutter: bool | None = param(
         None,
@@ -99,11 +113,12 @@ def adjust(
 ) -> Adjusted:
     """Make poses better, and the colour camera where that is wrong; what is not better is not used.
 
-    A few couples of frames say first whether anything is to be gained. If so, points that three frames or
-    more show are recognised, and poses, points and one colour camera are fitted to where they are seen and
-    how deep they are measured (bundle adjustment), held to the poses given; so is how cameras turn while the
-    rows of their images are read, where that leaves less. Every fifth point is held out: by these it is
-    judged. Equal input gives equal bits, on any number of threads.
+    Outlines of things say where photos lie beside the depth maps; where that is clearly elsewhere than the
+    scan says, the colour camera is moved there. A few couples of frames say next whether more is to be
+    gained. If so, points that three frames or more show are recognised, and poses, points and one colour
+    camera are fitted to where they are seen and how deep they are measured (bundle adjustment), held to the
+    poses given; so is how cameras turn while the rows of their images are read, where that leaves less. Every
+    fifth point is held out: by these it is judged. Equal input gives equal bits, on any number of threads.
 
     Parameters
     ----------
@@ -114,35 +129,87 @@ def adjust(
     References
     ----------
     Triggs, McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment – a modern synthesis", 2000; Hedborg,
-    Forssén, Felsberg and Ringaby, "Rolling shutter bundle adjustment", 2012; features and fundamental
-    matrices are OpenCV's, the sparse algebra SciPy's.
+    Forssén, Felsberg and Ringaby, "Rolling shutter bundle adjustment", 2012; Levinson and Thrun, "Automatic
+    online calibration of cameras and lasers", 2013; features and fundamental matrices are OpenCV's, the
+    sparse algebra SciPy's.
     """
     params = resolve(AdjustParams, params, changes)
     frames = tuple(scan.frames if isinstance(scan, Scan) else scan)
-    began = time.perf_counter()
+    start = time.perf_counter()
     places = usable(frames)
     if len(places) < 2:
+        begun = _Begun(frames, frames, (), None, start)
         why = "fewer than two frames have colour, depth and a pose"
-        return _as_given(frames, why, (), None, (), began)
+        return _left(begun, why, (), None)
     seen = look(frames, places)
     if seen.trouble:
         told = (f"not adjusted: {seen.trouble}",) if seen.is_of_another else ()
-        return _as_given(frames, seen.trouble, seen.skipped, None, told, began)
+        begun = _Begun(frames, frames, (), None, start)
+        return _left(begun, seen.trouble, seen.skipped, None, told)
     before = Transfer.of(seen.errors)
+    begun, seen = _moved_to_outlines(frames, places, seen, params, start)
     if seen.median < _GOOD_PX:
         why = f"colour, depth and poses agree to {seen.median:.2f} px already"
-        return _as_given(frames, why, seen.skipped, before, (), began)
-    return _adjusted(frames, places, seen, params, progress, began)
+        return _left(begun, why, seen.skipped, before)
+    return _adjusted(begun, places, seen, params, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """What there is before poses are adjusted.
+
+    Attributes
+    ----------
+    given : the frames of the scan.
+    frames : these, with the colour camera where outlines say that it is, if that is elsewhere.
+    sights : the outlines of some frames; none where the colour camera is to stay.
+    offset : what they say of the given camera.
+    start : of the work, seconds.
+    """
+
+    given: tuple[Frame, ...]
+    frames: tuple[Frame, ...]
+    sights: Sequence[Sight]
+    offset: Offset | None
+    start: float
+
+    @property
+    def has_camera(self) -> bool:
+        """Say whether the colour camera is another one."""
+        return self.frames is not self.given
+
+    def offset_after(self, frame: Frame) -> Offset | None:
+        """Return what outlines say of the colour camera of a frame."""
+        return offset(self.sights, color_camera(frame), place_of_color(frame))
+
+
+def _moved_to_outlines(
+    frames: tuple[Frame, ...], places: Sequence[int], seen: Look, params: AdjustParams, start: float
+) -> tuple[_Begun, Look]:
+    """Move the colour camera where outlines clearly say so; return that, and what frames then show."""
+    first = frames[places[0]]
+    may_move = params.camera is not False and has_one_camera([frames[place] for place in places])
+    shown = sights(frames, places) if may_move else []
+    found = offset(shown, color_camera(first), place_of_color(first))
+    as_given = _Begun(frames, frames, shown, found, start)
+    if found is None or not found.is_clear:
+        return as_given, seen
+    given = color_camera(first)
+    right, down = found.pixels * given.width / shown[0].full_size[0]
+    camera = replace(given, cx=given.cx + right, cy=given.cy + down)
+    moved = list(frames)
+    for place in places:
+        moved[place] = replace(moved[place], color_camera=camera, color_from_depth=place_of_color(first))
+    again = look(moved, places)
+    if again.trouble or again.median > (1 + _NO_WORSE) * seen.median:
+        return as_given, seen
+    return _Begun(frames, tuple(moved), shown, found, start), again
 
 
 def _adjusted(
-    frames: tuple[Frame, ...],
-    places: Sequence[int],
-    seen: Look,
-    params: AdjustParams,
-    progress: Progress,
-    began: float,
+    begun: _Begun, places: Sequence[int], seen: Look, params: AdjustParams, progress: Progress
 ) -> Adjusted:
+    frames = begun.frames
     poses = np.stack([_pose(frames[place]) for place in places])
     chosen = [places[n] for n in key_frames(poses, _MOST_KEYS)]
     matching = len(chosen) // 2
@@ -164,26 +231,34 @@ def _adjusted(
     key_views = list(views.values())
     if len(keys) < 2:
         why = f"{len(keys)} frames can be used"
-        return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
-    given = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
-    couples = partners(overlaps(key_views, given))
+        return _left(begun, why, skipped, Transfer.of(seen.errors))
+    start = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
+    couples = partners(overlaps(key_views, start))
     found = match(key_views, couples, lambda done, of: steps.at(len(chosen) + done * matching // of))
     prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
     camera = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
-    made = bundle(key_views, given, found, prior, camera, params.shutter, lambda: steps.done(1))
+    made = bundle(
+        key_views,
+        start,
+        found,
+        prior,
+        camera,
+        params.shutter,
+        lambda cameras: _held_by_outlines(begun, key_views[0], cameras),
+        lambda: steps.done(1),
+    )
     if made is None:
         why = "too few points are seen by three frames"
-        return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
+        return _left(begun, why, skipped, Transfer.of(seen.errors))
     before, after = Transfer.of(made.before), Transfer.of(made.after)
     better, why = _judged(before, after)
     if not better:
         steps.end()
-        return _as_given(frames, why, skipped, before, (), began, after)
-    strays = _strays(given, made.cameras, prior)
+        return _left(begun, why, skipped, before, (), after)
+    strays = _strays(start, made.cameras, prior)
     if strays:
         steps.end()
-        told = (f"not adjusted: {strays}",)
-        return _as_given(frames, strays, skipped, before, told, began, after)
+        return _left(begun, strays, skipped, before, (f"not adjusted: {strays}",), after)
     cameras = made.cameras
     found_poses = {
         place: Placed(pose, turn)
@@ -192,7 +267,7 @@ def _adjusted(
     }
     between = sorted(set(places) - set(chosen))
     frees = Frees(made.has_camera, made.has_turns)
-    for place, one in placed_between(frames, between, views, given, cameras, prior, frees):
+    for place, one in placed_between(frames, between, views, start, cameras, prior, frees):
         if isinstance(one, SkippedFrame):
             skipped.append(one)
         elif one is not None:
@@ -204,32 +279,47 @@ def _adjusted(
         result[place] = _with(frames[place], found_poses.get(place), made, views, keys)
     moved = np.array([motion_apart(_pose(frames[place]), one.pose) for place, one in found_poses.items()])
     turns = np.degrees([np.linalg.norm(one.turn) for one in found_poses.values()])
-    first = color_camera(frames[keys[0]])
+    has_camera = made.has_camera or begun.has_camera
     return Adjusted(
         frames=tuple(result),
         places=tuple(sorted(found_poses)),
         accepted=True,
-        why=f"{_what(made)} adjusted: {why}{_said_of(skipped)}",
-        has_camera=made.has_camera,
+        why=f"{_what(begun, made)} adjusted: {why}{_said_of(skipped)}",
+        has_camera=has_camera,
         has_turns=made.has_turns,
+        offset_before=begun.offset,
+        offset_after=begun.offset_after(result[keys[0]]) if has_camera else None,
         before=before,
         after=after,
         key_frames=len(keys),
         points=made.points,
         unplaced=len(frames) - len(found_poses),
         skipped=tuple(skipped),
-        camera_before=first,
+        camera_before=color_camera(begun.given[keys[0]]),
         camera_after=color_camera(result[keys[0]]),
         moved_mm=(1000 * float(np.median(moved[:, 0])), 1000 * float(moved[:, 0].max())),
         moved_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
         turns_deg=(float(np.median(turns)), float(turns.max())),
         warnings=(),
-        seconds=time.perf_counter() - began,
+        seconds=time.perf_counter() - begun.start,
     )
 
 
-def _what(made: Bundle) -> str:
-    what = "poses and colour camera" if made.has_camera else "poses"
+def _held_by_outlines(begun: _Begun, view: View, cameras: Cameras) -> tuple[Cameras, Anchor | None]:
+    """Move a colour camera that was fitted to where outlines say that it is, and hold it there."""
+    camera = camera_of(cameras.lenses[0], view.size, view.full_size)
+    found = offset(begun.sights, camera, cameras.color_from_depth[0])
+    if found is None or not found.is_clear:
+        return cameras, None
+    step = np.zeros(FREE)
+    step[1:3] = found.pixels * view.size[0] / view.full_size[0]
+    moved = cameras.moved(np.zeros((len(cameras.poses), STILL)), step)
+    points = np.concatenate([one.ends for one in begun.sights])
+    return moved, anchor_of(points[:: max(len(points) // _ANCHORS, 1)], moved)
+
+
+def _what(begun: _Begun, made: Bundle) -> str:
+    what = "poses and colour camera" if made.has_camera or begun.has_camera else "poses"
     return f"{what}, and turns while rows are read (rolling shutter)," if made.has_turns else what
 
 
@@ -247,16 +337,7 @@ def _strays(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
 
 def _share_a_camera(frames: Sequence[Frame], views: Sequence[View]) -> bool:
     """Say whether one colour camera took all images, of a lens that can be adjusted."""
-    first = frames[0]
-    return (
-        all(view.is_plain and view.size == views[0].size for view in views)
-        and all(color_camera(frame) == color_camera(first) for frame in frames)
-        and all(np.array_equal(_apart(frame), _apart(first)) for frame in frames)
-    )
-
-
-def _apart(frame: Frame) -> NDArray[np.float64]:
-    return np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth)
+    return all(view.size == views[0].size for view in views) and has_one_camera(frames)
 
 
 def _pose(frame: Frame) -> NDArray[np.float64]:
@@ -295,36 +376,46 @@ def _with(
     )
 
 
-def _as_given(
-    frames: tuple[Frame, ...],
+def _left(
+    begun: _Begun,
     why: str,
     skipped: Sequence[SkippedFrame],
     before: Transfer | None,
-    warnings: tuple[str, ...],
-    began: float,
+    warnings: tuple[str, ...] = (),
     after: Transfer | None = None,
 ) -> Adjusted:
-    camera = next((color_camera(frame) for frame in frames if frame.color is not None), None)
+    """Return frames whose poses are left as given."""
+    which = next((n for n, frame in enumerate(begun.given) if frame.color is not None), None)
+    was, now = (
+        None if which is None else color_camera(frames[which]) for frames in (begun.given, begun.frames)
+    )
+    why = f"left as given: {why}{_said_of(skipped)}"
+    if begun.has_camera and begun.offset is not None:
+        why = f"colour camera moved {begun.offset.said}, to where outlines are in photos; poses {why}"
     return Adjusted(
-        frames=frames,
+        frames=begun.frames,
         places=(),
-        accepted=False,
-        why=f"left as given: {why}{_said_of(skipped)}",
-        has_camera=False,
+        accepted=begun.has_camera,
+        why=why,
+        has_camera=begun.has_camera,
         has_turns=False,
+        offset_before=begun.offset,
+        offset_after=None
+        if not begun.has_camera or which is None
+        else begun.offset_after(begun.frames[which]),
         before=before,
         after=after,
         key_frames=0,
         points=0,
         unplaced=0,
         skipped=tuple(skipped),
-        camera_before=camera,
-        camera_after=camera,
+        camera_before=was,
+        camera_after=now,
         moved_mm=(0.0, 0.0),
         moved_deg=(0.0, 0.0),
         turns_deg=(0.0, 0.0),
         warnings=warnings,
-        seconds=time.perf_counter() - began,
+        seconds=time.perf_counter() - begun.start,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.adjusting.offset import Offset
 from stages.printing import by_figures, table
 from stages.scans.scan import Camera, Frame, SkippedFrame
 
@@ -32,13 +33,16 @@ class Adjusted:
 
     Attributes
     ----------
-    frames : all of them, in order; those that were adjusted have another `world_from_camera`, and if
-        `has_camera` another `color_camera` and `color_from_depth`, if `has_turns` a `shutter_turn`.
-    places : of the frames that were adjusted.
+    frames : all of them, in order; those that were adjusted have another `world_from_camera`, if `has_turns`
+        a `shutter_turn`; if `has_camera`, all with colour and depth have another `color_camera` and
+        `color_from_depth`.
+    places : of the frames whose poses were adjusted.
     accepted : what was found is better, and used; else the frames are as they were.
     why : the reason, a sentence.
     has_camera : the colour camera was adjusted, too.
     has_turns : so was how cameras turn while the rows of their images are read.
+    offset_before, offset_after : where photos lie beside depth, by outlines; None where few tell, and of no
+        `after` where that was not measured again.
     before, after : transfer errors of held-out points; of a few couples of frames, and no `after`, where that
         was enough.
     key_frames : frames that were adjusted together.
@@ -58,6 +62,8 @@ class Adjusted:
     why: str
     has_camera: bool
     has_turns: bool
+    offset_before: Offset | None
+    offset_after: Offset | None
     before: Transfer | None
     after: Transfer | None
     key_frames: int
@@ -86,6 +92,8 @@ class Adjusted:
             "frames_unusable": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
             "key_frames": self.key_frames,
             "points": self.points,
+            "outlines_off_before": self.offset_before and self.offset_before.figures(),
+            "outlines_off_after": self.offset_after and self.offset_after.figures(),
             "transfer_before": self.before and _in_px(self.before),
             "transfer_after": self.after and _in_px(self.after),
             "color_camera_adjusted": self.has_camera,

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.adjusting.anchor import Anchor
 from stages.adjusting.cameras import FREE, Cameras
 from stages.adjusting.lifting import in_world, lifted
 from stages.adjusting.matching import GAP_SHARE, Matches, errors, gaps
@@ -69,16 +70,20 @@ def bundle(
     pose_prior: NDArray[np.float64],
     camera: bool | None,
     shutter: bool | None,
+    outlined: Callable[[Cameras], tuple[Cameras, Anchor | None]],
     tell: Callable[[], object],
 ) -> Bundle | None:
     """Adjust cameras to matches.
 
     Parameters
     ----------
+    given : to begin with.
     found : all matches that a motion explains.
     pose_prior : (6,) standard deviations of the given poses, metres and radians.
     camera : adjust the colour camera: True, False, or None where it is clearly better on held-out points.
     shutter : the same for how cameras turn while rows are read.
+    outlined : moves the colour camera of cameras to where outlines say that it is, and says what holds it
+        there; where that is not clear, it does neither.
     tell : called after each of five parts of the work.
 
     Returns
@@ -125,7 +130,8 @@ def bundle(
     train = tracks(views, _without_held(rest, judged))
     if not train.count:
         return None
-    best = fitted(best, train, Frees(has_camera, has_turns))
+    best, anchor = outlined(best) if has_camera else (best, None)
+    best = fitted(best, train, Frees(has_camera, has_turns), anchor)
     tell()
     before, after = off(given), off(best)
     both = ~(np.isnan(before) | np.isnan(after))
@@ -173,9 +179,11 @@ class Measured(NamedTuple):
     pose_prior: NDArray[np.float64]
 
 
-def solved(measured: Measured, start: Cameras, train: Tracks, frees: Frees) -> Cameras:
+def solved(
+    measured: Measured, start: Cameras, train: Tracks, frees: Frees, anchor: Anchor | None = None
+) -> Cameras:
     """Return the cameras of least cost, by turns of looking up depth and stepping."""
-    begun = _begun(measured, start, train, frees)
+    begun = _begun(measured, start, train, frees, anchor)
     if begun is None:
         return start
     problem, state = begun
@@ -191,7 +199,9 @@ def _each_alone(measured: Measured, start: Cameras, train: Tracks) -> Cameras:
     return start if begun is None else resected(measured.views, *begun, _STEPS)[1].cameras
 
 
-def _begun(measured: Measured, start: Cameras, train: Tracks, frees: Frees) -> tuple[Problem, State] | None:
+def _begun(
+    measured: Measured, start: Cameras, train: Tracks, frees: Frees, anchor: Anchor | None = None
+) -> tuple[Problem, State] | None:
     """Return the problem, and points at the means of where views measure them; None if none is measured."""
     views, given, surfaces, pose_prior = measured
     places = in_world(start, train.view, lifted(views, start, train.view, train.pixels), train.late)
@@ -203,6 +213,12 @@ def _begun(measured: Measured, start: Cameras, train: Tracks, frees: Frees) -> t
     means = np.stack(sums, axis=1) / np.maximum(counts, 1)[:, None]
     train = train.of(counts > 0)
     problem = Problem.of(
-        train, given.poses, pose_prior, surfaces=surfaces, frees=frees, width=views[0].size[0]
+        train,
+        given.poses,
+        pose_prior,
+        surfaces=surfaces,
+        frees=frees,
+        width=views[0].size[0],
+        anchor=anchor,
     )
     return problem, State(start, means[counts > 0], np.zeros(FREE))

@@ -124,6 +124,19 @@ def skew(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
 
 
+def by_camera(
+    shown: NDArray[np.float64], by_point: NDArray[np.float64], by_lens: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return how pixels change with a step of the colour camera, (n, 2, 10), see `FREE`.
+
+    Parameters
+    ----------
+    shown : (n, 3) points in the axes of the colour camera.
+    by_point, by_lens : (n, 2, 3) and (n, 2, 4), see `lens.derivatives`.
+    """
+    return np.concatenate([by_lens, by_point, -by_point @ skew(shown)], axis=2)
+
+
 def inverted_all(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the inverses of (n, 4, 4) rigid motions."""
     back = np.tile(np.eye(4), (len(poses), 1, 1))

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import FREE, STILL, Cameras, carried, inverted_all, skew, steps_of
+from stages.adjusting.anchor import Anchor, anchor_rows, off_anchor
+from stages.adjusting.cameras import FREE, STILL, Cameras, by_camera, carried, inverted_all, skew, steps_of
 from stages.adjusting.lens import derivatives
 from stages.adjusting.lifting import planes_at
 from stages.adjusting.shutter import as_read, in_the_middle, turned
@@ -119,6 +120,7 @@ class Problem:
     pose_prior : (6,) standard deviations of these, metres and radians.
     frees : what is looked for beside poses and points.
     width : of the images, pixels.
+    anchor : what holds the colour camera beside the depth cameras, if anything does.
     """
 
     tracks: Tracks
@@ -129,6 +131,7 @@ class Problem:
     pose_prior: NDArray[np.float64]
     frees: Frees
     width: int
+    anchor: Anchor | None
 
     @classmethod
     def of(
@@ -140,11 +143,12 @@ class Problem:
         surfaces: Surfaces | None = None,
         frees: Frees | None = None,
         width: int = 1,
+        anchor: Anchor | None = None,
     ) -> Problem:
         """Return a problem in which no depth was looked up yet."""
         surfaces = Surfaces.none() if surfaces is None else surfaces
         planes, meetings = Planes.none(len(tracks.view)), Planes.none(len(surfaces.couple))
-        return cls(tracks, planes, surfaces, meetings, given, pose_prior, frees or Frees(), width)
+        return cls(tracks, planes, surfaces, meetings, given, pose_prior, frees or Frees(), width, anchor)
 
     def looked_up(self, views: Sequence[View], state: State) -> Problem:
         """Return it with the depth that views measure where they now see the points."""
@@ -175,8 +179,12 @@ class Problem:
             + _huber(np.abs(meeting), _HUBER_DEPTH).sum()
             + 0.5 * (poses**2).sum()
             + 0.5 * (camera**2).sum()
+            + 0.5 * (self._off_anchor(state) ** 2).sum()
             + 0.5 * self.turn_coupling * (state.cameras.turns.sum(axis=0) ** 2).sum()
         )
+
+    def _off_anchor(self, state: State) -> NDArray[np.float64]:
+        return np.zeros(2) if self.anchor is None else off_anchor(self.anchor, state.cameras)
 
     @property
     def turn_coupling(self) -> float:
@@ -235,22 +243,22 @@ class Problem:
         middle = in_the_middle(seen, turns, late)
         by_pose = [-by_seen, by_seen @ skew(middle), *([by_turn] if self.frees.turns else [])]
         back = cameras.poses[tracks.view, :3, :3].swapaxes(1, 2)
-        by_camera = np.zeros((count, 3, FREE))
+        by_step = np.zeros((count, 3, FREE))
+        anchored = np.zeros((2, FREE))
         if self.frees.camera:
-            by_camera[:, :2, :4] = by_lens / _PIXEL
-            by_camera[:, :2, 4:7] = by_point / _PIXEL
-            by_camera[:, :2, 7:] = -by_point @ skew(shown) / _PIXEL
-            by_camera *= root[:, :, None]
+            by_step[:, :2] = by_camera(shown, by_point, by_lens) / _PIXEL
+            by_step *= root[:, :, None]
+            anchored = anchored if self.anchor is None else anchor_rows(self.anchor, cameras)
         return Linear(
             meetings=self._met(state),
             residuals=np.concatenate([pixel, depth[:, None]], axis=1) * root,
             by_pose=np.concatenate(by_pose, axis=2),
-            by_camera=by_camera,
+            by_camera=by_step,
             by_point=by_seen @ back,
             poses=moved / self.step_prior + self._towards_no_mean(state),
             pose_weights=1 / self.step_prior**2,
-            camera=camera / self.camera_prior,
-            camera_weights=1 / self.camera_prior**2,
+            camera=camera / self.camera_prior + anchored.T @ self._off_anchor(state),
+            camera_weights=np.diag(1 / self.camera_prior**2) + anchored.T @ anchored,
         )
 
     def _towards_no_mean(self, state: State) -> NDArray[np.float64]:
@@ -323,7 +331,7 @@ class Linear:
     residuals : (n, 3).
     by_pose, by_camera, by_point : (n, 3, 6) or (n, 3, 9), (n, 3, 10) and (n, 3, 3), of the residuals.
     poses, camera : (m, 6) or (m, 9), and (10,) gradients of what holds these to what was given.
-    pose_weights, camera_weights : (6,) or (9,), and (10,) second derivatives of it.
+    pose_weights, camera_weights : (6,) or (9,), and (10, 10) second derivatives of it.
     """
 
     meetings: Met

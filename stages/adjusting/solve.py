@@ -95,7 +95,7 @@ class _Normal:
             poses=poses,
             poses_apart=of_couples(met.by_first[:, :, None] * met.by_other[:, None, :]),
             poses_camera=of_views(pose_t @ linear.by_camera),
-            camera=(camera_t @ linear.by_camera).sum(axis=0) + np.diag(linear.camera_weights),
+            camera=(camera_t @ linear.by_camera).sum(axis=0) + linear.camera_weights,
             points=of_points(point_t @ linear.by_point),
             pose_point=pose_t @ linear.by_point,
             camera_point=of_points(camera_t @ linear.by_point),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,6 +62,23 @@ def color_camera(frame: Frame) -> Camera:
     return frame.camera if frame.color_camera is None else frame.color_camera
 
 
+def place_of_color(frame: Frame) -> NDArray[np.float64]:
+    """Return (4, 4) color_from_depth, that of one place where none is stated."""
+    return np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
+
+
+def has_one_camera(frames: Sequence[Frame]) -> bool:
+    """Say whether one colour camera took all photos, of a lens that can be adjusted."""
+    first = frames[0]
+    camera, place = color_camera(first), place_of_color(first)
+    return (
+        not camera.fisheye
+        and len(camera.distortion) <= OPENCV
+        and all(color_camera(frame) == camera for frame in frames)
+        and all(np.array_equal(place_of_color(frame), place) for frame in frames)
+    )
+
+
 def read_view(frame: Frame) -> View:
     """Read a frame.
 
@@ -78,7 +96,7 @@ def read_view(frame: Frame) -> View:
         raise InputError("there is no depth map.", f"frame {frame.name}")
     camera = color_camera(frame)
     is_plain = not camera.fisheye and len(camera.distortion) <= OPENCV
-    color = _as_taken(frame) if is_plain else read_color(frame)
+    color = as_taken(frame) if is_plain else read_color(frame)
     if color is None:
         raise InputError("there is no colour image.", f"frame {frame.name}")
     grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
@@ -113,7 +131,7 @@ def view_or_none(frame: Frame) -> View | SkippedFrame:
         return SkippedFrame(frame.name, str(error).removeprefix(f"frame {frame.name}: ").rstrip("."))
 
 
-def _as_taken(frame: Frame) -> ColorImage | None:
+def as_taken(frame: Frame) -> ColorImage | None:
     """Return the colour image with the distortion of its lens."""
     camera = replace(color_camera(frame), distortion=())
     return read_color(replace(frame, color_camera=camera))

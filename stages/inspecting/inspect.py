@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.adjusting.look import look, usable
+from stages.adjusting.offset import offset, sights
+from stages.adjusting.view import color_camera, has_one_camera, place_of_color
 from stages.errors import InputError
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import Plan, make_plan
-from stages.fusion.posed_depth import read_matching_color
 from stages.fusion.upsampling import upsampled_alone
 from stages.inspecting import sanity
 from stages.inspecting.camera_path import camera_path
@@ -76,12 +77,11 @@ def inspect(scan: Scan) -> Inspection:
         misfit, about_misfit = _misfit(scan.frames)
         if path is not None and misfit is None and not about_poses:
             about_poses = sanity.pose_doubts(scan.frames)
-        pairs = [(_matching(one), one.depth) for one in samples]
         warnings += (
             said
             + markers([one.frame for one in samples])
             + about_poses
-            + sanity.check_registration(pairs)
+            + _unregistered(scan.frames)
             + about_misfit
         )
     sharpness, about_sharpness = _least_sharp(scan)
@@ -140,13 +140,6 @@ def _sample(frame: Frame) -> _Sample | InputError:
         return error
 
 
-def _matching(sample: _Sample) -> ColorImage | None:
-    """Return the colour as the depth camera sees it, where the two are known apart."""
-    if sample.color is None or sample.depth is None or sample.frame.color_camera is None:
-        return sample.color
-    return read_matching_color(sample.frame, sample.depth)
-
-
 def _misfit(frames: Sequence[Frame]) -> tuple[float | None, list[str]]:
     """Return how far from its match a point of one frame lands in another, pixels, and what helps."""
     places = usable(frames)
@@ -158,6 +151,21 @@ def _misfit(frames: Sequence[Frame]) -> tuple[float | None, list[str]]:
     return seen.median, [
         f"colour, depth and poses are off by {seen.median:.1f} px (median of {len(seen.errors):,} points "
         "that two frames show): `scanloom run` adjusts them, `scanloom adjust` does it alone"
+    ]
+
+
+def _unregistered(frames: Sequence[Frame]) -> list[str]:
+    """Say where photos lie beside depth, by the outlines of things."""
+    both = [n for n, frame in enumerate(frames) if frame.color is not None and frame.depth is not None]
+    if not both or not has_one_camera([frames[n] for n in both]):
+        return []
+    first = frames[both[0]]
+    found = offset(sights(frames, both), color_camera(first), place_of_color(first))
+    if found is None or not found.is_clear:
+        return []
+    return [
+        f"colour is not registered to depth: by the outlines of things photos lie {found.said}; where frames "
+        "have poses, `scanloom run` moves the colour camera there, `scanloom adjust` does it alone"
     ]
 
 

@@ -24,11 +24,6 @@ _BACKWARDS = "in the order of the frames backwards"
 _COUPLES = 8
 # Of the points of one frame, the share that must fall on depth of the other for the two to be compared.
 _LEAST_OVERLAP = 0.1
-_LARGEST_SHIFT = 8
-# Edges of depth lie beside the objects: in recordings that are registered they meet those of colour best up
-# to two pixels off their place, in every frame alike. Below this no camera offset can be told from that.
-_NOTED_SHIFT = 3
-_LEAST_CORRELATION = 0.08
 # Depth of one frame meets another's to half a per cent with sound poses; beyond 3 % nothing fits.
 _SOUND_SHARE = 0.005
 _FITTING_SHARE = 0.03
@@ -206,39 +201,6 @@ def _misfit_share(
     return float(np.median(shares)) if len(shares) > len(couples) / 2 else None
 
 
-def check_registration(pairs: Sequence[tuple[ColorImage | None, DepthImage | None]]) -> list[str]:
-    """Shift depth edges over colour edges by up to 8 px; warn when they clearly meet best off their place.
-
-    A peak must stand out: on smooth walls, or where the two cameras differ by more than a shift, the
-    correlation is flat and says nothing.
-    """
-    import cv2
-
-    border = _LARGEST_SHIFT
-    maps = []
-    for color, depth in pairs:
-        if color is None or depth is None or min(depth.shape) < 8 * border:
-            continue
-        small = cv2.resize(color, depth.shape[::-1], interpolation=cv2.INTER_AREA)
-        edges = _edges(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32))
-        jumps = _depth_jumps(depth)[border:-border, border:-border]
-        if np.count_nonzero(jumps) > 200:
-            maps.append(cv2.matchTemplate(np.minimum(edges, 200), jumps, cv2.TM_CCOEFF_NORMED))
-    if not maps:
-        return []
-    match = np.mean(maps, axis=0)
-    peak, centre = float(match.max()), float(match[border, border])
-    row, column = np.unravel_index(int(match.argmax()), match.shape)
-    down, right = int(row) - border, int(column) - border
-    stands_out = peak > max(_LEAST_CORRELATION, 1.5 * float(np.median(match)), 1.2 * centre)
-    shift = max(abs(down), abs(right))
-    if not stands_out or not _NOTED_SHIFT <= shift < border:
-        return []
-    across = f"{abs(right)} px {'right' if right > 0 else 'left'}"
-    along = f"{abs(down)} px {'below' if down > 0 else 'above'}"
-    return [f"colour is not registered to depth: its edges lie about {across} and {along}"]
-
-
 def check_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], rig: StereoRig) -> list[str]:
     """Match features of left and right: they must lie on the same row if rectified, and left must be left."""
     moves = [_feature_moves(left, right) for left, right in pairs if left is not None and right is not None]
@@ -326,23 +288,6 @@ def _meeting(
     distance = moved[inside, 2]
     found = np.stack([columns[inside], rows[inside], distance, seen - distance], axis=1)
     return np.asarray(found[seen > 0])
-
-
-def _depth_jumps(depth: DepthImage) -> NDArray[np.float32]:
-    """Return how much depth jumps, 0 where it is smooth; what is missing beside an object is background."""
-    import cv2
-
-    filled = np.where(depth > 0, depth, cv2.dilate(depth, np.ones((15, 15), np.uint8)))
-    known = cv2.erode((filled > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    jumps = _edges(np.log(np.maximum(filled, 0.01)))
-    return np.where(known, np.clip(jumps - 0.1, 0, 0.4), 0).astype(np.float32)
-
-
-def _edges(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    import cv2
-
-    across, down = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
-    return np.asarray(cv2.magnitude(across, down), np.float32)
 
 
 def _feature_moves(left: ColorImage, right: ColorImage) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from stages import adjust
 from stages.adjusting.cameras import motion
 from stages.errors import InputError, UsageError
 from stages.scans.formats.trajectories import read_tum
+from stages.scans.images import read_color
 from stages.scans.read import read_scan
 from stages.scans.reading.adjusted import with_adjusted
 
@@ -120,3 +121,18 @@ def test_turns_of_nobody_are_told(disturbed: Path, tmp_path: Path) -> None:
     (tmp_path / "cameras.json").write_text(json.dumps(document))
     with pytest.raises(InputError, match="lacks the names"):
         with_adjusted(read_scan(disturbed), tmp_path / "cameras.json")
+
+
+def test_a_colour_camera_alone_is_written_and_comes_back(tmp_path: Path) -> None:
+    scan = read_scan(SAMPLE)
+    moved = [replace(frame, color=np.roll(read_color(frame), 4, axis=1)) for frame in scan.frames]
+    found = adjust(moved)
+    assert found.accepted
+    assert not found.places
+    adjusting.write(tmp_path, found)
+    assert not (tmp_path / "trajectory.tum").exists()
+    for read in (adjusting.placed(scan, tmp_path), with_adjusted(scan, tmp_path / "cameras.json")):
+        for one, other, given in zip(read.frames, found.frames, scan.frames, strict=True):
+            assert one.color_camera == other.color_camera
+            np.testing.assert_array_equal(one.color_from_depth, np.eye(4))
+            np.testing.assert_array_equal(one.world_from_camera, given.world_from_camera)
