@@ -128,7 +128,7 @@ def test_poses_and_camera_come_back(scene):
 
 
 def test_a_camera_that_outlines_hold_stays_beside_depth(scene):
-    """By points alone a camera that begins elsewhere ends a third of a pixel off; held, less than half that."""
+    """By points alone a camera that begins elsewhere ends a third of a pixel off; held, not half that."""
     shifted = scene.cameras.moved(np.zeros((len(scene.views), 6)), np.eye(FREE)[1] * 4)
     seen = np.random.default_rng(4).uniform((-0.4, -0.3, 1.0), (0.4, 0.3, 2.0), (200, 3))
     held = anchor_of(seen, scene.cameras)
