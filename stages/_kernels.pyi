@@ -538,6 +538,15 @@ class SurfacePoints:
         `pixels` (n,) are row × width + column in an image; `reach` is how many pixels a border is felt.
         """
 
+    def neighbours(
+        self, labels: NDArray[np.int32], pixels: NDArray[np.uint32], *, width: int, every: int
+    ) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
+        """Return points (k, 2) beside each other in every so many rows of an image, and colours (k, 2, 3).
+
+        They are those that the photo which counts most (`labels`, (n,), −1 for none) at the first, or else at
+        the second, shows of both; other neighbours are left out. `pixels` as in `level`.
+        """
+
 @final
 class TexturedSurface:
     """A mesh laid out in images."""

@@ -21,6 +21,7 @@ from stages.texturing.exposure import Exposure
 from stages.texturing.local_exposure import local_exposure_of
 from stages.texturing.pages import Pages, Texels, texels_of
 from stages.texturing.photos import Photos
+from stages.texturing.seams import beside_photos
 from stages.texturing.views import (
     Correction,
     DrawnMesh,
@@ -32,8 +33,8 @@ from stages.texturing.views import (
 )
 
 Floats = NDArray[np.float64]
-# Colours of texels, the photo that counts most, and how many count.
-_Part = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]
+# Colours of texels, the photo that counts most, how many count, and see `beside_photos`.
+_Part = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8], Floats]
 
 # Bytes of the texels that are painted at a time: each remembers its best photos.
 _AT_ONCE = 530e6
@@ -71,12 +72,14 @@ class Painted:
     filled : (h, w) whether a texel shows the surface, and has a colour.
     labels : (h, w) int32, the photo that counts most there; -1 where none shows the surface.
     views : (h, w) uint8, photos that count.
+    beside : how neighbours differ, and how photos show them, see `beside_photos`.
     """
 
     colors: NDArray[np.float32]
     filled: NDArray[np.bool_]
     labels: NDArray[np.int32]
     views: NDArray[np.uint8]
+    beside: Floats
 
 
 def levels_of(painted: Painted) -> NDArray[np.uint8]:
@@ -200,14 +203,20 @@ class Painter:
         filled = np.zeros(height * width, np.bool_)
         labels = np.full(height * width, -1, np.int32)
         views = np.zeros(height * width, np.uint8)
+        beside = np.zeros((2, 2))
         for texels in self._texels(number):
             at = texels.pixels
-            colors[at], labels[at], views[at] = part(texels)
+            colors[at], labels[at], views[at], sums = part(texels)
+            beside += sums
             # What nothing is known of takes on the colours around it.
             filled[at] = (labels[at] >= 0) | (self._mesh.colors is not None)
         shape = (height, width)
         return Painted(
-            colors.reshape(*shape, 3), filled.reshape(shape), labels.reshape(shape), views.reshape(shape)
+            colors.reshape(*shape, 3),
+            filled.reshape(shape),
+            labels.reshape(shape),
+            views.reshape(shape),
+            beside,
         )
 
     def _part(
@@ -248,8 +257,9 @@ class Painter:
             wanted_threads=0,
         )
         level_borders(points, colors, texels)
+        beside = beside_photos(points, colors, labels, texels.pixels, texels.width)
         _fill_unseen(colors, labels < 0, texels, self._mesh)
-        return colors, labels, views
+        return colors, labels, views, beside
 
 
 def level_borders(points: _kernels.SurfacePoints, colors: NDArray[np.float32], texels: Texels) -> None:

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import functools
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 # Fewer pairs of texels tell nothing.
 _LEAST_PAIRS = 100
-# Rows at a time: bounds the memory.
-_ROWS = 512
+# Rows, and pairs, at a time: bounds the memory.
+_ROWS, _PAIRS = 512, 1 << 18
+# Of so many rows of texels one is compared with photos.
+_EVERY = 4
+
+
+class _Points(Protocol):
+    def neighbours(
+        self, labels: NDArray[np.int32], pixels: NDArray[np.uint32], *, width: int, every: int
+    ) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]: ...
 
 
 class SeamSums:
@@ -18,18 +27,24 @@ class SeamSums:
 
     def __init__(self) -> None:
         self._sums, self._counts = np.zeros(2), np.zeros(2, np.int64)
+        self._beside = np.zeros((2, 2))
 
-    def add(self, image: NDArray[np.float32], label: NDArray[np.int32]) -> None:
+    def add(
+        self, image: NDArray[np.float32], label: NDArray[np.int32], beside: NDArray[np.float64] | None = None
+    ) -> None:
         """Add an image.
 
         Parameters
         ----------
         image : (h, w, 3), levels.
         label : (h, w), the photo that counts most at each texel, -1 for none.
+        beside : what `beside_photos` says of it.
         """
         for start in range(0, len(label), _ROWS):
             rows = slice(start, start + _ROWS + 1)
             _add(image[rows], label[rows], self._sums, self._counts)
+        if beside is not None:
+            self._beside += beside
 
     def ratio(self) -> float | None:
         """Return the mean colour difference across borders of photos over that of all other neighbours.
@@ -37,23 +52,75 @@ class SeamSums:
         Returns
         -------
         The ratio of mean distances in CIELAB (CIE 1976), 1 where no border can be seen; None where there are
-        hardly any borders.
+        hardly any borders. Photos often end where things do: then it is more without any seam.
         """
         if self._counts.min() < _LEAST_PAIRS:
             return None
         across, within = self._sums / self._counts
         return float(across / within) if within > 0 else None
 
+    def over_photos(self) -> float | None:
+        """Return that ratio over the one that photos have, each of the same neighbours, themselves.
+
+        Returns
+        -------
+        1 where borders are seen no more than what is there in the photos; None where there are hardly any.
+        """
+        if self.ratio() is None or not (self._beside > 0).all():
+            return None
+        (across, shown_across), (within, shown_within) = self._beside
+        return float(across / shown_across / (within / shown_within))
+
+
+def beside_photos(
+    points: _Points,
+    colors: NDArray[np.float32],
+    labels: NDArray[np.int32],
+    pixels: NDArray[np.uint32],
+    width: int,
+) -> NDArray[np.float64]:
+    """Return how neighbouring texels differ, and how one photo shows them.
+
+    Parameters
+    ----------
+    points : the surface points, with what photos show of each.
+    colors, labels : (n, 3) levels and (n,), see `SeamSums.add`.
+    pixels, width : where they are in an image, row × width + column.
+
+    Returns
+    -------
+    (2, 2): sums of distances in CIELAB, of texels and of photos, across borders and within them.
+    """
+    sums = np.zeros((2, 2))
+    pairs, shown = points.neighbours(labels, pixels, width=width, every=_EVERY)
+    for start in range(0, len(pairs), _PAIRS):
+        some = slice(start, start + _PAIRS)
+        pair = pairs[some]
+        same = labels[pair[:, 0]] == labels[pair[:, 1]]
+        for column, both in enumerate((colors[pair], shown[some].astype(np.float32))):
+            apart = functools.reduce(np.add, [np.diff(channel, axis=1)[:, 0] ** 2 for channel in _lab(both)])
+            np.sqrt(apart, out=apart)
+            for kind, chosen in enumerate((~same, same)):
+                sums[kind, column] += float(apart[chosen].sum(dtype=np.float64))
+    return sums
+
+
+def _lab(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    import cv2
+
+    # Channel by channel: NumPy is slow over a last axis of three.
+    return [
+        np.asarray(one, np.float32)
+        for one in cv2.split(cv2.cvtColor(image / np.float32(255), cv2.COLOR_RGB2Lab))
+    ]
+
 
 def _add(
     image: NDArray[np.float32], label: NDArray[np.int32], sums: NDArray[np.float64], counts: NDArray[np.int64]
 ) -> None:
-    import cv2
-
-    lab = cv2.split(cv2.cvtColor(image / np.float32(255), cv2.COLOR_RGB2Lab))
+    lab = _lab(image)
     for axis in (0, 1):
         first, second = (np.take(label, range(*ends), axis=axis) for ends in _ends(label.shape[axis]))
-        # Channel by channel: NumPy is slow over a last axis of three.
         apart = np.sqrt(functools.reduce(np.add, [np.diff(channel, axis=axis) ** 2 for channel in lab]))
         known = (first >= 0) & (second >= 0)
         same = first == second

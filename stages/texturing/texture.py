@@ -46,7 +46,7 @@ from stages.texturing.views import Correction, DrawnMesh, drawn_mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 15
+RESULT_VERSION = 16
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
@@ -160,6 +160,7 @@ class Textured:
     uneven : median over the photos of the levels that bring them to what the others say, in the mean.
     seams : mean colour difference (CIE 1976) between texels where another photo counts most, over that where
         the same does; None if there are too few.
+    seams_over_photos : that over the same of photos that show both texels: photos end where things do.
     labels : of each image (h, w) int32, the photo that counts most, -1 where none shows the surface.
     counts : of each image (h, w) uint8, photos that count.
     warnings : what is odd.
@@ -182,6 +183,7 @@ class Textured:
     shift: float
     uneven: float
     seams: float | None
+    seams_over_photos: float | None
     labels: tuple[NDArray[np.int32], ...]
     counts: tuple[NDArray[np.uint8], ...]
     warnings: tuple[str, ...]
@@ -209,6 +211,7 @@ class Textured:
             "shift_share_of_width": self.shift,
             "uneven_levels": self.uneven,
             "seam_ratio": self.seams,
+            "seam_ratio_over_photos": self.seams_over_photos,
             "warnings": list(self.warnings),
         }
 
@@ -291,7 +294,7 @@ def texture(
         # No name is left for an image while the next one is painted.
         made = list(map(partial(finish, seams=seams), painted))
     progress(1000, 1000)
-    found = _Found(used, exposures, seen, shift, uneven, seams.ratio())
+    found = _Found(used, exposures, seen, shift, uneven, seams.ratio(), seams.over_photos())
     return _result(given, found, pages, made)
 
 
@@ -305,6 +308,7 @@ class _Found:
     shift: float
     uneven: float
     seams: float | None
+    seams_over_photos: float | None
 
 
 class _Far:
@@ -412,7 +416,7 @@ def _finished(painted: Painted, padding: int, params: TextureParams, seams: Seam
         lambda: encoded_image(
             filled_up(painted.colors, painted.filled, padding), params.format, params.quality
         ),
-        lambda: seams.add(painted.colors, painted.labels),
+        lambda: seams.add(painted.colors, painted.labels, painted.beside),
     )
     return _Image(data, painted.labels, painted.views, int(painted.filled.sum()))
 
@@ -452,6 +456,7 @@ def _result(mesh: Mesh, found: _Found, pages: Pages, images: Sequence[_Image]) -
         shift=found.shift,
         uneven=found.uneven,
         seams=found.seams,
+        seams_over_photos=found.seams_over_photos,
         labels=tuple(one.labels for one in images),
         counts=tuple(one.views for one in images),
         warnings=tuple(_warnings(mesh, found)),

@@ -18,6 +18,7 @@ use crate::base::parallel::{collect, threads};
 use crate::texture::blend::{NO_VIEW, Weights, blend};
 use crate::texture::clusters::Clusters;
 use crate::texture::level::level;
+use crate::texture::neighbours::neighbours;
 use crate::texture::pinhole::Pinhole;
 use crate::texture::pixels::Photo as Pixels;
 use crate::texture::shade::{Textured, shade as shaded};
@@ -35,6 +36,8 @@ type Drawn = (Py<PyArray2<f32>>, Py<PyArray2<i32>>);
 type Shaded = (Py<PyArray3<u8>>, Py<PyArray2<bool>>);
 /// Views, colours and scores of samples.
 type Samples = (Py<PyArray2<i32>>, Py<PyArray3<u8>>, Py<PyArray2<f32>>);
+/// Pairs of points, and their colours.
+type Neighbours = (Py<PyArray2<u32>>, Py<PyArray3<u8>>);
 /// Colours, labels and counts of views of points.
 type Blended = (Py<PyArray2<f32>>, Py<PyArray1<i32>>, Py<PyArray1<u8>>);
 
@@ -366,6 +369,36 @@ impl SurfacePoints {
             detached(py, None, false, |progress| {
                 level(&points, colors, pixels, width, reach, threads(wanted_threads), progress)
             })
+        })
+    }
+
+    /// Points (k, 2) beside each other in every so many rows of an image, and the colours (k, 2, 3) that the photo which counts
+    /// most (`labels`, (n,), −1 for none) at the first, or else at the second, shows of both.
+    #[pyo3(signature = (labels, pixels, *, width, every))]
+    fn neighbours(
+        &self,
+        py: Python<'_>,
+        labels: PyReadonlyArray1<'_, i32>,
+        pixels: PyReadonlyArray1<'_, u32>,
+        width: usize,
+        every: usize,
+    ) -> PyResult<Neighbours> {
+        let points = self.locked();
+        guarded(points.len(), || {
+            let (labels, pixels) = (labels.as_slice()?, pixels.as_slice()?);
+            let last = pixels.iter().copied().max().unwrap_or(0) as usize;
+            let is_image = width > 0 && last / width < MOST_PIXELS / width;
+            if [labels.len(), pixels.len()] != [points.len(); 2] || !is_image || every == 0 {
+                return Err(PyValueError::new_err("labels and pixels do not go with the points or an image"));
+            }
+            let found = detached(py, None, false, |progress| {
+                neighbours(&points, labels, pixels, width, every, progress)
+            })?;
+            let count = found.pairs.len();
+            let pairs = Array2::from_shape_vec((count, 2), found.pairs.into_flattened()).map_err(shape)?;
+            let shown = found.shown.into_flattened().into_flattened();
+            let shown = Array3::from_shape_vec((count, 2, 3), shown).map_err(shape)?;
+            Ok((pairs.into_pyarray(py).unbind(), shown.into_pyarray(py).unbind()))
         })
     }
 }

@@ -10,12 +10,14 @@
 //! | [`surface_points`] | points of the surface, each with its best few views |
 //! | [`blend`] | one colour of many |
 //! | [`level`] | borders levelled where photos end |
+//! | [`neighbours`] | texels beside each other as one photo shows both |
 //! | [`screened`] | the field whose differences come nearest to wanted ones |
 //! | [`shade`] | the textured mesh as a camera sees it |
 
 pub mod blend;
 pub mod clusters;
 pub mod level;
+pub mod neighbours;
 pub mod pinhole;
 pub mod pixels;
 pub mod screened;

@@ -15,6 +15,7 @@ from stages.surface.vertex_normals import vertex_normals
 from stages.texturing import painting
 from stages.texturing.exposure import no_exposure
 from stages.texturing.photos import photos_of
+from stages.texturing.seams import SeamSums, beside_photos
 from stages.texturing.texture import texture
 from stages.texturing.views import drawn_mesh, see
 
@@ -152,6 +153,66 @@ def test_borders_are_hardly_seen_any_more():
     assert after < there + 0.25 * (before - there)
     off = [np.abs(colors - truth).mean() for colors in (one.colors, one.levelled())]
     assert off[1] < off[0] + 0.1
+
+
+def labels_of(one: Seen) -> np.ndarray:
+    return one.points.blend(blurred=1, details=1, deviations=50, levels=255, wanted_threads=1)[1]
+
+
+def test_neighbours_are_those_of_some_rows_as_the_photo_shows_them_that_counts_most():
+    one = seen(OFFSETS, np.random.default_rng(3).random((SIDE, SIDE)) < 0.7)
+    labels = labels_of(one)
+    pairs_found, shown = one.points.neighbours(labels, one.pixels, width=SIDE, every=3)
+    views, colors, scores = one.points.samples()
+    wanted = {}
+    for a, b in pairs(one.pixels):
+        if one.pixels[a] // SIDE % 3:
+            continue
+        for label in (labels[a], labels[b]):
+            here, there = (np.flatnonzero((views[n] == label) & (scores[n] > 0)) for n in (a, b))
+            if len(here) and len(there):
+                wanted[(a, b)] = [colors[a, here[0]].tolist(), colors[b, there[0]].tolist()]
+                break
+    assert len(wanted) > 1000
+    assert {tuple(pair): both.tolist() for pair, both in zip(pairs_found, shown, strict=True)} == wanted
+
+
+def test_neighbours_want_what_goes_with_the_points():
+    one = seen(OFFSETS[:1])
+    labels = labels_of(one)
+    for wrong in (
+        {"labels": labels[1:]},
+        {"pixels": one.pixels[1:]},
+        {"width": 0},
+        {"every": 0},
+    ):
+        given = {"labels": labels, "pixels": one.pixels, "width": SIDE, "every": 1, **wrong}
+        with pytest.raises(ValueError, match="do not go with the points"):
+            one.points.neighbours(given.pop("labels"), given.pop("pixels"), **given)
+
+
+def test_borders_that_are_blended_differ_as_photos_do_and_those_of_one_photo_by_more():
+    one = seen([4.0 * offset for offset in OFFSETS])
+    labels = labels_of(one)
+
+    def over_photos(colors: np.ndarray) -> float:
+        sums, image, label = SeamSums(), np.zeros((SIDE * SIDE, 3), np.float32), np.full(SIDE * SIDE, -1)
+        image[one.pixels], label[one.pixels] = colors, labels
+        beside = beside_photos(one.points, colors, labels, one.pixels, SIDE)
+        sums.add(image.reshape(SIDE, SIDE, 3), label.reshape(SIDE, SIDE).astype(np.int32), beside)
+        return sums.over_photos()
+
+    # Of one photo alone at each place, which are not equally bright.
+    views, shown, _ = one.points.samples()
+    alone = shown[np.arange(len(labels)), (views == labels[:, None]).argmax(axis=1)].astype(np.float32)
+    assert over_photos(alone) > 1.15
+    assert over_photos(one.levelled()) == pytest.approx(1, abs=0.1)
+
+
+def test_without_borders_nothing_is_over_photos():
+    sums = SeamSums()
+    sums.add(np.zeros((20, 20, 3), np.float32), np.zeros((20, 20), np.int32), np.zeros((2, 2)))
+    assert sums.over_photos() is None
 
 
 def test_where_the_same_photos_count_nothing_changes():
