@@ -111,6 +111,7 @@ def test_photos_of_several_sizes_say_nothing(frames):
 
 
 def test_the_colour_camera_is_moved_and_poses_that_fit_stay(frames):
+    frames = frames[::2]
     found = adjust(moved(frames, 3.5, -2.5))
     assert found.accepted
     assert found.has_camera
@@ -128,7 +129,7 @@ def test_the_colour_camera_is_moved_and_poses_that_fit_stay(frames):
 
 
 def test_a_camera_that_is_to_stay_stays(frames):
-    found = adjust(moved(frames, 3.5, -2.5), camera=False)
+    found = adjust(moved(frames[::3], 3.5, -2.5), camera=False)
     assert not found.has_camera
     assert found.offset_before is None
     assert all(one.color_camera is None for one in found.frames)

@@ -78,7 +78,7 @@ def test_what_cannot_be_judged_is_named(painted):
 
 @pytest.mark.slow
 def test_a_photo_whose_rows_are_read_one_after_the_other_is_placed_with_its_turn(painted):
-    rolling = photo(0, pose(0.5, 0.5), turn=np.radians((1.5, -2.5, 1.0)))
+    rolling = photo(0, pose(0.5, 0.5), turn=np.radians((2.25, -3.75, 1.5)))
     (as_if_at_once,) = left_out(painted, [rolling]).scores
     # That its camera turns is known of those that took part, but not how much.
     (with_turn,) = left_out(painted, [replace(rolling, shutter_turn=np.radians((0.0, 1.0, 0.0)))]).scores
