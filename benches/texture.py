@@ -5,7 +5,8 @@
 Each scan goes through `scanloom run` without every tenth frame. Prints a Markdown table: PSNR as it is and
 after one gain and bias a channel, SSIM, gradient energy over the photo's, share of the photos' pixels that
 count, seconds of the stage that made the colours, the size of the textured mesh, and how visible borders of
-photos are in it (`seam_ratio`, and `seam_ratio_over_photos` in brackets). Of several ratios the first has all rows, the others that of the texture
+photos are in it (`seam_ratio`, and `seam_ratio_over_photos` in brackets). Of several ratios the first has all
+rows, the others that of the texture
 alone. Photos are placed against each mesh (see `stages.comparing.left_out`). With --open3d Open3D's
 `project_images_to_albedo` is there, too, with the same cameras, on `bake`'s charts in one image of 2048²; it
 takes minutes.

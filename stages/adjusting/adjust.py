@@ -39,7 +39,7 @@ from stages.scans.scan import Frame, Scan, SkippedFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 6
+RESULT_VERSION = 7
 
 # Where outlines say that photos lie elsewhere, points may land farther from their matches by this share.
 _NO_WORSE = 0.05
@@ -195,11 +195,13 @@ def _moved_to_outlines(
     if found is None or not found.is_clear:
         return as_given, seen
     given = color_camera(first)
-    right, down = found.pixels * given.width / shown[0].full_size[0]
+    right, down = found.centre * given.width / shown[0].full_size[0]
     camera = replace(given, cx=given.cx + right, cy=given.cy + down)
+    apart = np.array(place_of_color(first))
+    apart[:2, 3] += found.place
     moved = list(frames)
     for place in places:
-        moved[place] = replace(moved[place], color_camera=camera, color_from_depth=place_of_color(first))
+        moved[place] = replace(moved[place], color_camera=camera, color_from_depth=apart)
     again = look(moved, places)
     if again.trouble or again.median > (1 + _NO_WORSE) * seen.median:
         return as_given, seen
@@ -312,7 +314,8 @@ def _held_by_outlines(begun: _Begun, view: View, cameras: Cameras) -> tuple[Came
     if found is None or not found.is_clear:
         return cameras, None
     step = np.zeros(FREE)
-    step[1:3] = found.pixels * view.size[0] / view.full_size[0]
+    step[1:3] = found.centre * view.size[0] / view.full_size[0]
+    step[4:6] = found.place
     moved = cameras.moved(np.zeros((len(cameras.poses), STILL)), step)
     points = np.concatenate([one.ends for one in begun.sights])
     return moved, anchor_of(points[:: max(len(points) // _ANCHORS, 1)], moved)

@@ -5,14 +5,15 @@ frames is hardly seen: on a surface, depth a few pixels on is nearly the same. A
 Beside each point of an outline of the depth map, the photo's gradient is looked at along the normal; of many
 points that shift is found by which it is largest (as Levinson and Thrun, "Automatic online calibration of
 cameras and lasers", 2013, do it for a laser). Sensors make things wider or thinner on all sides alike; a
-shift moves opposite sides the same way, and is told from it.
+shift moves opposite sides the same way, and is told from it. Where near and far things lie beside depth by
+different shifts, the colour camera stands elsewhere than it is said to; by how much is found with the shift.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,9 @@ _FRAMES, _POINTS, _WIDE = 24, 4000, 640
 # How far photos are looked for, and by how much things may be too thin or too wide, pixels of such photos.
 _FARTHEST, _THINNER = 10, 4
 _REACH = _FARTHEST + _THINNER + 1
-_DIRECTIONS = 64
+# How much more things of twice the usual inverse depth may be shifted than those of the usual one.
+_FARTHEST_NEAR = 24
+_DIRECTIONS, _DEPTHS = 64, 6
 # Blur of photos before gradients are taken, pixels; gradients that are noise, levels.
 _BLUR, _NOISE = 0.8, 3.0
 # Directions that fewer outlines have than this share of what the most frequent one has count for less.
@@ -45,11 +48,11 @@ _STEPS = (1.0, 0.5, 0.25, 0.1, 0.05)
 # by nearly two. Either half of the frames finds it to so many pixels or such a share; and by one half's the
 # gradient of the other half is so many times what it is without.
 _LEAST, _ALIKE, _ALIKE_SHARE, _GAIN = 2.0, 1.0, 0.25, 1.05
+# Near and far are shifted differently where that is so for what they differ by: shares of the outlines that
+# are nearer, and farther.
+_NEAR_FAR = (0.1, 0.9)
 # Fewer points of outlines say nothing.
 _LEAST_POINTS = 500
-
-Profiles = NDArray[np.float64]
-Counts = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +78,22 @@ class Offset:
 
     Attributes
     ----------
-    pixels : (2,) of the photos as they are stored: how far to the right of and below where depth says.
+    pixels : (2,) of the photos as they are stored: how far to the right of and below where depth says, of
+        things at the usual depth.
+    near : (2,) how much farther of those at the tenth of the outlines that is nearest.
     thinner : how much thinner things are in depth maps than in photos, on each side, pixels of these.
     is_clear : both halves of the frames find it.
+    centre : (2,) pixels, what the centre of the colour camera's image is off.
+    place : (2,) metres, what the camera's place is, to the right and down in its axes: `color_from_depth` has
+        it added.
     """
 
     pixels: NDArray[np.float64]
+    near: NDArray[np.float64]
     thinner: float
     is_clear: bool
+    centre: NDArray[np.float64]
+    place: NDArray[np.float64]
 
     @property
     def said(self) -> str:
@@ -93,8 +104,15 @@ class Offset:
 
     def figures(self) -> dict[str, Any]:
         """Return it as JSON values."""
-        right, down = (float(value) for value in self.pixels)
-        return {"right_px": right, "down_px": down, "thinner_px": self.thinner, "is_clear": self.is_clear}
+        (right, down), (near_right, near_down) = self.pixels.tolist(), self.near.tolist()
+        return {
+            "right_px": right,
+            "down_px": down,
+            "near_right_px": near_right,
+            "near_down_px": near_down,
+            "thinner_px": self.thinner,
+            "is_clear": self.is_clear,
+        }
 
 
 def sights(frames: Sequence[Frame], places: Sequence[int]) -> list[Sight]:
@@ -118,18 +136,29 @@ def offset(seen: Sequence[Sight], camera: Camera, color_from_depth: Pose) -> Off
     camera : that one, for any size of them.
     color_from_depth : (4, 4).
     """
-    if len(seen) < 2:
+    if len(seen) < 2 or sum(len(one.ends) for one in seen) < _LEAST_POINTS:
         return None
     height, width = seen[0].photo.shape[:2]
     lens = lens_of(camera, width, height)
-    profiles = [_profiles(one, lens, color_from_depth) for one in seen]
+    inverse = np.concatenate([1 / one.ends[:, 2] for one in seen])
+    usual = float(np.median(inverse))
+    edges = np.quantile(inverse / usual - 1, np.linspace(0, 1, _DEPTHS + 1)[1:-1])
+    profiles = [_profiles(one, lens, color_from_depth, usual, edges) for one in seen]
     halves = [_summed(profiles[half::2]) for half in (0, 1)]
-    together = _summed(profiles)
-    if min(count.sum() for _, count in halves) < _LEAST_POINTS / 2:
+    if min(half.counts.sum() for half in halves) < _LEAST_POINTS / 2:
         return None
-    best = _largest(*together)
+    together = _summed(profiles)
+    nearer = np.quantile(inverse / usual - 1, _NEAR_FAR)
+    best, is_clear = _found(together, halves, float(nearer[1] - nearer[0]) / 2)
     scale = seen[0].full_size[0] / width
-    return Offset(best[:2] * scale, float(best[2]) * scale, _is_clear(best, halves))
+    return Offset(
+        pixels=best[:2] * scale,
+        near=best[2:4] * nearer[1] * scale,
+        thinner=float(best[4]) * scale,
+        is_clear=is_clear,
+        centre=(best[:2] - best[2:4]) * scale,
+        place=best[2:4] / (lens[:2] * usual),
+    )
 
 
 def _sight(frame: Frame) -> Sight | None:
@@ -154,13 +183,34 @@ def _sight(frame: Frame) -> Sight | None:
     return Sight(ends, outer, np.asarray(cv2.GaussianBlur(photo, (0, 0), _BLUR), np.uint8), full_size)
 
 
-def _profiles(one: Sight, lens: NDArray[np.float64], color_from_depth: Pose) -> tuple[Profiles, Counts]:
-    """Return how the photo changes along normals of outlines, summed by direction, and how many those are."""
+class _Profiles(NamedTuple):
+    """How photos change along normals of outlines.
+
+    Attributes
+    ----------
+    sums : (depths, directions, 2 reach + 1) of points of like depth and direction.
+    counts : (depths, directions) how many points those are.
+    nearness : (depths,) sums of how much their inverse depth is over the usual one, less one.
+    """
+
+    sums: NDArray[np.float64]
+    counts: NDArray[np.float64]
+    nearness: NDArray[np.float64]
+
+
+def _profiles(
+    one: Sight,
+    lens: NDArray[np.float64],
+    color_from_depth: Pose,
+    usual: float,
+    edges: NDArray[np.float64],
+) -> _Profiles:
     import cv2
 
     apart = np.broadcast_to(color_from_depth, (len(one.ends), 4, 4))
     ends, outer = (carried(apart, points) for points in (one.ends, one.outer))
     ahead = (ends[:, 2] > 0) & (outer[:, 2] > 0)
+    nearness = 1 / (ends[ahead, 2] * usual) - 1
     pixels = project(ends[ahead], lens)
     normals = project(outer[ahead], lens) - pixels
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-9)[:, None]
@@ -168,73 +218,113 @@ def _profiles(one: Sight, lens: NDArray[np.float64], color_from_depth: Pose) -> 
     x, y = (pixels[:, axis, None] + along * normals[:, axis, None] for axis in range(2))
     height, width = one.photo.shape[:2]
     inside = ((x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)).all(axis=1)
-    directions = np.arctan2(normals[inside, 1], normals[inside, 0]) * (_DIRECTIONS / (2 * np.pi))
-    sums = np.zeros((_DIRECTIONS, 2 * _REACH + 1))
+    found = _Profiles(
+        np.zeros((_DEPTHS, _DIRECTIONS, 2 * _REACH + 1)),
+        np.zeros((_DEPTHS, _DIRECTIONS)),
+        np.zeros(_DEPTHS),
+    )
     if not inside.any():
-        return sums, np.zeros(_DIRECTIONS, np.intp)
-    levels = cv2.remap(
-        one.photo, x[inside].astype(np.float32), y[inside].astype(np.float32), cv2.INTER_LINEAR
-    ).astype(np.float64)
+        return found
+    x, y, normals, nearness = x[inside], y[inside], normals[inside], nearness[inside]
+    levels = cv2.remap(one.photo, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
+    levels = levels.astype(np.float64)
     slopes = (((levels[:, 2:] - levels[:, :-2]) / 2) ** 2).sum(axis=2)
     # All points have the same say: what counts is where along its normal the photo changes most.
     shares = slopes / (slopes.mean(axis=1, keepdims=True) + _NOISE**2)
-    which = np.floor(directions).astype(np.intp) % _DIRECTIONS
-    np.add.at(sums, which, shares)
-    return sums, np.bincount(which, minlength=_DIRECTIONS)
+    turns = np.arctan2(normals[:, 1], normals[:, 0]) / (2 * np.pi)
+    direction = np.floor(turns * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
+    depth = np.searchsorted(edges, nearness)
+    np.add.at(found.sums, (depth, direction), shares)
+    np.add.at(found.counts, (depth, direction), 1)
+    np.add.at(found.nearness, depth, nearness)
+    return found
 
 
-def _summed(profiles: Sequence[tuple[Profiles, Counts]]) -> tuple[Profiles, Counts]:
-    sums, counts = zip(*profiles, strict=True)
-    return np.sum(sums, axis=0), np.sum(counts, axis=0)
+def _summed(profiles: Sequence[_Profiles]) -> _Profiles:
+    return _Profiles(*(np.sum(part, axis=0) for part in zip(*profiles, strict=True)))
 
 
-def _gradient(sums: Profiles, counts: Counts, at: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
-    """Return the mean gradient for (n, 3) shifts (x, y) and how much thinner things are, pixels."""
+# What is looked for: a shift (x, y), how much more what is near is shifted (x, y), and how much thinner
+# things are, pixels.
+_Axes = tuple[int, ...]
+_SHIFT: _Axes = (0, 1)
+_PLACE: _Axes = (2, 3)
+_THIN: _Axes = (4,)
+_LIMITS = np.array([_FARTHEST, _FARTHEST, _FARTHEST_NEAR, _FARTHEST_NEAR, _THINNER], np.float64)
+
+
+def _gradient(profiles: _Profiles, at: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
+    """Return the mean gradient for (n, 5) of what is looked for."""
     from scipy.ndimage import gaussian_filter1d
 
-    weights = np.minimum(counts / max(_RARE * counts.max(), 1), 1)
-    means = gaussian_filter1d(sums, blur, axis=1) * (weights / np.maximum(counts, 1))[:, None]
+    of_direction = profiles.counts.sum(axis=0)
+    weights = np.minimum(of_direction / max(_RARE * of_direction.max(), 1), 1)
+    means = gaussian_filter1d(profiles.sums, blur, axis=2)
+    means *= (weights / np.maximum(of_direction, 1))[None, :, None]
+    nearness = profiles.nearness / np.maximum(profiles.counts.sum(axis=1), 1)
     angles = (np.arange(_DIRECTIONS) + 0.5) * (2 * np.pi / _DIRECTIONS)
-    off = at[:, :2] @ np.stack([np.cos(angles), np.sin(angles)]) + at[:, 2:] + _REACH
+    shifts = at[:, None, :2] + nearness[:, None] * at[:, None, 2:4]
+    off = shifts @ np.stack([np.cos(angles), np.sin(angles)]) + at[:, None, 4:] + _REACH
     off = off.clip(0, 2 * _REACH - 1e-9)
-    low, rows = off.astype(np.intp), np.arange(_DIRECTIONS)
+    low = off.astype(np.intp)
     share = off - low
-    return np.asarray(
-        ((1 - share) * means[rows, low] + share * means[rows, low + 1]).sum(axis=1) / weights.sum()
-    )
+    depths, rows = np.arange(_DEPTHS)[:, None], np.arange(_DIRECTIONS)
+    found = (1 - share) * means[depths, rows, low] + share * means[depths, rows, low + 1]
+    return np.asarray(found.sum(axis=(1, 2)) / weights.sum())
 
 
-def _largest(sums: Profiles, counts: Counts, *, shifts: bool = True) -> NDArray[np.float64]:
-    """Return the shift (x, y) and how much thinner things are where the gradient is largest."""
-    one = np.arange(-_FARTHEST, _FARTHEST + 1.0) if shifts else np.zeros(1)
-    grid = np.stack(np.meshgrid(one, one, np.arange(-_THINNER, _THINNER + 1.0), indexing="ij"), axis=-1)
-    grid = grid.reshape(-1, 3)
-    best = grid[np.argmax(_gradient(sums, counts, grid, _FIRST_BLUR))]
-    limits = np.array([_FARTHEST, _FARTHEST, _THINNER])
-    axes = np.eye(3)[0 if shifts else 2 :]
+def _largest(profiles: _Profiles, free: Sequence[int]) -> NDArray[np.float64]:
+    """Return where the gradient is largest; what is not free is 0."""
+    best = np.zeros(5)
+    # Of the whole range shift and thickness first, then places for those.
+    for some, step in ((set(_SHIFT + _THIN) & set(free), 1.0), (set(_PLACE) & set(free), 3.0)):
+        ranges = [
+            np.arange(-_LIMITS[axis], _LIMITS[axis] + 1, step) if axis in some else best[axis : axis + 1]
+            for axis in range(5)
+        ]
+        grid = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 5)
+        best = grid[np.argmax(_gradient(profiles, grid, _FIRST_BLUR))]
+    axes = np.eye(5)[list(free)]
     for step in _STEPS:
         while True:
-            around = np.clip(
-                np.concatenate([best[None], best + step * axes, best - step * axes]), -limits, limits
-            )
-            found = np.argmax(_gradient(sums, counts, around, _THEN_BLUR))
+            around = np.concatenate([best[None], best + step * axes, best - step * axes])
+            around = np.clip(around, -_LIMITS, _LIMITS)
+            found = np.argmax(_gradient(profiles, around, _THEN_BLUR))
             if not found:
                 break
             best = around[found]
     return np.asarray(best)
 
 
-def _is_clear(best: NDArray[np.float64], halves: Sequence[tuple[Profiles, Counts]]) -> bool:
-    found = [_largest(*half) for half in halves]
-    without = [_largest(*half, shifts=False) for half in halves]
-    gains = all(
-        _gradient(*other, one[None], _THEN_BLUR) > _GAIN * _gradient(*other, none[None], _THEN_BLUR)
-        for one, none, other in zip(found, without, halves[::-1], strict=True)
-    )
-    size, apart = np.hypot(*best[:2]), np.hypot(*(found[0] - found[1])[:2])
-    return bool(
-        size >= max(_LEAST, abs(best[2]))
-        and np.abs(best[:2]).max() < _FARTHEST
-        and apart <= max(_ALIKE, _ALIKE_SHARE * size)
-        and gains
+def _found(
+    together: _Profiles, halves: Sequence[_Profiles], spread: float
+) -> tuple[NDArray[np.float64], bool]:
+    """Return what is looked for, and whether it is clear; `spread` is how much near and far differ."""
+    of_halves = {
+        free: [_largest(half, free) for half in halves]
+        for free in (_THIN, _SHIFT + _THIN, _SHIFT + _PLACE + _THIN)
+    }
+    thin, shift, place = of_halves
+
+    def told(free: _Axes, without: _Axes) -> bool:
+        return all(
+            _gradient(half, one[None], _THEN_BLUR) > _GAIN * _gradient(half, other[None], _THEN_BLUR)
+            for half, one, other in zip(halves[::-1], of_halves[free], of_halves[without], strict=True)
+        )
+
+    def alike(free: _Axes, axes: _Axes, scale: float, size: float) -> bool:
+        one, other = of_halves[free]
+        return float(np.hypot(*(one - other)[list(axes)])) * scale <= max(_ALIKE, _ALIKE_SHARE * size)
+
+    best = _largest(together, place)
+    apart = float(np.hypot(*best[2:4])) * spread
+    if apart >= _LEAST and told(place, shift) and alike(place, _PLACE, spread, apart):
+        return best, bool((np.abs(best) < _LIMITS)[:4].all())
+    best = _largest(together, shift)
+    size = float(np.hypot(*best[:2]))
+    return best, bool(
+        size >= max(_LEAST, abs(best[4]))
+        and (np.abs(best[:2]) < _FARTHEST).all()
+        and told(shift, thin)
+        and alike(shift, _SHIFT, 1.0, size)
     )

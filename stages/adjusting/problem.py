@@ -184,7 +184,7 @@ class Problem:
         )
 
     def _off_anchor(self, state: State) -> NDArray[np.float64]:
-        return np.zeros(2) if self.anchor is None else off_anchor(self.anchor, state.cameras)
+        return np.zeros(4) if self.anchor is None else off_anchor(self.anchor, state.cameras)
 
     @property
     def turn_coupling(self) -> float:
@@ -244,7 +244,7 @@ class Problem:
         by_pose = [-by_seen, by_seen @ skew(middle), *([by_turn] if self.frees.turns else [])]
         back = cameras.poses[tracks.view, :3, :3].swapaxes(1, 2)
         by_step = np.zeros((count, 3, FREE))
-        anchored = np.zeros((2, FREE))
+        anchored = np.zeros((4, FREE))
         if self.frees.camera:
             by_step[:, :2] = by_camera(shown, by_point, by_lens) / _PIXEL
             by_step *= root[:, :, None]

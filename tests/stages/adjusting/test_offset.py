@@ -58,6 +58,22 @@ def test_a_camera_that_stands_where_photos_are_is_not_off(frames):
     assert not found.is_clear
 
 
+def test_a_camera_that_stands_beside_the_depth_camera_is_found_by_near_and_far(frames):
+    """Registered depth that is said to be of a camera that stands 30 mm to the left: near things are off by more."""
+    apart = np.eye(4)
+    apart[:2, 3] = 0.030, -0.006
+    stated = [
+        replace(one, color_camera=replace(one.camera, cx=one.camera.cx - 8), color_from_depth=apart)
+        for one in frames
+    ]
+    found = offset_of(stated)
+    assert found.is_clear
+    assert 1000 * found.place == pytest.approx((-30, 6), abs=3)
+    assert found.near[0] < -1
+    camera = replace(stated[0].color_camera, cx=stated[0].color_camera.cx + found.centre[0])
+    assert (camera.cx, found.centre[1]) == pytest.approx((frames[0].camera.cx, 0), abs=1.5)
+
+
 def test_pixels_are_those_of_the_photos_as_stored(frames):
     large = [
         replace(one, color=cv2.resize(one.color, (1280, 960), interpolation=cv2.INTER_CUBIC))
