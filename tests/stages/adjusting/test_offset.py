@@ -59,7 +59,7 @@ def test_a_camera_that_stands_where_photos_are_is_not_off(frames):
 
 
 def test_a_camera_that_stands_beside_the_depth_camera_is_found_by_near_and_far(frames):
-    """Registered depth that is said to be of a camera that stands 30 mm to the left: near things are off by more."""
+    """It is said to stand 30 mm aside, and does not: near things are off by more."""
     apart = np.eye(4)
     apart[:2, 3] = 0.030, -0.006
     stated = [
