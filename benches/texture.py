@@ -6,10 +6,9 @@ Each scan goes through `scanloom run` without every tenth frame. Prints a Markdo
 after one gain and bias a channel, SSIM, gradient energy over the photo's, share of the photos' pixels that
 count, seconds of the stage that made the colours, the size of the textured mesh, and how visible borders of
 photos are in it (`seam_ratio`, and `seam_ratio_over_photos` in brackets). Of several ratios the first has all
-rows, the others that of the texture
-alone. Photos are placed against each mesh (see `stages.comparing.left_out`). With --open3d Open3D's
-`project_images_to_albedo` is there, too, with the same cameras, on `bake`'s charts in one image of 2048²; it
-takes minutes.
+rows, the others that of the texture alone. Photos are placed against each mesh (see
+`stages.comparing.left_out`). With --open3d Open3D's `project_images_to_albedo` is there, too, with the same
+cameras, on `bake`'s charts in one image of 2048²; it takes minutes.
 """
 
 from __future__ import annotations
@@ -84,13 +83,16 @@ def main() -> None:
                 stage = next(one for one in result.stages if one.stage == "texture")
                 megabytes = f"{textured.stat().st_size / 1e6:.2f}"
                 cells = [folder.name, f"{ratio:g}", "scanloom, texture"]
-                seams, over = (stage.figures[name] for name in ("seam_ratio", "seam_ratio_over_photos"))
+                names = ("seam_ratio", "seam_ratio_over_photos")
+                seams, over = (
+                    "–" if value is None else f"{value:.2f}" for value in map(stage.figures.get, names)
+                )
                 _print(
                     cells,
                     read_mesh(textured),
                     held_out,
                     stage.seconds,
-                    [megabytes, "" if seams is None else f"{seams:.2f} ({over:.2f})"],
+                    [megabytes, f"{seams} ({over})"],
                 )
 
 

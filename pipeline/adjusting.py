@@ -66,7 +66,12 @@ def placed(scan: Scan, folder: Path) -> Scan:
 def _color_camera(found: Adjusted) -> tuple[dict[str, Any] | None, list[list[float]] | None]:
     if not found.has_camera:
         return None, None
-    frame = next(one for one in found.frames if one.color_from_depth is not None)
+    # Not all frames can be used, and those keep what was given.
+    frame = next(
+        one
+        for one in found.frames
+        if one.color_camera == found.camera_after and one.color_from_depth is not None
+    )
     assert frame.color_camera is not None
     assert frame.color_from_depth is not None
     return asdict(frame.color_camera), frame.color_from_depth.tolist()

@@ -204,7 +204,8 @@ def _moved_to_outlines(
         moved[place] = replace(moved[place], color_camera=camera, color_from_depth=apart)
     again = look(moved, places)
     if again.trouble or again.median > (1 + _NO_WORSE) * seen.median:
-        return as_given, seen
+        # Nor is a camera that is fitted moved by outlines that points contradict.
+        return replace(as_given, sights=()), seen
     return _Begun(frames, tuple(moved), shown, found, start), again
 
 
@@ -388,7 +389,10 @@ def _left(
     after: Transfer | None = None,
 ) -> Adjusted:
     """Return frames whose poses are left as given."""
-    which = next((n for n, frame in enumerate(begun.given) if frame.color is not None), None)
+    with_color = [n for n, frame in enumerate(begun.given) if frame.color is not None]
+    # What has no depth or pose keeps its camera.
+    moved = [n for n in with_color if begun.frames[n] is not begun.given[n]]
+    which = next(iter(moved or with_color), None)
     was, now = (
         None if which is None else color_camera(frames[which]) for frames in (begun.given, begun.frames)
     )

@@ -34,8 +34,8 @@ class Adjusted:
     Attributes
     ----------
     frames : all of them, in order; those that were adjusted have another `world_from_camera`, if `has_turns`
-        a `shutter_turn`; if `has_camera`, all with colour and depth have another `color_camera` and
-        `color_from_depth`.
+        a `shutter_turn`; if `has_camera`, those with colour, depth and a pose have another
+        `color_camera` and `color_from_depth`.
     places : of the frames whose poses were adjusted.
     accepted : what was found is better, and used; else the frames are as they were.
     why : the reason, a sentence.

@@ -72,7 +72,7 @@ class Painted:
     filled : (h, w) whether a texel shows the surface, and has a colour.
     labels : (h, w) int32, the photo that counts most there; -1 where none shows the surface.
     views : (h, w) uint8, photos that count.
-    beside : how neighbours differ, and how photos show them, see `beside_photos`.
+    beside : how neighbours differ, and how photos show them, see `beside_photos`; 0 if it is painted again.
     """
 
     colors: NDArray[np.float32]
@@ -154,10 +154,11 @@ class Painter:
         assert self._remembered is not None
         photos, exposures, _ = self._shown
         textures: list[_kernels.TexturedSurface] = []
-        for _ in range(PASSES):
+        for turn in range(PASSES):
             textures.append(self._surface([levels_of(painted)]))
             see_details(self._remembered, photos, exposures, textures, self._drawn.near, progress)
-            painted = self._page(0, partial(self._blended, self._remembered))
+            is_last = turn + 1 == PASSES
+            painted = self._page(0, partial(self._blended, self._remembered, is_last=is_last))
         self.forget()
         return painted
 
@@ -242,13 +243,14 @@ class Painter:
             for _ in range(len(photos) - len(numbers)):
                 progress()
             self._remembered = points if is_kept else None
-        blended = self._blended(points, texels)
+        # What is remembered is painted again.
+        blended = self._blended(points, texels, is_last=not again or self._remembered is None)
         if not again:
             # The image that follows takes as much.
             self._remembered = None
         return blended
 
-    def _blended(self, points: _kernels.SurfacePoints, texels: Texels) -> _Part:
+    def _blended(self, points: _kernels.SurfacePoints, texels: Texels, *, is_last: bool) -> _Part:
         colors, labels, views = points.blend(
             blurred=_BLURRED_POWER,
             details=_DETAILS_POWER,
@@ -257,7 +259,9 @@ class Painter:
             wanted_threads=0,
         )
         level_borders(points, colors, texels)
-        beside = beside_photos(points, colors, labels, texels.pixels, texels.width)
+        beside = np.zeros((2, 2))
+        if is_last:
+            beside = beside_photos(points, colors, labels, texels.pixels, texels.width)
         _fill_unseen(colors, labels < 0, texels, self._mesh)
         return colors, labels, views, beside
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from stages import _kernels
 
 # Fewer pairs of texels tell nothing.
 _LEAST_PAIRS = 100
@@ -14,12 +15,6 @@ _LEAST_PAIRS = 100
 _ROWS, _PAIRS = 512, 1 << 18
 # Of so many rows of texels one is compared with photos.
 _EVERY = 4
-
-
-class _Points(Protocol):
-    def neighbours(
-        self, labels: NDArray[np.int32], pixels: NDArray[np.uint32], *, width: int, every: int
-    ) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]: ...
 
 
 class SeamSums:
@@ -73,7 +68,7 @@ class SeamSums:
 
 
 def beside_photos(
-    points: _Points,
+    points: _kernels.SurfacePoints,
     colors: NDArray[np.float32],
     labels: NDArray[np.int32],
     pixels: NDArray[np.uint32],
@@ -98,8 +93,7 @@ def beside_photos(
         pair = pairs[some]
         same = labels[pair[:, 0]] == labels[pair[:, 1]]
         for column, both in enumerate((colors[pair], shown[some].astype(np.float32))):
-            apart = functools.reduce(np.add, [np.diff(channel, axis=1)[:, 0] ** 2 for channel in _lab(both)])
-            np.sqrt(apart, out=apart)
+            apart = _apart(_lab(both), axis=1)[:, 0]
             for kind, chosen in enumerate((~same, same)):
                 sums[kind, column] += float(apart[chosen].sum(dtype=np.float64))
     return sums
@@ -108,11 +102,14 @@ def beside_photos(
 def _lab(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     import cv2
 
+    lab = cv2.cvtColor(image / np.float32(255), cv2.COLOR_RGB2Lab)
+    return [np.asarray(channel, np.float32) for channel in cv2.split(lab)]
+
+
+def _apart(lab: list[NDArray[np.float32]], axis: int) -> NDArray[np.float32]:
+    """Return how far neighbours along an axis are apart."""
     # Channel by channel: NumPy is slow over a last axis of three.
-    return [
-        np.asarray(one, np.float32)
-        for one in cv2.split(cv2.cvtColor(image / np.float32(255), cv2.COLOR_RGB2Lab))
-    ]
+    return np.sqrt(functools.reduce(np.add, [np.diff(channel, axis=axis) ** 2 for channel in lab]))
 
 
 def _add(
@@ -121,7 +118,7 @@ def _add(
     lab = _lab(image)
     for axis in (0, 1):
         first, second = (np.take(label, range(*ends), axis=axis) for ends in _ends(label.shape[axis]))
-        apart = np.sqrt(functools.reduce(np.add, [np.diff(channel, axis=axis) ** 2 for channel in lab]))
+        apart = _apart(lab, axis)
         known = (first >= 0) & (second >= 0)
         same = first == second
         for kind, chosen in enumerate((known & ~same, known & same)):

@@ -356,10 +356,8 @@ impl SurfacePoints {
         let points = self.locked();
         guarded(points.len() + GRIDS, || {
             let (colors, pixels) = (colors.as_slice_mut()?.as_chunks_mut::<3>().0, pixels.as_slice()?);
-            let last = pixels.iter().copied().max().unwrap_or(0) as usize;
-            let is_image = width > 0 && last / width < MOST_PIXELS / width;
             if [colors.len(), pixels.len()] != [points.len(); 2]
-                || !is_image
+                || !is_image(pixels, width)
                 || !(1.0..=MOST_REACH).contains(&reach)
             {
                 return Err(PyValueError::new_err(
@@ -386,9 +384,7 @@ impl SurfacePoints {
         let points = self.locked();
         guarded(points.len(), || {
             let (labels, pixels) = (labels.as_slice()?, pixels.as_slice()?);
-            let last = pixels.iter().copied().max().unwrap_or(0) as usize;
-            let is_image = width > 0 && last / width < MOST_PIXELS / width;
-            if [labels.len(), pixels.len()] != [points.len(); 2] || !is_image || every == 0 {
+            if [labels.len(), pixels.len()] != [points.len(); 2] || !is_image(pixels, width) || every == 0 {
                 return Err(PyValueError::new_err("labels and pixels do not go with the points or an image"));
             }
             let found = detached(py, None, false, |progress| {
@@ -401,6 +397,12 @@ impl SurfacePoints {
             Ok((pairs.into_pyarray(py).unbind(), shown.into_pyarray(py).unbind()))
         })
     }
+}
+
+/// Whether pixels, row × width + column, are of an image that is not too large.
+fn is_image(pixels: &[u32], width: usize) -> bool {
+    let last = pixels.iter().copied().max().unwrap_or(0) as usize;
+    width > 0 && last / width < MOST_PIXELS / width
 }
 
 impl SurfacePoints {

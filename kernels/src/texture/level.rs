@@ -5,6 +5,7 @@
 //! their difference is right; the colours are brought to it by a correction that fades to both sides, as Waechter et al. 2014
 //! ("Let there be color!", local adjustment) do with a seam of two photos.
 
+use super::image::{NONE, points_at};
 use super::screened::{Grid, Value};
 use super::surface_points::SurfacePoints;
 use crate::base::errors::KernelError;
@@ -19,8 +20,6 @@ const AROUND: f32 = 3.0;
 const ELSE: f32 = 40.0;
 /// Corrections are kept in such parts of a level.
 const PARTS: f32 = 64.0;
-
-const NONE: u32 = u32::MAX;
 
 /// Points as they lie in an image.
 struct Image<'a> {
@@ -45,13 +44,7 @@ pub fn level(
     threads: usize,
     progress: &Progress,
 ) -> Result<(), KernelError> {
-    let height = pixels.iter().max().map_or(0, |&last| last as usize / width + 1);
-    let mut at = vec![];
-    at.try_reserve_exact(width * height).map_err(|_| KernelError::OutOfMemory)?;
-    at.resize(width * height, NONE);
-    for (point, &pixel) in (0..).zip(pixels) {
-        at[pixel as usize] = point;
-    }
+    let (at, height) = points_at(pixels, width)?;
     let image = Image { points, colors, width, height, at };
     let across = width.div_ceil(TILE);
     let tiles = across * height.div_ceil(TILE);

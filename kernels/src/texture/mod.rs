@@ -9,6 +9,7 @@
 //! | [`view`] | a photo with what its camera sees, and the colour of a point in it |
 //! | [`surface_points`] | points of the surface, each with its best few views |
 //! | [`blend`] | one colour of many |
+//! | [`image`] | points as they lie in an image |
 //! | [`level`] | borders levelled where photos end |
 //! | [`neighbours`] | texels beside each other as one photo shows both |
 //! | [`screened`] | the field whose differences come nearest to wanted ones |
@@ -16,6 +17,7 @@
 
 pub mod blend;
 pub mod clusters;
+pub mod image;
 pub mod level;
 pub mod neighbours;
 pub mod pinhole;

@@ -1,10 +1,9 @@
 //! Neighbouring texels as one photo shows both: by how much they differ without any border.
 
+use super::image::{NONE, points_at};
 use super::surface_points::SurfacePoints;
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
-
-const NONE: u32 = u32::MAX;
 
 /// Pairs of points, and the colours of both in the photo that counts most at one of them.
 #[derive(Debug, Default)]
@@ -17,7 +16,7 @@ pub struct Neighbours {
 /// counts most at the first, or else that of the second, shows both.
 ///
 /// # Errors
-/// [`KernelError::OutOfMemory`] if there is no room for the rows; as [`Progress::check`].
+/// As [`points_at`] and [`Progress::check`].
 pub fn neighbours(
     points: &SurfacePoints,
     labels: &[i32],
@@ -26,13 +25,7 @@ pub fn neighbours(
     every: usize,
     progress: &Progress,
 ) -> Result<Neighbours, KernelError> {
-    let height = pixels.iter().max().map_or(0, |&last| last as usize / width + 1);
-    let mut at = vec![];
-    at.try_reserve_exact(width * height).map_err(|_| KernelError::OutOfMemory)?;
-    at.resize(width * height, NONE);
-    for (point, &pixel) in (0..).zip(pixels) {
-        at[pixel as usize] = point;
-    }
+    let (at, height) = points_at(pixels, width)?;
     let mut found = Neighbours::default();
     for row in (0..height).step_by(every) {
         progress.check()?;
