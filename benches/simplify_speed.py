@@ -37,18 +37,18 @@ tenth less since.
 "certified" spends two fifths on the watched vertices while it collapses, another fifth on the rest of that, a
 quarter on the proof and the rest on trees, copies and checks. Its peak is at the proof. Bytes a triangle
 there, counted by what is held: points, triangles and the triangles around each vertex 50, the tree over them
-46, collapses and where they led 38, what is known of each triangle 9; the rest is short-lived. Between rounds
+70, collapses and where they led 38, what is known of each triangle 9; the rest is short-lived. Between rounds
 free pages are given back to the system: without that the peak was 50 higher.
 
-On a scan it is the proof that counts. Of 150,547 triangles of the kitchen within 5 mm and 20 levels, on
-a busy machine, 6.6 s: collapses and what is taken back take 1.2 s, the first look at all triangles 2.6
-s, and later looks, at half of the input's triangles and a third of the result's after the first
-failures, at fewer then, 2.8 s. Without colours the same takes 2.0 s: it is the colours that keep the
-proof from 60,000 triangles a second. Of the first look, most is for the result's triangles: half of
-them have to be halved some seven times, 200 µs each, as the input has borders under them, or rises
-beyond the bound beside them. One of the input takes 1 µs where one triangle is near all of it and has
-the right colours, and 8 µs where it is cut into cells. Before there were cells, and before what failed
-at one place was cut there, it was 9.8 s.
+On a scan it is the proof that counts. 145,634 triangles of the kitchen within 5 mm and 20 levels (`scanloom
+simplify KITCHEN OUT --max-shape 0.005 --max-color 20 --threads 1`) take 4.6 s, 28,000 removals a second; 2.9
+s and 44,000 on two threads; and as much without a bound on colours, where what they differ by is bounded on
+the way. Collapses, with what is taken back, are 1.4 s of it: without any proof it would be 93,000 a second.
+Half of the rest is the first look at all triangles, most of it at the result's: half of them have to be
+halved some seven times, as the input has borders under them, or rises beyond the bound beside them. One of
+the input takes 1 µs where one triangle is near all of it and has the right colours, and 3 µs where several
+have to be seen to cover it. Later looks are at half of the input's triangles and a third of the result's
+after the first failures, at fewer then.
 
 How far that is from the floor, for "count", by perf's counters:
 

@@ -17,6 +17,9 @@ struct Blade<const D: usize> {
     at_to: Vec3,
     /// Squared heights of the corners new vertex, from and to over the sides across.
     heights2: [f64; 3],
+    /// Twice the area and the longest side, squared.
+    area2: f64,
+    longest2: f64,
 }
 
 /// The star of an edge after its collapse.
@@ -45,13 +48,14 @@ impl<const D: usize> Fan<D> {
             let b = sub(&position(&wing.to_point), &centre);
             let normal = cross(&a, &b);
             let area2 = norm2(&normal);
+            let sides2 = [norm2(&sub(&b, &a)), norm2(&b), norm2(&a)];
             let (mut unit, mut at_from, mut at_to, mut heights2) = ([0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3]);
             if area2 > 0.0 {
                 let length = area2.sqrt();
                 unit = normal.map(|x| x / length);
                 at_from = cross(&b, &normal).map(|x| x / area2);
                 at_to = cross(&normal, &a).map(|x| x / area2);
-                heights2 = [area2 / norm2(&sub(&b, &a)), area2 / norm2(&b), area2 / norm2(&a)];
+                heights2 = sides2.map(|side2| area2 / side2);
             }
             self.blades.push(Blade {
                 wing: i as u32,
@@ -61,21 +65,21 @@ impl<const D: usize> Fan<D> {
                 at_from,
                 at_to,
                 heights2,
+                area2,
+                longest2: sides2.into_iter().fold(0.0, f64::max),
             });
         }
     }
 
     /// Whether the collapse makes a needle of a triangle: twice its area at most `flatness` of its longest side squared.
     pub fn has_needle(&self, star: &Star<D>, flatness: f64) -> bool {
-        let is_needle = |p: &Vec3, a: &Vec3, b: &Vec3| {
-            let (pa, pb, ab) = (sub(a, p), sub(b, p), sub(b, a));
-            let side2 = norm2(&pa).max(norm2(&pb)).max(norm2(&ab));
-            norm2(&cross(&pa, &pb)) <= (flatness * side2).powi(2)
-        };
-        let Some(tip) = self.tip.as_ref().map(position) else { return false };
-        star.wings.iter().any(|w| {
-            let (a, b) = (position(&w.from_point), position(&w.to_point));
-            is_needle(&tip, &a, &b) && !is_needle(&position(star.end_point(w.end)), &a, &b)
+        let is_needle = |area2: f64, longest2: f64| area2 <= (flatness * longest2).powi(2);
+        self.blades.iter().filter(|blade| is_needle(blade.area2, blade.longest2)).any(|blade| {
+            let wing = &star.wings[blade.wing as usize];
+            let p = position(star.end_point(wing.end));
+            let (pa, pb) = (sub(&position(&wing.from_point), &p), sub(&position(&wing.to_point), &p));
+            let longest2 = norm2(&pa).max(norm2(&pb)).max(norm2(&sub(&pb, &pa)));
+            !is_needle(norm2(&cross(&pa, &pb)), longest2)
         })
     }
 

@@ -6,7 +6,7 @@ use super::tracker::{Bound, Limits, Lists};
 use crate::base::errors::KernelError;
 use crate::base::geometry::position;
 use crate::base::progress::Progress;
-use crate::certify::{self, Certificate, Deviation, Surface};
+use crate::certify::{self, Certificate, Deviation, Surface, Verdict};
 use crate::collapse::engine::{Refusal, Stop};
 use crate::collapse::logs::Way;
 use crate::collapse::rounds::{Goal, collapse};
@@ -54,7 +54,8 @@ pub struct Options {
     pub importance: Vec<f64>,
     /// How the proof is made; its limit is not used.
     pub proof: certify::Options,
-    /// Whether to bound each triangle as closely as `proof` says, and not only by the bounds that were asked for.
+    /// Whether to bound each triangle as closely as `proof` says, and not only by the bounds that were asked for; without a
+    /// bound on colours, by the greatest difference of any.
     pub close: bool,
     /// What samples may use of a bound, so that the points between them have some left.
     pub share: f64,
@@ -127,12 +128,28 @@ pub fn simplify<const D: usize, const K: usize>(
     let original = Original::new(whole.points, whole.triangles);
     progress.check()?;
     let start = State::of_input(&original, goal.record)?;
+    // Where no bound on colours is wanted, what they differ by is found out on the way.
+    let of_all = D > 3 && options.bounds.color == f64::INFINITY && !options.close;
+    let part = vec![0; if of_all { original.triangles.len() } else { 0 }];
+    let apart = of_all.then_some(Apart { part: &part, close: &options.proof });
     let Reached { state, mut ledger, proven, stop, mut passes } =
-        go_on::<D, K>(&original, start, locked, None, options, goal, progress)?;
+        go_on::<D, K>(&original, start, locked, apart.as_ref(), options, goal, progress)?;
     let refused = state.mesh.refused_edges();
+    let colors = match apart {
+        Some(_) => ledger.bounds_of_parts(&state.mesh, |_| true, progress)?.first().copied(),
+        None => None,
+    };
     let mut mesh = state.mesh.into_compact();
-    let certificate =
+    let mut certificate =
         certificate_of(&mesh, &mut ledger, proven, options, goal.threads, &mut progress.silent())?;
+    if let Some(Verdict { bound, attained, .. }) = colors {
+        let bound =
+            Deviation { color: bound.color.min(farthest_colors(&mesh.points, &original.points)), ..bound };
+        certificate.bound.color = bound.color;
+        certificate.attained.color = attained.color;
+        let Certificate { result, own, original, .. } = &mut certificate;
+        [result, own, original].into_iter().flatten().for_each(|d| d.color = bound.color);
+    }
     // With more effort the rest may be within the bounds after all.
     let proven = proven || certificate.bound.within(ledger.bounds());
     if let Some(last) = passes.last_mut().filter(|_| proven) {
@@ -143,6 +160,15 @@ pub fn simplify<const D: usize, const K: usize>(
         mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
     }
     Ok(Certified { mesh, certificate, proven, stop, passes, refused, way })
+}
+
+/// No two colours are farther apart.
+fn farthest_colors<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> f64 {
+    let extent = |i: usize| {
+        let all = || a.iter().chain(b).map(|p| p[i]);
+        all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min)
+    };
+    (3..D).map(|i| extent(i).max(0.0).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Where the loop has ended.

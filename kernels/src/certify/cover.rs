@@ -18,7 +18,7 @@ use super::facet::Facet;
 use super::piece::{Against, Deviation};
 use super::polygon::{Corner, Polygon};
 use super::surface::{combine, difference};
-use super::view::{Box, ROUNDING, Seen, View, area_and_length, extent, is_needle};
+use super::view::{Box, ROUNDING, Seen, View, area_and_length, extent, is_needle, needle_height};
 use crate::base::geometry::{Vec3, around};
 
 /// Times that a part is cut to find what of it a triangle is nearest to.
@@ -35,6 +35,7 @@ const PLACE: Vec3 = [0.381_966_011_250_105, 0.351_407_320_124_931, 0.266_626_668
 struct Hiding {
     seen: usize,
     height: f64,
+    around: Box,
 }
 
 /// A part of the triangle viewed, and the box around it.
@@ -165,16 +166,7 @@ impl Cover {
         let seen = &mut self.seen;
         seen.clear();
         against.target.bvh.meeting(&low, &high, skip, |slot| {
-            let corners = against.target.corners(slot);
-            let heights = corners.map(|p| view.height(&p));
-            // Most are out of reach by their height alone.
-            if heights.iter().all(|&h| h > reach) || heights.iter().all(|&h| h < -reach) {
-                return true;
-            }
-            let at = corners.map(|p| view.at(&p));
-            if !view.apart(&at, reach) {
-                seen.push(Seen::new(slot, at));
-            }
+            seen.extend(view.seen(slot, &against.target.corners(slot), reach));
             true
         });
     }
@@ -182,7 +174,7 @@ impl Cover {
     /// The same of a part, among what was seen of the triangle it is part of.
     fn look_again(&mut self, view: &View, reach: f64, [start, end]: [usize; 2]) {
         for i in start..end {
-            if !view.misses(&self.seen[i], reach) {
+            if !view.apart(&self.seen[i].at, reach) {
                 self.seen.push(self.seen[i]);
             }
         }
@@ -211,12 +203,12 @@ impl Cover {
             if height > highest && outside != [0; 3] {
                 height = view.height_over(&seen.at);
             }
-            height += seen.thin;
+            height += needle_height(&seen.at);
             if height > most {
                 continue;
             }
             highest = highest.max(height);
-            self.hiding.push(Hiding { seen: i, height });
+            self.hiding.push(Hiding { seen: i, height, around: seen.around() });
             layers += turns(&seen.at, &place)?;
             let vertices = against.target.vertices[seen.slot as usize];
             for (i, j) in [(0, 1), (1, 2), (2, 0)] {
@@ -252,13 +244,13 @@ impl Cover {
     ) -> bool {
         let around = reach + against.slack;
         self.cells.clear();
-        for seen in self.seen[self.first..].iter().filter(|seen| !view.misses(seen, around)) {
+        for seen in self.seen[self.first..].iter().filter(|seen| !view.apart(&seen.at, around)) {
             if soon_within(against, triangle, view, seen, around, level) {
                 continue;
             }
             // Not all of the triangle is as far from what hides it as the farthest part.
             let Some(around) = self.around(seen, around, against.slack) else { continue };
-            if view.misses(seen, around) || soon_within(against, triangle, view, seen, around, level) {
+            if view.apart(&seen.at, around) || soon_within(against, triangle, view, seen, around, level) {
                 continue;
             }
             let facet = Facet::new(&against.target.corners(seen.slot));
@@ -274,7 +266,7 @@ impl Cover {
                 let hiding = self.hiding.iter().map(|hiding| &self.seen[hiding.seen]);
                 cut(&mut self.cells, against, triangle, view, one, hiding);
             }
-            let here = &seen.around;
+            let here = &seen.around();
             debug_assert!(!self.cells.is_empty(), "cells cover the triangle");
             for cell in self.cells.iter().filter(|cell| meet(here, &cell.around, around)) {
                 if let Err(worst) = within(&cell.polygon, CUTS, &mut self.parts) {
@@ -292,9 +284,9 @@ impl Cover {
         if self.hiding.is_empty() {
             return Some(around);
         }
-        let mut around = around;
+        let (here, mut around) = (seen.around(), around);
         for _ in 0..2 {
-            let is_over = |hiding: &&Hiding| meet(&seen.around, &self.seen[hiding.seen].around, around);
+            let is_over = |hiding: &&Hiding| meet(&here, &hiding.around, around);
             let over = self.hiding.iter().filter(is_over);
             around = around.min(over.map(|hiding| hiding.height).reduce(f64::max)? + slack);
         }
@@ -311,7 +303,7 @@ impl Cover {
         level: f64,
     ) -> bool {
         let around = reach + against.slack;
-        let mut near = self.seen[self.first..].iter().filter(|seen| !view.misses(seen, around));
+        let mut near = self.seen[self.first..].iter().filter(|seen| !view.apart(&seen.at, around));
         near.all(|seen| soon_within(against, triangle, view, seen, around, level))
     }
 }
@@ -329,7 +321,7 @@ fn soon_within(
     if against.target.color_range(seen.slot, &view.colors) <= level {
         return true;
     }
-    let most = if extent(&seen.around) < view.size {
+    let most = if extent(&seen.around()) < view.size {
         Some(view.smaller_differs(against, seen, around))
     } else {
         larger_differs(against, triangle, seen.slot, around)
@@ -359,18 +351,19 @@ fn cut<'s>(
         let turn = ((at[1][0] - at[0][0]) * (at[2][1] - at[0][1])
             - (at[1][1] - at[0][1]) * (at[2][0] - at[0][0]))
             .signum();
-        let inside = |polygon: Polygon, (i, j): (usize, usize)| {
+        let mut inside = Polygon::new(*triangle);
+        for (i, j) in [(0, 1), (1, 2), (2, 0)] {
             let (from, to) = (&at[i], &at[j]);
             let (x, y) = (turn * (from[1] - to[1]), turn * (to[0] - from[0]));
             let length = x.abs() + y.abs();
-            polygon.clipped(|p| {
+            inside.clip(|p| {
                 let p = view.at(p);
                 x * (p[0] - from[0])
                     + y * (p[1] - from[1])
                     + length * (view.rounding(&p) + view.rounding(from))
-            })
-        };
-        cell([(0, 1), (1, 2), (2, 0)].into_iter().fold(Polygon::new(*triangle), inside), *slot);
+            });
+        }
+        cell(inside, *slot);
     }
 }
 

@@ -3,7 +3,7 @@
 //! Its colour: on each triangle no more than the slack farther away than the nearest one, at the nearest point and
 //! within the slack of that.
 
-use super::facet::{Facet, nearest};
+use super::facet::{Facet, distance2, nearest};
 use super::polygon::{Corner, Polygon};
 use super::surface::{Found, Surface, blend, combine, difference};
 use crate::base::geometry::{Vec3, around, dot, norm2, sub};
@@ -187,14 +187,11 @@ impl Against<'_> {
         &self,
         polygon: &Polygon,
         skip: impl FnMut(u32, usize) -> bool,
-        mut visit: impl FnMut(u32) -> bool,
+        visit: impl FnMut(u32) -> bool,
     ) {
         let reach = farthest(polygon).reach + self.slack;
         let [low, high] = polygon.bounding_box();
-        let (low, high) = (low.map(|x| x - reach), high.map(|x| x + reach));
-        self.target
-            .bvh
-            .meeting(&low, &high, skip, |slot| !self.target.meets(slot, &low, &high) || visit(slot));
+        self.target.bvh.meeting(&low.map(|x| x - reach), &high.map(|x| x + reach), skip, visit);
     }
 
     /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`, or is
@@ -202,7 +199,8 @@ impl Against<'_> {
     pub fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
         let corners = &self.target.corners(slot);
         let facet = Facet::new(corners);
-        let (part, outside) = self.part(polygon, facet.as_ref())?;
+        let mut part = *polygon;
+        let outside = self.part(&mut part, facet.as_ref())?;
         if self.is_beyond(&part, corners) {
             return None;
         }
@@ -230,8 +228,8 @@ impl Against<'_> {
         parts.clear();
         parts.push(*polygon);
         let mut made = 0;
-        while let Some(part) = parts.pop() {
-            let Some((part, outside)) = self.part(&part, facet) else { continue };
+        while let Some(mut part) = parts.pop() {
+            let Some(outside) = self.part(&mut part, facet) else { continue };
             let soon = facet.is_some_and(|facet| {
                 let beside = facet.slope(colors) * (outside + self.slack);
                 let differs = |c: &Corner| difference(&c.color, &combine(&facet.weights(&c.at), colors));
@@ -255,13 +253,15 @@ impl Against<'_> {
             // corners around.
             let at_least = |p: &Vec3| distance + dot(&away, &sub(p, &worst.at)) - self.slack;
             if distance > worst.reach + self.slack {
-                parts.push(part.kept(|c| c.reach - at_least(&c.at)));
+                part.keep(|c| c.reach - at_least(&c.at));
+                parts.push(part);
                 continue;
             }
             let nearer = self.target.nearest(&worst.at, slot);
             let reach = self.target.reach(nearer.slot);
             if distance > reach(&worst.at) + self.slack {
-                parts.push(part.kept(|c| reach(&c.at) - at_least(&c.at)));
+                part.keep(|c| reach(&c.at) - at_least(&c.at));
+                parts.push(part);
             } else if self.deviation(&worst, nearer.slot, nearer.distance).color > level {
                 return Err(worst);
             } else {
@@ -271,18 +271,19 @@ impl Against<'_> {
         Ok(())
     }
 
-    /// Where in `polygon` the nearest point may be on a triangle, and how far outside of that its foot can be there.
-    fn part(&self, polygon: &Polygon, facet: Option<&Facet>) -> Option<(Polygon, f64)> {
+    /// Leave the part where the nearest point may be on a triangle. Returns how far outside of that its foot can be there; None
+    /// if there is no such part.
+    fn part(&self, part: &mut Polygon, facet: Option<&Facet>) -> Option<f64> {
         match facet {
-            Some(facet) => facet.part(polygon, self.slack),
-            None => (!polygon.is_empty()).then_some((*polygon, f64::INFINITY)),
+            Some(facet) => facet.part(part, self.slack),
+            None => (!part.is_empty()).then_some(f64::INFINITY),
         }
     }
 
     /// Beside a sharp corner, inside of both outlines moved out, a triangle can still be too far.
     fn is_beyond(&self, part: &Polygon, corners: &[Vec3; 3]) -> bool {
         let (centre, radius) = part.centre();
-        nearest(&centre.at, corners).distance2.sqrt() - radius > farthest(part).reach + self.slack
+        distance2(&centre.at, corners).sqrt() - radius > farthest(part).reach + self.slack
     }
 
     /// The greatest colour difference between `part` and the nearest points of one triangle, or points of it within

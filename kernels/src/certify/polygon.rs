@@ -83,41 +83,62 @@ impl Polygon {
         [side(f64::min, f64::INFINITY), side(f64::max, f64::NEG_INFINITY)]
     }
 
-    /// The part where a function linear in space is not negative (Sutherland & Hodgman 1974).
+    /// Leave the part where a function linear in space is not negative (Sutherland & Hodgman 1974).
     ///
-    /// Never less than that part: where rounding would make too many corners, the polygon comes back whole.
+    /// Never less than that part: where rounding would make too many corners, the polygon stays whole.
+    pub fn clip(&mut self, level: impl Fn(&Vec3) -> f64) {
+        self.keep(|corner| level(&corner.at));
+    }
+
+    /// The part that [`Self::clip`] leaves.
     pub fn clipped(&self, level: impl Fn(&Vec3) -> f64) -> Self {
-        self.kept(|corner| level(&corner.at))
+        let mut part = *self;
+        part.clip(level);
+        part
     }
 
-    /// The same for a function that is convex, and between two corners at most what it is by theirs.
-    pub fn kept(&self, level: impl Fn(&Corner) -> f64) -> Self {
-        let Some(last) = self.last() else { return *self };
-        let mut out = Self { corners: [*last; MOST], count: 0 };
-        let (mut before, mut level_before) = (last, level(last));
-        for corner in self.iter() {
-            let here = level(corner);
-            if (here < 0.0) != (level_before < 0.0) && here != 0.0 && level_before != 0.0 {
-                let t = level_before / (level_before - here);
-                if !out.push(between(before, corner, t)) {
-                    return *self;
-                }
-            }
-            if here >= 0.0 && !out.push(*corner) {
-                return *self;
-            }
-            (before, level_before) = (corner, here);
+    /// As [`Self::clip`] for a function that is convex, and between two corners at most what it is by theirs.
+    pub fn keep(&mut self, level: impl Fn(&Corner) -> f64) {
+        let mut levels = [0.0; MOST];
+        let (mut inside, mut crossings) = (0, 0);
+        let count = self.count;
+        for (here, corner) in levels.iter_mut().zip(self.iter()) {
+            *here = level(corner);
+            inside += usize::from(*here >= 0.0);
         }
-        out
+        // Most are cut nowhere, and then nothing has to be moved.
+        if inside == count {
+            return;
+        }
+        if inside == 0 {
+            self.count = 0;
+            return;
+        }
+        let before = |i: usize| if i == 0 { count - 1 } else { i - 1 };
+        let is_crossed = |i: usize| {
+            let (a, b) = (levels[before(i)], levels[i]);
+            (a < 0.0) != (b < 0.0) && a != 0.0 && b != 0.0
+        };
+        (0..count).for_each(|i| crossings += usize::from(is_crossed(i)));
+        if inside + crossings > MOST {
+            return;
+        }
+        let whole = self.corners;
+        self.count = 0;
+        for i in 0..count {
+            if is_crossed(i) {
+                let (a, b) = (levels[before(i)], levels[i]);
+                self.push(between(&whole[before(i)], &whole[i], a / (a - b)));
+            }
+            if levels[i] >= 0.0 {
+                self.push(whole[i]);
+            }
+        }
     }
 
-    fn push(&mut self, corner: Corner) -> bool {
-        if self.count == MOST {
-            return false;
-        }
+    fn push(&mut self, corner: Corner) {
         self.corners[self.count] = corner;
         self.count += 1;
-        true
     }
 }
 

@@ -211,7 +211,7 @@ fn cut_along(polygon: &Polygon, facet: &Facet, margin: f64, least: f64) -> Vec<P
             return vec![];
         }
         parts.push(inside.clipped(|p| -level(p)));
-        inside = inside.clipped(level);
+        inside.clip(level);
     }
     parts.insert(0, inside);
     parts

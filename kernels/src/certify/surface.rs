@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::facet::{Nearest, is_beyond, nearest};
+use super::facet::{Nearest, distance2, nearest};
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, around, cross, norm2, position, segment_distance2, sub};
 use crate::base::parallel;
@@ -128,39 +128,27 @@ impl Surface {
     /// The nearest point to `p`; `hint` is a slot likely near it, which makes the search short.
     #[inline]
     pub fn nearest(&self, p: &Vec3, hint: u32) -> Found {
-        let nearer = |slot: u32, least: f64| {
-            let corners = self.corners(slot);
-            if is_beyond(&corners, p, least) { f64::INFINITY } else { nearest(p, &corners).distance2 }
-        };
-        let (slot, least) = self.bvh.nearest_below(p, (hint, self.distance2(hint, p)), nearer);
+        let first = (hint, self.distance2(hint, p));
+        let (slot, least) = self.bvh.nearest(p, first, |slot| self.distance2(slot, p));
         Found { slot, distance: least.sqrt() }
     }
 
-    /// Visit every triangle, by its number in the input, whose own box meets the box `low`–`high`.
+    /// Visit every triangle, by its number in the input, whose box meets the box `low`–`high`.
     pub fn triangles_meeting(&self, low: &Vec3, high: &Vec3, mut visit: impl FnMut(u32)) {
         self.bvh.meeting(
             low,
             high,
             |_, _| false,
             |slot| {
-                if self.meets(slot, low, high) {
-                    visit(self.order[slot as usize]);
-                }
+                visit(self.order[slot as usize]);
                 true
             },
         );
     }
 
-    /// Whether the box around the triangle in `slot` meets another one.
-    #[inline]
-    pub fn meets(&self, slot: u32, low: &Vec3, high: &Vec3) -> bool {
-        let [a, b, c] = &self.corners(slot);
-        (0..3).all(|i| a[i].min(b[i]).min(c[i]) <= high[i] && a[i].max(b[i]).max(c[i]) >= low[i])
-    }
-
     #[inline]
     pub fn distance2(&self, slot: u32, p: &Vec3) -> f64 {
-        nearest(p, &self.corners(slot)).distance2
+        distance2(p, &self.corners(slot))
     }
 
     /// A convex function that is nowhere less than the distance to the surface: that to the triangle in `slot`.
@@ -174,12 +162,12 @@ impl Surface {
         let area2 = norm2(&cross(&sub(&b, &a), &sub(&c, &a)));
         let needle = area2 < (NEEDLE * length2(&longest)).powi(2);
         move |p: &Vec3| {
-            let distance2 = if needle {
+            let least = if needle {
                 segment_distance2(p, &longest[0], &longest[1])
             } else {
-                nearest(p, &[a, b, c]).distance2
+                distance2(p, &[a, b, c])
             };
-            distance2.sqrt()
+            least.sqrt()
         }
     }
 

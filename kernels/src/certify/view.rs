@@ -31,26 +31,24 @@ pub(super) struct View {
 #[derive(Clone, Copy)]
 pub(super) struct Seen {
     pub(super) slot: u32,
-    /// Two coordinates and the height of each corner, and the box around them.
+    /// Two coordinates and the height of each corner.
     pub(super) at: [Vec3; 3],
-    pub(super) around: Box,
-    /// As [`needle_height`].
-    pub(super) thin: f64,
 }
 
 /// Lowest and highest coordinates.
 pub(super) type Box = [Vec3; 2];
 
 impl Seen {
+    /// The box around the corners.
     #[inline]
-    pub(super) fn new(slot: u32, at: [Vec3; 3]) -> Self {
-        Self { slot, at, around: around(at.into_iter()), thin: needle_height(&at) }
+    pub(super) fn around(&self) -> Box {
+        around(self.at.into_iter())
     }
 
     /// The greatest height of a corner, above or below.
     #[inline]
     pub(super) fn height(&self) -> f64 {
-        self.around[1][2].max(-self.around[0][2])
+        self.at.iter().fold(0.0, |most, p| p[2].abs().max(most))
     }
 }
 
@@ -115,9 +113,17 @@ impl View {
         x * p[0] + y * p[1] + offset
     }
 
+    /// A triangle as it is seen, unless it is clearly out of reach.
     #[inline]
-    pub(super) fn height(&self, p: &Vec3) -> f64 {
-        dot(&self.axes[2], &sub(p, &self.origin))
+    pub(super) fn seen(&self, slot: u32, corners: &[Vec3; 3], reach: f64) -> Option<Seen> {
+        let to = corners.each_ref().map(|p| sub(p, &self.origin));
+        let heights = to.each_ref().map(|p| dot(&self.axes[2], p));
+        // Most are out of reach by their height alone.
+        if heights.iter().all(|&h| h > reach) || heights.iter().all(|&h| h < -reach) {
+            return None;
+        }
+        let at = [0, 1, 2].map(|k| [dot(&self.axes[0], &to[k]), dot(&self.axes[1], &to[k]), heights[k]]);
+        (!self.apart(&at, reach)).then_some(Seen { slot, at })
     }
 
     /// Whether no point of this triangle is within `reach`, which contains the slack, of the other one.
@@ -126,14 +132,6 @@ impl View {
         other.iter().all(|p| p[2] > reach)
             || other.iter().all(|p| p[2] < -reach)
             || (0..3).any(|side| other.iter().all(|p| self.depth(side, p) < -reach))
-    }
-
-    /// The same for what was seen.
-    #[inline]
-    pub(super) fn misses(&self, Seen { at, around: [low, high], .. }: &Seen, reach: f64) -> bool {
-        low[2] > reach
-            || high[2] < -reach
-            || (0..3).any(|side| at.iter().all(|p| self.depth(side, p) < -reach))
     }
 
     #[inline]
@@ -155,8 +153,16 @@ impl View {
         let (mut part, mut count) = ([other[0]; 6], 3);
         part[..3].copy_from_slice(other);
         for side in 0..3 {
+            let mut levels = [0.0; 6];
+            let mut is_cut = false;
+            for (level, p) in levels.iter_mut().zip(&part[..count]) {
+                *level = self.depth(side, p) + margin;
+                is_cut |= *level < 0.0;
+            }
+            if !is_cut {
+                continue;
+            }
             let (before, last) = (part, std::mem::take(&mut count));
-            let levels = before.map(|p| self.depth(side, &p) + margin);
             for i in 0..last {
                 let j = if i + 1 < last { i + 1 } else { 0 };
                 let crossing = || {
@@ -212,7 +218,7 @@ impl View {
             norm2(&sub(&self.color_at(&[x, y]), &colors[k]))
         });
         // Where heights are above zero all over the triangle, less is left for the way along the plane.
-        let [low, high] = seen.around.map(|corner| corner[2]);
+        let [low, high] = seen.around().map(|corner| corner[2]);
         let nearest = low.max(-high).max(0.0).min(around);
         let moved = (around * around - nearest * nearest).sqrt();
         let most = most2.iter().fold(0.0f64, |m, &d| m.max(d)).sqrt();

@@ -4,7 +4,7 @@
 //! alike its normals are, how compact its shape is. Here borders are what costs triangles later on, so compactness counts
 //! most, and costs grow with the number of triangles, so that cells grow evenly.
 
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::base::geometry::{Vec3, cross, dot, norm2, sub};
@@ -93,38 +93,33 @@ pub struct Joint {
     pub length: f64,
 }
 
-/// Two cells that may become one, as they were when this was put down: the best of all that one of them had then.
-struct Offer {
-    cost: f64,
-    cells: [u32; 2],
-    versions: [u32; 2],
-    /// Which of them.
-    owner: usize,
-}
+/// What two cells cost as one, and which they are: smaller for what comes first, and compared without a branch.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Offer(u128);
 
-impl Ord for Offer {
-    fn cmp(&self, other: &Self) -> Ordering {
-        // The largest comes first out of a heap.
-        other.cost.total_cmp(&self.cost).then_with(|| other.cells.cmp(&self.cells))
+impl Offer {
+    /// `owner` is the place, 0 or 1, of the cell whose best of all this is.
+    fn new(cost: f64, [a, b]: [u32; 2], owner: usize) -> Self {
+        let bits = cost.to_bits();
+        let rank = if bits >> 63 == 0 { bits | 1 << 63 } else { !bits };
+        Self(u128::from(rank) << 64 | u128::from(a) << 32 | u128::from(b) << 1 | owner as u128)
+    }
+
+    fn cells(self) -> [u32; 2] {
+        [(self.0 >> 32) as u32, self.0 as u32 >> 1]
+    }
+
+    fn owner(self) -> usize {
+        self.0 as usize & 1
     }
 }
-impl PartialOrd for Offer {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl PartialEq for Offer {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-impl Eq for Offer {}
 
 /// Join cells as long as none counts more than `most` triangles. Returns the number of the group of each, in the order of
 /// their first cells.
 pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
     let count = cells.len();
     let mut into: Vec<u32> = (0..count as u32).collect();
+    // How often each has changed.
     let mut versions = vec![0u32; count];
     let mut neighbours: Vec<Vec<(u32, f64)>> = vec![vec![]; count];
     for joint in joints.iter().filter(|joint| joint.between[0] != joint.between[1]) {
@@ -135,40 +130,43 @@ pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
     // Where the length of the border to each neighbour is added up.
     let mut place = vec![NONE; count];
     neighbours.iter_mut().for_each(|list| add_up(list, &into, NONE, &mut place));
-    let offer = |cells: &[Cell], versions: &[u32], own: u32, other: u32, shared: f64| {
-        let (a, b) = (own.min(other), own.max(other));
-        let joined = cells[a as usize].joined(&cells[b as usize], shared);
-        (joined.count <= most).then(|| Offer {
-            cost: joined.cost(),
-            cells: [a, b],
-            versions: [versions[a as usize], versions[b as usize]],
-            owner: usize::from(own > other),
-        })
-    };
     // What the best of all has to offer is that of its newer cell, whose best it is: of each cell the best will do, until
     // that turns out to be gone.
     let best = |cells: &[Cell], versions: &[u32], own: u32, list: &[(u32, f64)]| {
-        list.iter().filter_map(|&(other, shared)| offer(cells, versions, own, other, shared)).max()
+        let offer = |&(other, shared): &(u32, f64)| {
+            let (a, b) = (own.min(other), own.max(other));
+            let (first, second) = (&cells[a as usize], &cells[b as usize]);
+            let fits = first.count + second.count <= most;
+            fits.then(|| Offer::new(first.joined(second, shared).cost(), [a, b], usize::from(own > other)))
+        };
+        let best: Option<Offer> = list.iter().filter_map(offer).min();
+        best.map(|offer| (offer, offer.cells().map(|c| versions[c as usize])))
     };
-    let mut offers = BinaryHeap::new();
+    // What each cell offers, and the versions of both then.
+    let mut offered: Vec<Option<(Offer, [u32; 2])>> = vec![None; count];
+    let mut offers = BinaryHeap::with_capacity(count);
     for (own, list) in (0..).zip(&neighbours) {
-        offers.extend(best(&cells, &versions, own, list));
+        offered[own as usize] = best(&cells, &versions, own, list);
+        offers.extend(offered[own as usize].map(|(offer, _)| Reverse(offer)));
     }
-    while let Some(Offer { cells: pair, versions: then, owner, .. }) = offers.pop() {
+    while let Some(Reverse(offer)) = offers.pop() {
+        let pair = offer.cells();
+        let own = pair[offer.owner()];
+        let Some((latest, then)) = offered[own as usize] else { continue };
+        if latest != offer {
+            continue;
+        }
         let [a, b] = pair.map(|c| c as usize);
-        let is_there =
-            [0, 1].map(|i| into[pair[i] as usize] == pair[i] && versions[pair[i] as usize] == then[i]);
-        if is_there != [true; 2] {
-            if is_there[owner] {
-                let own = pair[owner];
-                offers.extend(best(&cells, &versions, own, &neighbours[own as usize]));
-            }
+        if then != [a, b].map(|c| versions[c]) {
+            offered[own as usize] = best(&cells, &versions, own, &neighbours[own as usize]);
+            offers.extend(offered[own as usize].map(|(offer, _)| Reverse(offer)));
             continue;
         }
         let shared = neighbours[a].iter().find(|(c, _)| *c == pair[1]).map_or(0.0, |(_, length)| *length);
         cells[a] = cells[a].joined(&cells[b], shared);
         into[b] = pair[0];
-        versions[a] += 1;
+        offered[b] = None;
+        [a, b].into_iter().for_each(|c| versions[c] += 1);
         let (mut list, mut other) = (std::mem::take(&mut neighbours[a]), std::mem::take(&mut neighbours[b]));
         if list.len() < other.len() {
             std::mem::swap(&mut list, &mut other);
@@ -181,7 +179,8 @@ pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
             theirs.retain(|(d, _)| *d != pair[0] && *d != pair[1]);
             theirs.push((pair[0], shared));
         }
-        offers.extend(best(&cells, &versions, pair[0], &list));
+        offered[a] = best(&cells, &versions, pair[0], &list);
+        offers.extend(offered[a].map(|(offer, _)| Reverse(offer)));
         neighbours[a] = list;
     }
     numbered(&into)

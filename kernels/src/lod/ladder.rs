@@ -17,6 +17,7 @@ use super::dual;
 use super::forest::{Forest, Level, grown};
 use crate::base::errors::KernelError;
 use crate::base::geometry::{around, diagonal, position};
+use crate::base::parallel;
 use crate::base::progress::Progress;
 use crate::certified::ledger::Apart;
 use crate::certified::original::Original;
@@ -25,6 +26,7 @@ use crate::certify::{self, Deviation, Verdict};
 use crate::collapse::engine::Stop;
 use crate::collapse::rounds::Goal;
 use crate::collapse::whole::Whole;
+use crate::mesh::connectivity::Connectivity;
 
 /// No node.
 pub const NONE: u32 = u32::MAX;
@@ -34,6 +36,10 @@ const LARGEST: f64 = 0.25;
 
 /// A level that leaves more than this share of the triangles is the last, if there is one cell.
 const STUCK: f64 = 0.9;
+
+/// Triangles of a region, at most: fewer than usual, as each has more and more samples, and threads would wait for one another
+/// on the coarser levels.
+const REGION: usize = 2048;
 
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -95,7 +101,10 @@ pub fn build<const D: usize, const K: usize>(
     goal: &Goal,
     progress: &mut Progress,
 ) -> Result<Hierarchy<D>, KernelError> {
+    let goal = &Goal { region: goal.region.min(REGION), ..*goal };
     let whole = Whole::<D, ()>::new(points, triangles, vec![])?;
+    // What is no manifold is refused before the work on it.
+    Connectivity::from_triangles_on(parallel::threads(goal.threads), whole.points.len(), &whole.triangles)?;
     let original = Original::new(whole.points, whole.triangles);
     let mut cells = Cells::of(&original, options.most);
     progress.check()?;

@@ -12,8 +12,9 @@ use crate::base::parallel::both;
 
 /// Shapes in a leaf: half as many are no faster, and their boxes take twice the memory.
 const LEAF: usize = 8;
-/// Both children of a node wait while one is looked at: one entry a level, and a level halves the shapes.
-const STACK: usize = 64;
+/// Both children of a node wait while one is looked at: one entry a level. A level halves the shapes, which have numbers of
+/// 32 bits.
+const STACK: usize = 32;
 /// Squares of lengths, in any unit, stay far from the ends of double precision.
 const LEAST_EXPONENT: i32 = 250;
 /// Fewer shapes are not worth another thread.
@@ -36,6 +37,8 @@ struct Branch {
 pub struct Bvh {
     root: Option<Branch>,
     nodes: Vec<[Branch; 2]>,
+    /// Around the shape in each slot: most of a leaf's are told by it, and need not be fetched.
+    boxes: Vec<Box>,
     /// What is 0 in the tree's own unit, and how many of them make one of the caller's: a power of two.
     origin: Vec3,
     scale: f64,
@@ -48,7 +51,7 @@ impl Bvh {
         let [low, high] = (0..count).map(&around).fold(NOTHING, |all, one| {
             [[0, 1, 2].map(|i| all[0][i].min(one[0][i])), [0, 1, 2].map(|i| all[1][i].max(one[1][i]))]
         });
-        let mut tree = Self { root: None, nodes: vec![], origin: [0.0; 3], scale: 1.0 };
+        let mut tree = Self { root: None, nodes: vec![], boxes: vec![], origin: [0.0; 3], scale: 1.0 };
         let mut order: Vec<u32> = (0..count as u32).collect();
         if count > 0 {
             tree.origin = [0, 1, 2].map(|i| 0.5 * (low[i] + high[i]));
@@ -59,6 +62,7 @@ impl Bvh {
             tree.nodes.reserve_exact(count / (LEAF / 2));
             tree.root = Some(build(&boxes, &mut order, 0, &mut tree.nodes, threads));
             tree.nodes.shrink_to_fit();
+            tree.boxes = order.iter().map(|&i| boxes[i as usize]).collect();
         }
         (tree, order)
     }
@@ -77,17 +81,6 @@ impl Bvh {
     /// The slot nearest to `p` among those nearer than `best` (slot, squared distance), or `best` itself.
     #[inline]
     pub fn nearest(&self, p: &Vec3, best: (u32, f64), distance2: impl Fn(u32) -> f64) -> (u32, f64) {
-        self.nearest_below(p, best, |slot, _| distance2(slot))
-    }
-
-    /// The same where a squared distance need not be found out if it is not below the one given.
-    #[inline]
-    pub fn nearest_below(
-        &self,
-        p: &Vec3,
-        best: (u32, f64),
-        distance2: impl Fn(u32, f64) -> f64,
-    ) -> (u32, f64) {
         let (mut slot, mut least) = best;
         let Some(root) = self.root else { return best };
         let (local, unit2) = (self.local(p), self.scale * self.scale);
@@ -103,7 +96,10 @@ impl Bvh {
             }
             if count > 0 {
                 for s in start..start + count {
-                    let d = distance2(s, least);
+                    if box_distance2(&local, &self.boxes[s as usize]) >= far {
+                        continue;
+                    }
+                    let d = distance2(s);
                     if d < least {
                         (slot, least) = (s, d);
                         far = least * unit2;
@@ -125,7 +121,7 @@ impl Bvh {
         (slot, least)
     }
 
-    /// Visit every slot whose leaf's box meets the box `low`–`high`, until `visit` returns false. Branches, given by
+    /// Visit every slot whose box meets the box `low`–`high`, until `visit` returns false. Branches, given by
     /// their node's number and 0 or 1, are left out where `skip` says so.
     #[inline]
     pub fn meeting(
@@ -136,8 +132,8 @@ impl Bvh {
         mut visit: impl FnMut(u32) -> bool,
     ) {
         let [low, high] = self.outside([*low, *high]);
-        let meets = |b: &Branch| (0..3).all(|i| b.around[0][i] <= high[i] && b.around[1][i] >= low[i]);
-        let Some(root) = self.root.filter(meets) else { return };
+        let meets = |b: &Box| (0..3).all(|i| b[0][i] <= high[i] && b[1][i] >= low[i]);
+        let Some(root) = self.root.filter(|root| meets(&root.around)) else { return };
         let mut stack = [(0, 0); STACK];
         stack[0] = (root.start, root.count);
         let mut height = 1;
@@ -146,14 +142,14 @@ impl Bvh {
             let (start, count) = stack[height];
             if count > 0 {
                 for s in start..start + count {
-                    if !visit(s) {
+                    if meets(&self.boxes[s as usize]) && !visit(s) {
                         return;
                     }
                 }
                 continue;
             }
             for (i, child) in self.nodes[start as usize].iter().enumerate().rev() {
-                if meets(child) && !skip(start, i) {
+                if meets(&child.around) && !skip(start, i) {
                     stack[height] = (child.start, child.count);
                     height += 1;
                 }

@@ -23,8 +23,8 @@ class CertifiedDetails(Details):
     attribute_scale_m_per_level : metres that weighed as much as one level of colour.
     shape_bound, color_bound : (q,) float64, metres and levels, proven for each triangle, both ways: for its
         points, and for points of the input whose nearest point is on it. `color_bound` is None for a mesh
-        without colours. They may be as large as `max_shape` and `max_color` though less is true, unless
-        `close_bounds` is set.
+        without colours. They may be as large as `max_shape` and `max_color`, or without the latter as
+        `color_bound_levels`, though less is true, unless `close_bounds` is set.
     shape_bound_m, color_bound_levels : the greatest of all, input and result.
     shape_attained_m, color_attained_levels : the greatest found at a point; the true maximum is between that
         and the bound.

@@ -39,7 +39,8 @@ class CertifiedParams:
     close_bounds: bool = param(
         False,
         "Bound each triangle as closely as can be, in two to four times the time. Otherwise the bounds of a "
-        "triangle may be as large as max_shape and max_color though less is true.",
+        "triangle may be as large as max_shape and max_color (without it, as the largest difference of "
+        "colour there is) though less is true.",
     )
 
     def __post_init__(self) -> None:

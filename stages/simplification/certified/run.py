@@ -24,7 +24,7 @@ from stages.simplification.task import Task
 from stages.surface.color import has_color
 from stages.surface.mesh import Mesh
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
 # Triangles worked on at a time.
 REGION_TRIANGLES = 8192
@@ -79,8 +79,7 @@ def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
         share=SHARE_OF_VERTICES,
         tolerance=(TOLERANCE, TOLERANCE),
         effort=PIECES,
-        # Only so is the bound on colour found where none is wanted.
-        close=params.close_bounds or (with_color and params.max_color is None),
+        close=params.close_bounds,
         running=task.running(REGION_TRIANGLES),
         progress=task.progress,
     )

@@ -206,7 +206,7 @@ fn no_colour_differs_more_from_a_smaller_triangle_than_is_said() {
         // What the target holds, in single precision.
         let colors = target.corner_colors(0);
         let small = [0, 1, 2].map(|i| Corner { color: colors[i], ..small[i] });
-        let seen = Seen::new(0, small.map(|c| view.at(&c.at)));
+        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
         let corners = large.map(|c| c.at);
         let facet = Facet::new(&corners).unwrap();
         let height = small.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
@@ -241,7 +241,7 @@ fn a_colour_can_differ_as_much_from_a_smaller_triangle_as_is_said() {
         let (large, small, beyond, slack) = noise.beyond_the_tip(height, own);
         let (far, truth) = brute(&beyond.at, &beyond.color, &small, slack);
         let (view, target) = (View::new(&large).unwrap(), surface(&[small]));
-        let seen = Seen::new(0, small.map(|c| view.at(&c.at)));
+        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
         let said = view.smaller_differs(&against(&target, slack), &seen, far);
         assert!((said - truth).abs() <= 1e-4 * truth, "{case}: {said}, not {truth}");
     }
@@ -258,7 +258,7 @@ fn a_triangle_through_the_plane_leaves_all_of_the_way_along_it() {
         small[1].at = add_scaled(&small[1].at, lift, &view.axes[2]);
         small[2].at = add_scaled(&small[2].at, if case % 4 < 2 { -lift } else { lift }, &view.axes[2]);
         let target = surface(&[small]);
-        let seen = Seen::new(0, small.map(|c| view.at(&c.at)));
+        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
         let drop = difference(&large[1].color, &large[0].color);
         let said = view.smaller_differs(&against(&target, 0.05), &seen, 0.25);
         let truth = (0.3 + 0.25 + 0.05) * drop;

@@ -270,3 +270,28 @@ def test_real_meshes_keep_their_bounds(shared_data: Path, name: str) -> None:
     assert result.details.shape_bound_m <= bound
     assert_bounds_hold(result, mesh, 200_000)
     assert topology(result.mesh).euler == topology(mesh).euler
+
+
+@pytest.mark.parametrize("mesh", [hills(), two_sheets_that_touch()], ids=["hills", "sheets"])
+def test_without_a_bound_on_colours_the_largest_difference_is_proven_of_all(mesh: Mesh) -> None:
+    light = simplify(mesh, max_shape=0.003)
+    found = light.details
+    assert found.proven
+    assert found.color_bound_levels is not None
+    assert found.color_bound is not None
+    assert (found.color_bound == found.color_bound_levels).all()
+    attained = found.color_attained_levels
+    assert attained <= found.color_bound_levels <= 1.05 * attained + 1.5
+    apart = certify(light.mesh, mesh)
+    assert apart.color_attained_levels <= found.color_bound_levels
+    close = simplify(mesh, max_shape=0.003, close_bounds=True)
+    assert (close.mesh.vertices == light.mesh.vertices).all()
+    assert (close.details.color_bound <= 1.05 * found.color_bound).all()
+
+
+def test_colours_are_never_farther_apart_than_the_farthest_two() -> None:
+    mesh = hills()
+    grey = mesh.with_(colors=np.full_like(mesh.colors, 90))
+    assert simplify(grey, max_shape=0.003).details.color_bound_levels == 0
+    sheets = simplify(two_sheets_that_touch(), max_shape=0.003).details
+    assert sheets.color_attained_levels <= sheets.color_bound_levels < 441.673
