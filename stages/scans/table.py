@@ -5,6 +5,7 @@ from __future__ import annotations
 from stages.scans.layouts import (
     arkit_scenes,
     augmented_icl,
+    bop,
     camera_text,
     colmap,
     euroc,
@@ -59,6 +60,7 @@ DISTINCT: tuple[Layout, ...] = (
     record3d.LAYOUT,
     stray_scanner.LAYOUT,
     arkit_scenes.LAYOUT,
+    bop.LAYOUT,
     replica.LAYOUT,
     tartan_air.LAYOUT,
     colmap.LAYOUT,

@@ -42,6 +42,7 @@ OF_IMAGES = {"nyu", "sun-rgbd"}
 MADE = {
     "arkitscenes",
     "augmented-icl",
+    "bop",
     "camera-text",
     "frame-list",
     "icl-nuim",

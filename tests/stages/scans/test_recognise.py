@@ -32,6 +32,7 @@ def touch(folder, *names):
         (["sparse/cameras.bin", "sparse/images.bin", "sparse/rigs.bin", "sparse/frames.bin"], "colmap"),
         (["cameras.txt", "images.txt"], "colmap"),
         (["lowres_wide.traj", "lowres_depth"], "arkitscenes"),
+        (["scene_camera.json", "rgb", "depth"], "bop"),
         (["traj.txt", "results"], "replica"),
         (["pose_left.txt", "image_left", "image_right"], "tartanair"),
         (["pose_lcam_front.txt", "image_lcam_front", "depth_lcam_front"], "tartanair"),

@@ -1,0 +1,152 @@
+"""BOP, the benchmark of object poses: a scene's images by number, and one file of all their cameras.
+
+    rgb/000000.png (or gray/)     depth/000000.png     scene_camera.json, by number:
+        cam_K 3×3 by rows, depth_scale (millimetres a unit of depth), and where the scene has a world
+        cam_R_w2c 3×3 by rows and cam_t_w2c, millimetres: world-to-camera
+
+Depth maps are seen by the camera of the colour images. scene_gt.json tells where objects are, mask/ and
+mask_visib/ what of each is seen: none of them is where the cameras are, or what the scene is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.poses import inverted, rigid
+from stages.scans.reading.files import COLOR_FOLDERS, DEPTHS, common_size, first_existing, images, numbers
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import stated_camera
+from stages.scans.reading.views import single_view
+from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
+
+_CAMERAS = "scene_camera.json"
+_POSE = ("cam_R_w2c", "cam_t_w2c")
+_MILLIMETRES = 1000.0
+Table = Mapping[str, Any]
+
+
+def _matches(folder: Path) -> str | None:
+    is_there = (folder / _CAMERAS).is_file()
+    return _CAMERAS if is_there and first_existing(folder, *COLOR_FOLDERS, "depth") is not None else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    path = folder / _CAMERAS
+    tables = _tables(path)
+    colors = _by_number(first_existing(folder, *COLOR_FOLDERS))
+    depths = _by_number(folder / "depth", DEPTHS)
+    streams = depths or colors
+    if not streams:
+        raise InputError("no images named like 000010.png in rgb/, gray/ or depth/.", folder)
+    used = sorted(number for number in streams if number in tables)
+    if not used:
+        raise InputError("it has no entry for any of the images.", path)
+    size = common_size([streams[number] for number in used])
+    stated = stated_camera(options, folder, *size)
+    given = options.file("poses", folder)
+    matched: dict[int, Pose | None] | None = None
+    if given is not None:
+        names = [streams[number].stem for number in used]
+        found = trajectories.match(trajectories.read_trajectory(given), names, given)
+        matched = dict(zip(used, found, strict=True))
+    has_world = matched is not None or any(key in tables[number] for number in used for key in _POSE)
+    frames: list[Frame] = []
+    skipped = [
+        SkippedFrame(streams[number].stem, f"{_CAMERAS} has no entry for it")
+        for number in sorted(streams.keys() - tables.keys())
+    ]
+    for number in used:
+        name, table = streams[number].stem, tables[number]
+        color, depth = colors.get(number), depths.get(number)
+        try:
+            pose = _pose(table, number, path) if matched is None else matched[number]
+            if pose is None and has_world:
+                skipped.append(SkippedFrame(name, "it has no pose"))
+                continue
+            if color is None and colors:
+                skipped.append(SkippedFrame(name, "its colour image is missing"))
+                continue
+            camera = stated or _camera(table, size, number, path)
+            if depth is None and color is not None:
+                frames.append(single_view(name, camera, color, pose))
+                continue
+            scale = options.depth_scale or _MILLIMETRES / _depth_scale(table, number, path)
+        except InputError as error:
+            skipped.append(SkippedFrame(name, str(error)))
+            continue
+        frames.append(
+            Frame(name, camera, color=color, depth=depth, depth_scale=scale, world_from_camera=pose)
+        )
+    alone = len(tables.keys() - streams.keys())
+    warnings = [f"{_CAMERAS} has entries for {alone} images that are not there"] if alone else []
+    lacking = f"poses: {_CAMERAS} has no cam_R_w2c; name a trajectory with scan.poses=FILE"
+    missing = () if has_world else (lacking,)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _tables(path: Path) -> dict[int, Table]:
+    """Return what the file has for each image, by number."""
+    document = documents.read_json(path)
+    if not isinstance(document, dict) or not document:
+        raise InputError("it is no table of cameras by the numbers of images.", path)
+    tables: dict[int, Table] = {}
+    for key, table in document.items():
+        if not (key.isascii() and key.isdigit() and len(key) < 10 and isinstance(table, dict)):
+            raise InputError(f"{str(key)[:40]!r} is not the number of an image with its camera.", path)
+        tables[int(key)] = table
+    return tables
+
+
+def _by_number(folder: Path | None, suffixes: Sequence[str] | None = None) -> dict[int, Path]:
+    """Return the images of a folder by the number that is their name; none where there is no folder."""
+    if folder is None or not folder.is_dir():
+        return {}
+    found = images(folder) if suffixes is None else images(folder, suffixes)
+    return {numbers(path.stem)[0]: path for path in found if path.stem.isdigit()}
+
+
+def _camera(table: Table, size: tuple[int, int], number: int, path: Path) -> Camera:
+    matrix = _values(table, "cam_K", 9, number, path).reshape(3, 3)
+    return calibration.matrix_camera(matrix, (), *size, path)
+
+
+def _depth_scale(table: Table, number: int, path: Path) -> float:
+    value = table.get("depth_scale", 1.0)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1e-6 < value < 1e6:
+        raise InputError(f"image {number}: depth_scale is {str(value)[:40]!r}; a number is expected.", path)
+    return float(value)
+
+
+def _values(table: Table, key: str, count: int, number: int, path: Path) -> NDArray[np.float64]:
+    values = table.get(key)
+    sound = isinstance(values, list) and len(values) == count
+    if not sound or not all(type(value) in (int, float) for value in values or ()):
+        raise InputError(f"image {number}: {key} is not a list of {count} numbers.", path)
+    return np.array(values, np.float64)
+
+
+def _pose(table: Table, number: int, path: Path) -> Pose | None:
+    """Return where the camera stands, metres; None where the scene has no world, or the camera was lost."""
+    if not any(key in table for key in _POSE):
+        return None
+    rotation = _values(table, _POSE[0], 9, number, path).reshape(3, 3)
+    place = _values(table, _POSE[1], 3, number, path) / _MILLIMETRES
+    world_to_camera = rigid(np.column_stack([rotation, place]), path, f"image {number}")
+    return None if world_to_camera is None else inverted(world_to_camera)
+
+
+LAYOUT = Layout(
+    name="bop",
+    text="rgb/ or gray/, depth/ and scene_camera.json (BOP's data sets), or views without depth/",
+    matches=_matches,
+    read=_read,
+)
