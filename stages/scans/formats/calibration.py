@@ -18,7 +18,7 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
-from stages.scans.formats import orb_slam, realsense
+from stages.scans.formats import named_text, orb_slam, realsense, ros_text
 from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size, with_rows_first
 from stages.scans.formats.lens_names import distortion_in
@@ -30,8 +30,8 @@ _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4"
 _PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
 # Matrices that begin with the camera's.
 _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
-# Suffixes of files that hold bare numbers.
-TEXTS = (".txt", ".csv")
+# Suffixes of files that hold bare numbers, or lines of names and numbers.
+TEXTS = (".txt", ".csv", ".ini")
 MATRIX_AND_BASELINE = 10
 # Of a depth map, in a metre.
 _LEAST_UNITS, _MILLIMETRES = 0.5, 1000.0
@@ -48,21 +48,29 @@ _LARGEST_DISTORTION = 1e6
 def read_camera(path: Path, width: int, height: int) -> Camera:
     """Read one camera, for images of this size in pixels.
 
-    A 3x3 (or 4x4) matrix as text; or JSON, TOML or YAML with `fx fy cx cy`, or `camera_matrix`, `K` or
-    `intrinsic_matrix` (which Open3D stores column-major), and `distortion`; Kalibr's camchain of one camera;
-    ORB-SLAM's settings, and RealSense's. Of several the one for this size is taken, or that of colour; a
-    camera for another size of the same shape is scaled. Both are told.
+    A 3x3 (or 4x4) matrix as text, or text of names and numbers; or JSON, TOML or YAML with `fx fy cx cy`, or
+    `camera_matrix`, `K` or `intrinsic_matrix` (which Open3D stores column-major), and `distortion`; Kalibr's
+    camchain of one camera; ORB-SLAM's settings, and RealSense's. Of several the one for this size is taken,
+    or that of colour; a camera for another size of the same shape is scaled. Both are told.
     """
-    if path.suffix in TEXTS:
+    document = text_document(path) if path.suffix in TEXTS else documents.read_document(path)
+    if document is None:
         return for_images(matrix_camera(text_matrix(path), (), width, height, path), width, height, path)
-    return camera_from_table(orb_slam.as_table(documents.read_document(path)), width, height, path)
+    return camera_from_table(orb_slam.as_table(document), width, height, path)
+
+
+def text_document(path: Path) -> dict[str, Any] | None:
+    """Return what a text states under names: of ROS's calibrator, or a line each; None of bare numbers."""
+    text = documents.read_text(path)
+    return ros_text.tables(text) or named_text.tables(text)
 
 
 def read_depth_scale(path: Path) -> float | None:
     """Return how many units of a depth file are one metre, as a camera file says; None when it does not."""
-    if path.suffix in TEXTS:
+    document = text_document(path) if path.suffix in TEXTS else documents.read_document(path)
+    if document is None:
         return None
-    values = orb_slam.as_table(documents.read_document(path))
+    values = orb_slam.as_table(document)
     tables = [values, *(one for one in values.values() if isinstance(one, dict))]
     value = next((one["depth_scale"] for one in tables if one.get("depth_scale") is not None), None)
     if value is None:

@@ -21,6 +21,7 @@ from stages.scans.formats.calibration import (
     coefficients,
     kalibr_camera,
     matrix_camera,
+    text_document,
     text_matrix,
     text_numbers,
 )
@@ -73,7 +74,8 @@ def read_rig(
         If the file does not parse, something is missing, or a number cannot be right.
     """
     if document is None:
-        document = _text_pair(path) if path.suffix in TEXTS else documents.read_document(path)
+        is_text = path.suffix in TEXTS
+        document = (text_document(path) or _text_pair(path)) if is_text else documents.read_document(path)
     values = orb_slam.as_table(document)
     infos = _camera_infos(values)
     if "cam0" in values and "cam1" in values:

@@ -18,7 +18,7 @@ from stages.scans.scan import Camera, StereoRig
 Told = list[tuple[str, Path]]
 T = TypeVar("T")
 
-_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt")
+_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini")
 # A calibration is a page or two; a folder with more texts than this holds something else in them.
 _MAX_BYTES = 1 << 16
 _MOST_FILES = 64

@@ -1,0 +1,57 @@
+"""Cameras as text of names and numbers, a line each: what scripts print, .ini files, RealSense's own tool.
+
+    fx: 615.2            PPX (cx) = 318.5            baseline 0.05
+
+Headings part several cameras: `[rgb]`, or `Intrinsic of "Color" / 640x480 / {YUYV}` of rs-enumerate-devices.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+_LINE = re.compile(r"([A-Za-z][\w. ]{0,40}?)\s*(?:\(([^)]{0,40})\))?\s*[:=,]\s*(.{1,400})")
+_SPACED = re.compile(r"([A-Za-z]\w{0,40})\s+([-+.\d].{0,400})")
+_HEADING = re.compile(r"\[([^\]]{1,80})\]|((?:in|ex)trinsics? (?:of|from) .{1,120}?):?", re.IGNORECASE)
+_BETWEEN = re.compile(r"[\s,;\[\]{}]+")
+_ALIASES = {"ffx": "fx", "ffy": "fy", "ppx": "cx", "ppy": "cy", "coeffs": "distortion"}
+_KNOWN = re.compile(
+    r"f?f[xy]|c[xy]|pp[xy]|width|height|[kp][1-6]|coeffs|distortion|model|baseline|depth_scale"
+)
+
+
+def tables(text: str) -> dict[str, Any] | None:
+    """Return the values by name, or such tables by heading; None if the text states no camera so."""
+    whole: dict[str, Any] = {}
+    here = whole
+    for line in text.splitlines():
+        words = line.partition("#")[0].strip()
+        heading = _HEADING.fullmatch(words)
+        if heading is not None:
+            name = (heading[1] or heading[2]).strip()
+            here = {}
+            whole[name if name not in whole else f"{name} ({len(whole)})"] = here
+            continue
+        named = _LINE.fullmatch(words) or _SPACED.fullmatch(words)
+        if named is not None:
+            _take(here, *(named.groups() if len(named.groups()) == 3 else (named[1], None, named[2])))
+    found = [whole, *(one for one in whole.values() if isinstance(one, dict))]
+    return whole if any({"fx", "fy"} <= one.keys() for one in found) else None
+
+
+def _take(table: dict[str, Any], name: str, beside: str | None, value: str) -> None:
+    """Put a value where cameras have it, if one of its names is known."""
+    names = [one.strip().lower() for one in (name, beside or "") if _KNOWN.fullmatch(one.strip().lower())]
+    if not names:
+        return
+    key = _ALIASES.get(names[0], names[0])
+    words = [word for word in _BETWEEN.split(value) if word]
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        # The lens by its name.
+        if key == "distortion":
+            table["model"] = value.strip()
+        return
+    if numbers:
+        table[key] = numbers[0] if len(numbers) == 1 and key != "distortion" else numbers
