@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
+from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
 from stages.scans.formats import named_text, orb_slam, realsense, ros_text
@@ -30,9 +31,11 @@ _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4"
 _PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
 # Matrices that begin with the camera's.
 _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
-# Suffixes of files that hold bare numbers, or lines of names and numbers.
-TEXTS = (".txt", ".csv", ".ini")
+# Suffixes of files that hold bare numbers, or lines of names and numbers; NumPy's of one array.
+ARRAY = ".npy"
+TEXTS = (".txt", ".csv", ".ini", ARRAY)
 MATRIX_AND_BASELINE = 10
+_THREE_BY_FOUR, _MOST_NUMBERS = 12, 16
 # Of a depth map, in a metre.
 _LEAST_UNITS, _MILLIMETRES = 0.5, 1000.0
 # Of the cameras of a device; depth maps are brought to the one of colour far more often than the other way.
@@ -48,12 +51,12 @@ _LARGEST_DISTORTION = 1e6
 def read_camera(path: Path, width: int, height: int) -> Camera:
     """Read one camera, for images of this size in pixels.
 
-    A 3x3 (or 4x4) matrix as text, or text of names and numbers; or JSON, TOML or YAML with `fx fy cx cy`, or
-    `camera_matrix`, `K` or `intrinsic_matrix` (which Open3D stores column-major), and `distortion`; Kalibr's
-    camchain of one camera; ORB-SLAM's settings, and RealSense's. Of several the one for this size is taken,
-    or that of colour; a camera for another size of the same shape is scaled. Both are told.
+    A 3x3 (or 4x4) matrix as text or .npy, or text of names and numbers; or JSON, TOML or YAML with `fx fy cx
+    cy`, or `camera_matrix`, `K` or `intrinsic_matrix` (which Open3D stores column-major), and `distortion`;
+    Kalibr's camchain of one camera; ORB-SLAM's settings, and RealSense's. Of several the one for this size is
+    taken, or that of colour; a camera for another size of the same shape is scaled. Both are told.
     """
-    document = text_document(path) if path.suffix in TEXTS else documents.read_document(path)
+    document = _document(path)
     if document is None:
         return for_images(matrix_camera(text_matrix(path), (), width, height, path), width, height, path)
     return camera_from_table(orb_slam.as_table(document), width, height, path)
@@ -61,13 +64,19 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
 
 def text_document(path: Path) -> dict[str, Any] | None:
     """Return what a text states under names: of ROS's calibrator, or a line each; None of bare numbers."""
+    if path.suffix == ARRAY:
+        return None
     text = documents.read_text(path)
     return ros_text.tables(text) or named_text.tables(text)
 
 
+def _document(path: Path) -> dict[str, Any] | None:
+    return text_document(path) if path.suffix in TEXTS else documents.read_document(path)
+
+
 def read_depth_scale(path: Path) -> float | None:
     """Return how many units of a depth file are one metre, as a camera file says; None when it does not."""
-    document = text_document(path) if path.suffix in TEXTS else documents.read_document(path)
+    document = _document(path)
     if document is None:
         return None
     values = orb_slam.as_table(document)
@@ -232,7 +241,16 @@ def matrix_camera(
 
 
 def text_numbers(path: Path) -> list[float]:
-    """Return the bare numbers of a text; raises InputError if it holds something else."""
+    """Return the bare numbers of a text or an array; raises InputError if it holds something else."""
+    if path.suffix == ARRAY:
+        array = read_array(path, "the camera matrix")
+        if array.dtype.kind not in "uif" or array.size > _MOST_NUMBERS:
+            raise InputError(
+                f"a camera matrix of 3 rows of 3 numbers is expected; this is {array.shape} of type "
+                f"{array.dtype}.",
+                path,
+            )
+        return [float(value) for value in array.ravel()]
     try:
         rows = [numbers_on(text) for _, text in documents.lines(path)]
         return [number for row in rows for number in row]
@@ -248,6 +266,8 @@ def text_matrix(path: Path) -> NDArray[np.float64]:
     if len(values) == 4:
         fx, fy, cx, cy = values
         values = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
+    if len(values) == _THREE_BY_FOUR:
+        return np.array(values).reshape(3, 4)
     if len(values) not in (9, 16):
         raise InputError(
             f"a camera matrix of 3 rows of 3 numbers is expected, not {len(values)} numbers.", path

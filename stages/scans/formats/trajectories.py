@@ -17,12 +17,17 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
+from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
 from stages.scans.poses import LARGEST_VALUE, inverted, matrix_of, pose_from_quaternion, rigid
 from stages.scans.scan import Pose
 
 T = TypeVar("T")
+
+# Of a pose in a NumPy array, and how many there may be: days of frames.
+_STACKED = ((3, 4), (4, 4), (12,), (16,))
+_MOST_POSES = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +51,8 @@ def read_trajectory(path: Path) -> Trajectory:
     """Read a trajectory file of any known form, told apart by its suffix and its first line of numbers.
 
     KITTI and plain 4x4 lines (12 or 16 numbers, row-major), TUM lines (`t tx ty tz qx qy qz qw`), the same
-    without times (SLAMBench), Redwood
-    and Open3D `.log`, Open3D `.json` (world-to-camera, column-major), EuRoC `.csv`, ARKitScenes `.traj`, and
-    nested rows in JSON.
+    without times (SLAMBench), Redwood and Open3D `.log`, Open3D `.json` (world-to-camera, column-major),
+    EuRoC `.csv`, ARKitScenes `.traj`, nested rows in JSON, and matrices as NumPy's `.npy`.
 
     Raises
     ------
@@ -61,6 +65,8 @@ def read_trajectory(path: Path) -> Trajectory:
         return read_euroc(path)
     if path.suffix == ".traj":
         return read_traj(path)
+    if path.suffix == ".npy":
+        return read_stack(path)
     first = next(_number_lines(path), None)
     if first is None:
         raise InputError("the trajectory file holds no poses.", path)
@@ -98,6 +104,20 @@ def read_matrices(path: Path) -> Trajectory:
             raise InputError(f"line {number} holds {len(row)} numbers; a pose needs 12 or 16.", path)
         poses.append(rigid(np.reshape(row, (-1, 4)), path, f"line {number}"))
     return Trajectory(poses)
+
+
+def read_stack(path: Path) -> Trajectory:
+    """Read a NumPy array (n, 3, 4), (n, 4, 4), (n, 12) or (n, 16) of such matrices, camera-to-world."""
+    array = read_array(path, "the trajectory file")
+    is_stack = array.ndim > 1 and array.dtype.kind == "f" and array.shape[1:] in _STACKED
+    if not is_stack or not 0 < len(array) <= _MOST_POSES:
+        raise InputError(
+            f"poses are expected, (n, 3, 4) or (n, 4, 4) numbers; this is {array.shape} of type "
+            f"{array.dtype}.",
+            path,
+        )
+    matrices = np.asarray(array, np.float64).reshape(len(array), -1, 4)
+    return Trajectory([rigid(matrix, path, f"pose {i}") for i, matrix in enumerate(matrices)])
 
 
 def read_tum(path: Path) -> Trajectory:

@@ -18,11 +18,11 @@ from stages.scans.scan import Camera, StereoRig
 Told = list[tuple[str, Path]]
 T = TypeVar("T")
 
-_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini")
+_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini", ".npy")
 # A calibration is a page or two; a folder with more texts than this holds something else in them.
 _MAX_BYTES = 1 << 16
 _MOST_FILES = 64
-_TRAJECTORIES = (".txt", ".log", ".tum", ".traj", ".csv", ".freiburg", ".json")
+_TRAJECTORIES = (".txt", ".log", ".tum", ".traj", ".csv", ".freiburg", ".json", ".npy")
 _MOST_TRAJECTORY_BYTES = 1 << 24
 # A single pose may be any matrix.
 _LEAST_POSES = 2
@@ -120,7 +120,8 @@ def not_taken(folder: Path, width: int, height: int, read: Callable[[Path, int, 
 
 def _fault(path: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> str | None:
     try:
-        if not _OF_CAMERAS.search(documents.read_text(path)):
+        # An array has no words that tell what it is.
+        if path.suffix == calibration.ARRAY or not _OF_CAMERAS.search(documents.read_text(path)):
             return None
         with telling():
             found = read(path, width, height)

@@ -587,3 +587,27 @@ def test_a_printed_calibration_of_one_camera(tmp_path):
     (tmp_path / "ost.txt").write_text(text.replace("0 0 1", "0 0"))
     with pytest.raises(InputError, match=r"camera matrix must be 3x3|not a matrix of numbers"):
         read_camera(tmp_path / "ost.txt", 64, 48)
+
+
+@pytest.mark.parametrize("matrix", [np.array(K), np.eye(4), np.eye(3, 4), np.array([100.0, 110, 16, 12])])
+def test_a_matrix_as_an_array(tmp_path, matrix):
+    if matrix.ndim == 2:
+        matrix = matrix.astype(np.float64)
+        matrix[:3, :3] = K
+    np.save(tmp_path / "K.npy", matrix)
+    camera = read_camera(tmp_path / "K.npy", 32, 24)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (100, 110, 16, 12)
+    rig, _ = read_rig(tmp_path / "K.npy", 32, 24, baseline=0.2)
+    assert (rig.left.fx, rig.baseline) == (100, 0.2)
+
+
+@pytest.mark.parametrize(
+    "array", [np.zeros(5), np.array(["a"] * 9), np.zeros((3, 3), complex), np.zeros((30, 30))]
+)
+def test_an_array_that_is_no_matrix_is_told(tmp_path, array):
+    np.save(tmp_path / "K.npy", array)
+    with pytest.raises(InputError, match="a camera matrix of 3 rows of 3 numbers is expected"):
+        read_camera(tmp_path / "K.npy", 32, 24)
+    (tmp_path / "K.npy").write_bytes(b"\x93NUMPY nothing")
+    with pytest.raises(InputError, match=r"K\.npy: the camera matrix cannot be read"):
+        read_camera(tmp_path / "K.npy", 32, 24)

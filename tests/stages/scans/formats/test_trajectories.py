@@ -56,6 +56,35 @@ def test_every_form_holds_the_same_pose(tmp_path, tiny, name, text):
         assert trajectory.timestamps.tolist() == [7_500_000_000]
 
 
+@pytest.mark.parametrize("shape", [(-1, 4, 4), (-1, 3, 4), (-1, 16), (-1, 12)])
+def test_matrices_in_one_array(tmp_path, tiny, shape):
+    poses = np.stack([tiny.identity, tiny.second, np.full((4, 4), np.nan)])
+    rows = 3 if shape in ((-1, 3, 4), (-1, 12)) else 4
+    np.save(tmp_path / "poses.npy", poses[:, :rows].reshape(shape).astype(np.float32))
+    trajectory = read_trajectory(tmp_path / "poses.npy")
+    assert trajectory.poses[2] is None
+    np.testing.assert_allclose(trajectory.poses[:2], poses[:2], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros((0, 4, 4)), "poses are expected"),
+        (np.zeros((4, 4)), "poses are expected"),
+        (np.zeros((3, 4, 4), int), "poses are expected"),
+        (np.zeros((3, 4, 4)), "pose 0: .*the last row of the pose"),
+        (np.zeros((3, 7)), "poses are expected"),
+    ],
+)
+def test_an_array_without_poses_is_told(tmp_path, array, message):
+    np.save(tmp_path / "poses.npy", array)
+    with pytest.raises(InputError, match=rf"poses\.npy: {message}"):
+        read_trajectory(tmp_path / "poses.npy")
+    (tmp_path / "poses.npy").write_bytes(b"no array")
+    with pytest.raises(InputError, match=r"poses\.npy: the trajectory file cannot be read"):
+        read_trajectory(tmp_path / "poses.npy")
+
+
 def test_euroc_nanoseconds_stay_exact(tmp_path):
     time = 1403715273262142976
     trajectory = read_trajectory(

@@ -320,3 +320,18 @@ def test_poses_beside_the_images_are_found_under_any_name(scan_folder, tiny, nam
     (scan_folder / "other.txt").unlink()
     (scan_folder / name).write_text("0 0 0 0 0 0 1\n" * 3)
     assert read_scan(scan_folder, complete=False).missing
+
+
+def test_camera_and_poses_as_arrays_beside_the_images(scan_folder, tiny):
+    for name in ("trajectory.log", "intrinsic.json"):
+        (scan_folder / name).unlink(missing_ok=True)
+    np.save(scan_folder / "K.npy", np.array([[100.0, 0, 16], [0, 100, 12], [0, 0, 1]]))
+    np.save(scan_folder / "poses.npy", np.stack([tiny.identity, tiny.second]))
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+    assert read_scan(scan_folder).warnings == (
+        "the camera is read from K.npy, which lies beside the images",
+        "the poses are read from poses.npy, which lies beside the images",
+    )
+    # An array of something else is no camera, and nothing is said of it.
+    np.save(scan_folder / "other.npy", np.zeros((7, 2)))
+    assert len(read_scan(scan_folder).warnings) == 2
