@@ -19,9 +19,14 @@ from stages.scans.scan import Camera
 
 # A PrimeSense or Kinect sees 62.7 degrees across; it is what Open3D falls back to, and near to a RealSense's.
 _FOCAL_LENGTH = 525 / 640
-# The depth maps of a phone's LiDAR, however it is held, and its focal length as a share of the longer side.
-_LIDAR_SIZES = ((192, 256), (256, 192))
-_LIDAR_FOCAL_LENGTH = 187 / 256
+# Depth maps of sizes that one kind of device has, and its focal length, px; a phone is held either way.
+_OF_SIZE = {
+    (192, 256): (187, "a phone's LiDAR"),
+    (256, 192): (187, "a phone's LiDAR"),
+    (512, 424): (365, "a Kinect v2"),
+    (640, 576): (504, "an Azure Kinect, narrow"),
+    (320, 288): (252, "an Azure Kinect, narrow"),
+}
 
 
 def stated_camera(options: ReadingParams, folder: Path, width: int, height: int) -> Camera | None:
@@ -55,9 +60,8 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
 
 def _guessed_camera(width: int, height: int) -> tuple[Camera, str]:
     """Return the camera to take for depth maps of this size when nothing is known, and what is to be said."""
-    is_lidar = (width, height) in _LIDAR_SIZES
-    focal = max(width, height) * _LIDAR_FOCAL_LENGTH if is_lidar else width * _FOCAL_LENGTH
-    whose = "that of a phone's LiDAR" if is_lidar else "a Kinect's view"
+    focal, device = _OF_SIZE.get((width, height), (width * _FOCAL_LENGTH, None))
+    whose = "a Kinect's view" if device is None else f"that of {device}"
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, is_guess=True)
     return camera, (
         f"the folder has no intrinsics: {camera.fx:g},{camera.fy:g},{camera.cx:g},{camera.cy:g} is guessed, "

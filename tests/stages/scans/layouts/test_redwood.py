@@ -335,3 +335,22 @@ def test_camera_and_poses_as_arrays_beside_the_images(scan_folder, tiny):
     # An array of something else is no camera, and nothing is said of it.
     np.save(scan_folder / "other.npy", np.zeros((7, 2)))
     assert len(read_scan(scan_folder).warnings) == 2
+
+
+@pytest.mark.parametrize(
+    ("size", "focal", "device"),
+    [
+        ((512, 424), 365, "a Kinect v2"),
+        ((640, 576), 504, "an Azure Kinect"),
+        ((256, 192), 187, "a phone's LiDAR"),
+    ],
+)
+def test_without_intrinsics_the_size_of_depth_maps_tells_the_device(tmp_path, tiny, size, focal, device):
+    for folder in ("color", "depth"):
+        (tmp_path / folder).mkdir()
+    for i in range(2):
+        tiny.color(tmp_path / "color" / f"{i}.png")
+        cv2.imwrite(str(tmp_path / "depth" / f"{i}.png"), np.full(size[::-1], 1500, np.uint16))
+    scan = read_scan(tmp_path, complete=False)
+    assert (scan.frames[0].camera.fx, scan.frames[0].camera.is_guess) == (focal, True)
+    assert any(f"is guessed, that of {device}" in text for text in scan.warnings)
