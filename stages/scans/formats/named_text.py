@@ -11,10 +11,11 @@ import re
 from typing import Any
 
 _LINE = re.compile(r"([A-Za-z][\w. ]{0,40}?)\s*(?:\(([^)]{0,40})\))?\s*[:=,]\s*(.{1,400})")
-_SPACED = re.compile(r"([A-Za-z]\w{0,40})\s+([-+.\d].{0,400})")
+_SPACED = re.compile(r"([A-Za-z]\w{0,40})()\s+([-+.\d].{0,400})")
 _HEADING = re.compile(r"\[([^\]]{1,80})\]|((?:in|ex)trinsics? (?:of|from) .{1,120}?):?", re.IGNORECASE)
 _BETWEEN = re.compile(r"[\s,;\[\]{}]+")
-_ALIASES = {"ffx": "fx", "ffy": "fy", "ppx": "cx", "ppy": "cy", "coeffs": "distortion"}
+_ALIASES = {"ffx": "fx", "ffy": "fy"}
+_ROWS = ("distortion", "coeffs")
 _KNOWN = re.compile(
     r"f?f[xy]|c[xy]|pp[xy]|width|height|[kp][1-6]|coeffs|distortion|model|baseline|depth_scale"
 )
@@ -34,7 +35,7 @@ def tables(text: str) -> dict[str, Any] | None:
             continue
         named = _LINE.fullmatch(words) or _SPACED.fullmatch(words)
         if named is not None:
-            _take(here, *(named.groups() if len(named.groups()) == 3 else (named[1], None, named[2])))
+            _take(here, *named.groups())
     found = [whole, *(one for one in whole.values() if isinstance(one, dict))]
     return whole if any({"fx", "fy"} <= one.keys() for one in found) else None
 
@@ -49,9 +50,9 @@ def _take(table: dict[str, Any], name: str, beside: str | None, value: str) -> N
     try:
         numbers = [float(word) for word in words]
     except ValueError:
-        # The lens by its name.
-        if key == "distortion":
+        # The lens by its name, beside its coefficients.
+        if key in ("distortion", "model"):
             table["model"] = value.strip()
         return
     if numbers:
-        table[key] = numbers[0] if len(numbers) == 1 and key != "distortion" else numbers
+        table[key] = numbers[0] if len(numbers) == 1 and key not in _ROWS else numbers

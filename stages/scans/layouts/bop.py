@@ -111,7 +111,7 @@ def _by_number(folder: Path | None, suffixes: Sequence[str] | None = None) -> di
     if folder is None or not folder.is_dir():
         return {}
     found = images(folder) if suffixes is None else images(folder, suffixes)
-    return {numbers(path.stem)[0]: path for path in found if path.stem.isdigit()}
+    return {numbers(path.stem)[0]: path for path in found if path.stem.isdecimal()}
 
 
 def _camera(table: Table, size: tuple[int, int], number: int, path: Path) -> Camera:

@@ -560,6 +560,16 @@ def test_what_the_tool_of_realsense_prints(tmp_path):
     assert (large.fx, large.distortion) == (200, ())
 
 
+def test_a_printed_fisheye_stays_one(tmp_path):
+    lens = "  Fx: 100\n  Fy: 101\n  PPX: 30\n  PPY: 22\n  Distortion: {}\n  Coeffs: 0.1 0.2 0.3 0.4 0\n"
+    (tmp_path / "rs.txt").write_text(lens.format("Kannala Brandt4"))
+    camera = read_camera(tmp_path / "rs.txt", 64, 48)
+    assert (camera.fisheye, camera.distortion) == (True, (0.1, 0.2, 0.3, 0.4))
+    (tmp_path / "rs.txt").write_text(lens.format("F-Theta"))
+    with pytest.raises(InputError, match="the lens model f-theta is not supported"):
+        read_camera(tmp_path / "rs.txt", 64, 48)
+
+
 @pytest.mark.parametrize(
     "text", ["fx: much\nfy: 3\n", "[rgb]\nfx=1\n[ir]\nfy=2\n", "some words\n", "[image]\nwidth\nten\n"]
 )

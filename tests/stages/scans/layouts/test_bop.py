@@ -118,3 +118,9 @@ def test_a_wrong_camera_file_is_refused(scan_folder, text):
     (scan_folder / "scene_camera.json").write_text(text)
     with pytest.raises(InputError, match=r"scene_camera\.json"):
         read_scan(scan_folder)
+
+
+def test_names_that_are_no_numbers_are_left_alone(scan_folder, tiny):
+    for name in ("²", "000003_old", "thumbs"):
+        tiny.color(scan_folder / "rgb" / f"{name}.png")
+    assert_known_points(scan_folder, tiny)
