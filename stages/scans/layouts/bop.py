@@ -31,6 +31,8 @@ from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
 _CAMERAS = "scene_camera.json"
 _POSE = ("cam_R_w2c", "cam_t_w2c")
 _MILLIMETRES = 1000.0
+# Longer numbers are none that a camera has, and none that a float holds.
+_LARGEST = 1e12
 Table = Mapping[str, Any]
 
 
@@ -129,7 +131,7 @@ def _depth_scale(table: Table, number: int, path: Path) -> float:
 def _values(table: Table, key: str, count: int, number: int, path: Path) -> NDArray[np.float64]:
     values = table.get(key)
     sound = isinstance(values, list) and len(values) == count
-    if not sound or not all(type(value) in (int, float) for value in values or ()):
+    if not sound or not all(type(value) in (int, float) and abs(value) < _LARGEST for value in values or ()):
         raise InputError(f"image {number}: {key} is not a list of {count} numbers.", path)
     return np.array(values, np.float64)
 
