@@ -43,12 +43,11 @@ free pages are given back to the system: without that the peak was 50 higher.
 On a scan it is the proof that counts. 145,634 triangles of the kitchen within 5 mm and 20 levels (`scanloom
 simplify KITCHEN OUT --max-shape 0.005 --max-color 20 --threads 1`) take 4.6 s, 28,000 removals a second; 2.9
 s and 44,000 on two threads; and as much without a bound on colours, where what they differ by is bounded on
-the way. Collapses, with what is taken back, are 1.4 s of it: without any proof it would be 93,000 a second.
-Half of the rest is the first look at all triangles, most of it at the result's: half of them have to be
-halved some seven times, as the input has borders under them, or rises beyond the bound beside them. One of
-the input takes 1 µs where one triangle is near all of it and has the right colours, and 3 µs where several
-have to be seen to cover it. Later looks are at half of the input's triangles and a third of the result's
-after the first failures, at fewer then.
+the way. These are seconds of the method, without the program's start and files. By perf's samples three
+tenths are collapses: without any proof it would be some 93,000 a second. The rest is mostly the first look
+at all triangles and later looks at what was taken back, more of it for the result's triangles than for the
+input's: many have to be halved several times, as the input has borders under them, or rises beyond the bound
+beside them.
 
 How far that is from the floor, for "count", by perf's counters:
 

@@ -56,27 +56,25 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
     Kalibr's camchain of one camera; ORB-SLAM's settings, and RealSense's. Of several the one for this size is
     taken, or that of colour; a camera for another size of the same shape is scaled. Both are told.
     """
-    document = _document(path)
+    document = document_of(path)
     if document is None:
         return for_images(matrix_camera(text_matrix(path), (), width, height, path), width, height, path)
     return camera_from_table(orb_slam.as_table(document), width, height, path)
 
 
-def text_document(path: Path) -> dict[str, Any] | None:
-    """Return what a text states under names: of ROS's calibrator, or a line each; None of bare numbers."""
+def document_of(path: Path) -> dict[str, Any] | None:
+    """Return what a calibration file states under names; None for one of bare numbers."""
+    if path.suffix not in TEXTS:
+        return documents.read_document(path)
     if path.suffix == ARRAY:
         return None
     text = documents.read_text(path)
     return ros_text.tables(text) or named_text.tables(text)
 
 
-def _document(path: Path) -> dict[str, Any] | None:
-    return text_document(path) if path.suffix in TEXTS else documents.read_document(path)
-
-
 def read_depth_scale(path: Path) -> float | None:
     """Return how many units of a depth file are one metre, as a camera file says; None when it does not."""
-    document = _document(path)
+    document = document_of(path)
     if document is None:
         return None
     values = orb_slam.as_table(document)

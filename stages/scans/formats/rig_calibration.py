@@ -12,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.files import documents
 from stages.scans.formats import orb_slam
 from stages.scans.formats.calibration import (
     MATRIX_AND_BASELINE,
-    TEXTS,
     camera_from_table,
     coefficients,
+    document_of,
     kalibr_camera,
     matrix_camera,
-    text_document,
     text_matrix,
     text_numbers,
 )
@@ -74,8 +72,9 @@ def read_rig(
         If the file does not parse, something is missing, or a number cannot be right.
     """
     if document is None:
-        is_text = path.suffix in TEXTS
-        document = (text_document(path) or _text_pair(path)) if is_text else documents.read_document(path)
+        document = document_of(path)
+    if document is None:
+        document = _numbers_of_pair(path)
     values = orb_slam.as_table(document)
     infos = _camera_infos(values)
     if "cam0" in values and "cam1" in values:
@@ -301,7 +300,7 @@ def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
     return pose
 
 
-def _text_pair(path: Path) -> dict[str, Any]:
+def _numbers_of_pair(path: Path) -> dict[str, Any]:
     """Return the table of a rectified pair written as the nine numbers of its matrix and the baseline."""
     numbers = text_numbers(path)
     if len(numbers) == MATRIX_AND_BASELINE:

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
+from stages.scans.formats.table_values import number_of, number_row
 from stages.scans.poses import inverted, rigid
-from stages.scans.reading.files import COLOR_FOLDERS, DEPTHS, common_size, first_existing, images, numbers
+from stages.scans.reading.files import COLOR_FOLDERS, DEPTHS, IMAGES, common_size, first_existing, images
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
@@ -31,8 +32,6 @@ from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
 _CAMERAS = "scene_camera.json"
 _POSE = ("cam_R_w2c", "cam_t_w2c")
 _MILLIMETRES = 1000.0
-# Longer numbers are none that a camera has, and none that a float holds.
-_LARGEST = 1e12
 Table = Mapping[str, Any]
 
 
@@ -70,18 +69,18 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         name, table = streams[number].stem, tables[number]
         color, depth = colors.get(number), depths.get(number)
         try:
-            pose = _pose(table, number, path) if matched is None else matched[number]
+            pose = _pose(table, path) if matched is None else matched[number]
             if pose is None and has_world:
                 skipped.append(SkippedFrame(name, "it has no pose"))
                 continue
             if color is None and colors:
                 skipped.append(SkippedFrame(name, "its colour image is missing"))
                 continue
-            camera = stated or _camera(table, size, number, path)
+            camera = stated or _camera(table, size, path)
             if depth is None and color is not None:
                 frames.append(single_view(name, camera, color, pose))
                 continue
-            scale = options.depth_scale or _MILLIMETRES / _depth_scale(table, number, path)
+            scale = options.depth_scale or _MILLIMETRES / _depth_scale(table, path)
         except InputError as error:
             skipped.append(SkippedFrame(name, str(error)))
             continue
@@ -108,41 +107,38 @@ def _tables(path: Path) -> dict[int, Table]:
     return tables
 
 
-def _by_number(folder: Path | None, suffixes: Sequence[str] | None = None) -> dict[int, Path]:
+def _by_number(folder: Path | None, suffixes: Sequence[str] = IMAGES) -> dict[int, Path]:
     """Return the images of a folder by the number that is their name; none where there is no folder."""
     if folder is None or not folder.is_dir():
         return {}
-    found = images(folder) if suffixes is None else images(folder, suffixes)
-    return {numbers(path.stem)[0]: path for path in found if path.stem.isdecimal()}
+    return {int(path.stem): path for path in images(folder, suffixes) if path.stem.isdecimal()}
 
 
-def _camera(table: Table, size: tuple[int, int], number: int, path: Path) -> Camera:
-    matrix = _values(table, "cam_K", 9, number, path).reshape(3, 3)
-    return calibration.matrix_camera(matrix, (), *size, path)
+def _camera(table: Table, size: tuple[int, int], path: Path) -> Camera:
+    return calibration.matrix_camera(_values(table, "cam_K", 9, path).reshape(3, 3), (), *size, path)
 
 
-def _depth_scale(table: Table, number: int, path: Path) -> float:
-    value = table.get("depth_scale", 1.0)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1e-6 < value < 1e6:
-        raise InputError(f"image {number}: depth_scale is {str(value)[:40]!r}; a number is expected.", path)
-    return float(value)
+def _depth_scale(table: Table, path: Path) -> float:
+    scale = number_of(table.get("depth_scale", 1.0), "depth_scale", path)
+    if scale <= 0:
+        raise InputError(f"depth_scale is {scale:g}; it must be positive.", path)
+    return scale
 
 
-def _values(table: Table, key: str, count: int, number: int, path: Path) -> NDArray[np.float64]:
-    values = table.get(key)
-    sound = isinstance(values, list) and len(values) == count
-    if not sound or not all(type(value) in (int, float) and abs(value) < _LARGEST for value in values or ()):
-        raise InputError(f"image {number}: {key} is not a list of {count} numbers.", path)
-    return np.array(values, np.float64)
+def _values(table: Table, key: str, count: int, path: Path) -> NDArray[np.float64]:
+    values = number_row(table.get(key), key, path)
+    if len(values) != count:
+        raise InputError(f"{key} is not a list of {count} numbers.", path)
+    return np.array(values)
 
 
-def _pose(table: Table, number: int, path: Path) -> Pose | None:
+def _pose(table: Table, path: Path) -> Pose | None:
     """Return where the camera stands, metres; None where the scene has no world, or the camera was lost."""
     if not any(key in table for key in _POSE):
         return None
-    rotation = _values(table, _POSE[0], 9, number, path).reshape(3, 3)
-    place = _values(table, _POSE[1], 3, number, path) / _MILLIMETRES
-    world_to_camera = rigid(np.column_stack([rotation, place]), path, f"image {number}")
+    rotation = _values(table, _POSE[0], 9, path).reshape(3, 3)
+    place = _values(table, _POSE[1], 3, path) / _MILLIMETRES
+    world_to_camera = rigid(np.column_stack([rotation, place]), path)
     return None if world_to_camera is None else inverted(world_to_camera)
 
 

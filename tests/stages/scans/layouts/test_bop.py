@@ -99,8 +99,9 @@ def test_what_belongs_to_no_image_is_told(scan_folder, tiny):
     [
         (None, "has no entry for it"),
         (entry(np.eye(4), cam_K=[1, 2]), "cam_K is not a list of 9 numbers"),
-        (entry(np.eye(4), cam_t_w2c=[0, 0, 10**400]), "cam_t_w2c is not a list of 3 numbers"),
-        (entry(np.eye(4), depth_scale="0.1"), "depth_scale is '0.1'"),
+        (entry(np.eye(4), cam_t_w2c=[0, 0, 10**400]), "cam_t_w2c is not a matrix of numbers"),
+        (entry(np.eye(4), depth_scale="fine"), "depth_scale is 'fine'"),
+        (entry(np.eye(4), depth_scale=0), "depth_scale is 0; it must be positive"),
         (entry(), "it has no pose"),
         (entry(np.eye(4), cam_R_w2c=[1.0] * 9), "the pose is not rigid"),
         (entry(cam_R_w2c=[1, 0, 0, 0, 1, 0, 0, 0, 1]), "cam_t_w2c is not a list of 3 numbers"),
