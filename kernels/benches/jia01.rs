@@ -17,8 +17,13 @@ const OPTIONS: Options = Options {
 
 pub fn bench(criterion: &mut Criterion) {
     measure(criterion, "jia01", field, |(points, triangles)| {
-        let goal =
-            Goal { triangles: triangles.len() / 10, threads: 1, region: REGION_TRIANGLES, record: false };
+        let goal = Goal {
+            triangles: triangles.len() / 10,
+            threads: 1,
+            region: REGION_TRIANGLES,
+            least: 0.0,
+            record: false,
+        };
         let whole = Whole::new(points, triangles, vec![]).expect("finite");
         alone(|progress| simplify(whole, &OPTIONS, &goal, progress)).expect("a manifold")
     });

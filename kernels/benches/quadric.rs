@@ -21,7 +21,7 @@ pub fn simplified(
     left: usize,
     record: bool,
 ) -> Outcome<6, QemRecords<3>> {
-    let goal = Goal { triangles: left, threads: 1, region: REGION_TRIANGLES, record };
+    let goal = Goal { triangles: left, threads: 1, region: REGION_TRIANGLES, least: 0.0, record };
     let whole = Whole::new(points, triangles, vec![]).expect("finite");
     let records = QemRecords { weight: 0.01, importance: vec![] };
     alone(|progress| collapse(whole, records, &goal, progress)).expect("a manifold")

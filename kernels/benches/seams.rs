@@ -28,7 +28,8 @@ pub fn bench(criterion: &mut Criterion) {
         |size| Rc::new(textured(size)),
         |surface| {
             let triangles = surface.triangles.len() / 10;
-            let rounds = rounds::Goal { triangles, threads: 1, region: REGION_TRIANGLES, record: false };
+            let rounds =
+                rounds::Goal { triangles, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: false };
             let goal = Goal { rounds, fit: false };
             alone(|progress| simplify::<8, 5>(&surface, KNOBS, goal, progress)).expect("a manifold")
         },

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 # Raised by hand when levels of the same mesh become others.
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 # How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2

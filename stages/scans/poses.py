@@ -76,6 +76,19 @@ def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | No
     return pose
 
 
+def divided(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a (4, 4) matrix over the last number of its last row, where that makes its 3x3 part a rotation.
+
+    Multiplied by a number as a whole, its last row with it, a pose in homogeneous coordinates is the same.
+    """
+    if matrix[3, :3].any() or not 0 < matrix[3, 3] < math.inf:
+        return matrix
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole = matrix / matrix[3, 3]
+        deviation = np.abs(whole[:3, :3].T @ whole[:3, :3] - np.eye(3)).max()
+    return whole if deviation <= _RIGID_TOLERANCE else matrix
+
+
 def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     """Return the (3,) rotation vector by which a camera turns while its rows are read, as a file tells it.
 

@@ -19,6 +19,9 @@ struct Known<const D: usize> {
     verdict: Verdict,
 }
 
+/// No triangle.
+const NONE: u32 = u32::MAX;
+
 /// Share of a deviation that is lost where it is kept in single precision.
 const ROUNDING: f64 = 1e-6;
 
@@ -192,42 +195,61 @@ impl<'a, const D: usize> Ledger<'a, D> {
         progress: &mut Progress,
     ) -> Result<[usize; 2], KernelError> {
         let is_first = self.attained.is_empty();
-        let mut near = vec![is_first; self.place.len()];
-        let mut places: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-        places.sort_unstable_by_key(|&i| mesh.triangle_source[i as usize]);
-        let mut before = std::mem::take(&mut self.result).into_iter().peekable();
-        let mut result = Vec::with_capacity(places.len());
+        let count = self.place.len();
+        let threads = parallel::threads(self.decision.threads);
+        // By triangle of the input: its place in the mesh, and among those looked at last.
+        let (mut now, mut then) = (vec![NONE; count], vec![NONE; count]);
+        (0..).zip(&mesh.triangle_source).for_each(|(i, &source)| now[source as usize] = i);
+        (0..).zip(&self.result).for_each(|(i, known)| then[known.source as usize] = i);
+        let sources: Vec<u32> = (0..count as u32).filter(|&t| now[t as usize] != NONE).collect();
+        let before = std::mem::take(&mut self.result);
+        let mut result = parallel::collect(sources.len(), threads, |number| {
+            let source = sources[number];
+            let corners = mesh.triangles[now[source as usize] as usize].map(|v| mesh.points[v as usize]);
+            let before = before.get(then[source as usize] as usize);
+            let verdict = before.filter(|known| known.corners == corners).map(|known| known.verdict);
+            Known { source, corners, verdict: verdict.unwrap_or(Verdict::UNKNOWN) }
+        });
+        // What is not what it was, as it was and as it is, and what has gone.
         let mut asked = vec![vec![]; self.parts.len()];
-        for (number, &i) in places.iter().enumerate() {
-            let source = mesh.triangle_source[i as usize];
-            let corners = mesh.triangles[i as usize].map(|v| mesh.points[v as usize]);
-            while let Some(gone) = before.next_if(|known| known.source < source) {
-                self.mark_within_reach(&gone, &mut near);
+        let mut changed: Vec<Vec<&Known<D>>> = vec![vec![]; self.parts.len()];
+        for (number, known) in result.iter().enumerate() {
+            let before = before.get(then[known.source as usize] as usize);
+            if before.is_none_or(|before| before.corners != known.corners) {
+                let part = self.part_of(known.source);
+                asked[part].push((now[known.source as usize], number));
+                changed[part].extend(before.into_iter().chain([known]));
             }
-            let before = before.next_if(|known| known.source == source);
-            let same = before.as_ref().is_some_and(|known| known.corners == corners);
-            let verdict = before.as_ref().filter(|_| same).map_or(Verdict::UNKNOWN, |known| known.verdict);
-            let known = Known { source, corners, verdict };
-            if !same {
-                before.iter().for_each(|gone| self.mark_within_reach(gone, &mut near));
-                if !is_first {
-                    self.mark_within_reach(&known, &mut near);
-                }
-                asked[self.part_of(source)].push((i, number));
-            }
-            result.push(known);
         }
-        before.for_each(|gone| self.mark_within_reach(&gone, &mut near));
-        self.attained.resize(self.place.len(), [0.0; 2]);
-        self.reach.resize(self.place.len(), f32::INFINITY);
-        self.failing.retain(|failing| !near[failing.triangle as usize]);
-        let left = self.left_of_parts(&mesh.triangle_source);
+        for gone in before.iter().filter(|known| now[known.source as usize] == NONE) {
+            changed[self.part_of(gone.source)].push(gone);
+        }
+        let near_in_part = |(): &mut (), part: usize| match is_first {
+            true => vec![true; self.parts[part].triangles.len()],
+            false => self.within_reach_of(&self.parts[part], &changed[part]),
+        };
+        let near = map(self.parts.len(), threads, || (), near_in_part);
+        let is_touched: Vec<bool> = changed.iter().map(|changed| is_first || !changed.is_empty()).collect();
+        drop(before);
+        self.attained.resize(count, [0.0; 2]);
+        self.reach.resize(count, f32::INFINITY);
+        let place = &self.place;
+        self.failing.retain(|failing| {
+            let [part, place] = place[failing.triangle as usize].map(|i| i as usize);
+            !near[part].get(place).copied().unwrap_or(false)
+        });
+        let mut left = vec![vec![]; self.parts.len()];
+        for (i, &source) in (0..).zip(&mesh.triangle_source) {
+            let part = self.part_of(source);
+            if is_touched[part] {
+                left[part].push(i);
+            }
+        }
         let mut all = vec![];
-        for (part, (own, left)) in asked.iter().zip(&left).enumerate() {
-            let Part { triangles, surface, .. } = &self.parts[part];
+        for (part, (own, left)) in asked.iter().zip(&left).enumerate().filter(|(part, _)| is_touched[*part]) {
             // In the order of the tree, so that those looked at together are neighbours.
-            let near = surface.order.iter().copied().filter(|&t| near[triangles[t as usize] as usize]);
-            let near: Vec<u32> = near.collect();
+            let order = self.parts[part].surface.order.iter().copied();
+            let near: Vec<u32> = order.filter(|&t| near[part][t as usize]).collect();
             if !(own.is_empty() && near.is_empty()) {
                 all.push(Asked { part, left, own, near });
             }
@@ -385,22 +407,25 @@ impl<'a, const D: usize> Ledger<'a, D> {
         self.failing.iter().filter(|failing| !failing.bound.within(self.bounds))
     }
 
-    /// Mark the triangles of the input that a triangle of the mesh may be nearest to a point of, given how far these are from
-    /// the mesh at most: others need not be looked at again when it comes or goes.
-    fn mark_within_reach(&self, known: &Known<D>, near: &mut [bool]) {
-        let Known { source, corners, .. } = known;
-        let Part { triangles, surface, .. } = &self.parts[self.part_of(*source)];
+    /// By triangle of a part: whether any of these triangles of the mesh may be nearest to a point of it, given how far the
+    /// mesh is from it at most: others need not be looked at again when they come or go. Empty if there are none.
+    fn within_reach_of(&self, part: &Part, changed: &[&Known<D>]) -> Vec<bool> {
+        let mut near = vec![false; if changed.is_empty() { 0 } else { part.triangles.len() }];
         let reach = self.bounds.shape * (1.0 + 1e-9);
-        let [low, high] = box_around(corners, reach);
-        let places = corners.map(|c| position(&c));
-        surface.triangles_meeting(&low, &high, |t| {
-            let t = triangles[t as usize] as usize;
-            let [a, b, c] = self.original.triangles[t].map(|v| position(&self.original.points[v as usize]));
-            let centre = [0, 1, 2].map(|i| (a[i] + b[i] + c[i]) / 3.0);
-            let radius2 = [a, b, c].iter().map(|p| norm2(&sub(p, &centre))).fold(0.0, f64::max);
-            let far = (1.0 + 1e-9) * (reach.min(self.reach[t].into()) + radius2.sqrt());
-            near[t] |= triangle_distance2(&centre, places.each_ref()) <= far * far;
-        });
+        for known in changed {
+            let [low, high] = box_around(&known.corners, reach);
+            let places = known.corners.map(|c| position(&c));
+            part.surface.triangles_meeting(&low, &high, |place| {
+                let t = part.triangles[place as usize] as usize;
+                let [a, b, c] =
+                    self.original.triangles[t].map(|v| position(&self.original.points[v as usize]));
+                let centre = [0, 1, 2].map(|i| (a[i] + b[i] + c[i]) / 3.0);
+                let radius2 = [a, b, c].iter().map(|p| norm2(&sub(p, &centre))).fold(0.0, f64::max);
+                let far = (1.0 + 1e-9) * (reach.min(self.reach[t].into()) + radius2.sqrt());
+                near[place as usize] |= triangle_distance2(&centre, places.each_ref()) <= far * far;
+            });
+        }
+        near
     }
 
     /// Find out which of the triangles without a proof can have none: their bounds do not hold between the input

@@ -171,11 +171,12 @@ impl<'a, const D: usize> Retreat<'a, D> {
             next.triangles.push(corners);
             next.triangle_source.push(source);
         }
-        next.vertex_source = next.triangles.iter().flatten().copied().collect();
-        next.vertex_source.sort_unstable();
-        next.vertex_source.dedup();
-        let mut number = vec![0; self.original.points.len()];
-        next.vertex_source.iter().zip(0..).for_each(|(&v, i)| number[v as usize] = i);
+        let mut number = vec![0u32; self.original.points.len()];
+        next.triangles.iter().flatten().for_each(|&v| number[v as usize] = 1);
+        for (v, number) in (0..).zip(&mut number).filter(|(_, number)| **number == 1) {
+            *number = next.vertex_source.len() as u32;
+            next.vertex_source.push(v);
+        }
         next.triangles.iter_mut().flatten().for_each(|v| *v = number[*v as usize]);
         next.points = next.vertex_source.iter().map(|&v| self.history.point(v)).collect();
         if !locked.is_empty() {

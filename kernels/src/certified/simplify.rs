@@ -40,6 +40,9 @@ const END: usize = 20;
 /// After so many times as many passes there is no patience with any place.
 const IMPATIENCE: usize = 4;
 
+/// A round that collapses a smaller share of the triangles is followed by a proof.
+const LEAST_ROUND: f64 = 1.0 / 2000.0;
+
 /// Colours are stored in whole levels. Closer bounds would ask for more than that, and proofs of them for too much.
 const LEAST_COLOR: f64 = 0.5;
 
@@ -57,6 +60,8 @@ pub struct Options {
     /// Whether to bound each triangle as closely as `proof` says, and not only by the bounds that were asked for; without a
     /// bound on colours, by the greatest difference of any.
     pub close: bool,
+    /// Whether the end is that no edge may collapse, and not that next to none does.
+    pub to_the_end: bool,
     /// What samples may use of a bound, so that the points between them have some left.
     pub share: f64,
     pub rules: Rules,
@@ -70,6 +75,7 @@ impl Options {
             importance: vec![],
             proof: certify::Options::default(),
             close: true,
+            to_the_end: true,
             share: SHARE,
             rules: Rules::default(),
         }
@@ -199,9 +205,11 @@ pub fn go_on<'a, const D: usize, const K: usize>(
     let mut limits = limits_of(options, bounds, least, original.points.len());
     let decision =
         certify::Options { limit: Some(bounds), threads: goal.threads, effort: EFFORT, ..options.proof };
-    let goal = Goal { record: true, ..*goal };
+    let goal = Goal { least: LEAST_ROUND, record: true, ..*goal };
     let to_go = original.triangles.len().saturating_sub(goal.triangles) as u64;
     let mut passes: Vec<Pass> = vec![];
+    // Single edges are tried when the rest is proven.
+    let mut to_the_end = false;
     let mut attempts = 0;
     let mut lost = Lost { failures: vec![0; original.points.len()], locked };
     let mut ledger = None;
@@ -213,6 +221,7 @@ pub fn go_on<'a, const D: usize, const K: usize>(
             TrackedRecords::<D, K>::new(original, &limits, options.weight, importance, lists, options.rules);
         // What was taken back is to go once more, and proofs are counted in other units.
         let gone = original.triangles.len() - mesh.triangles.len();
+        let goal = Goal { least: if to_the_end { 0.0 } else { goal.least }, ..goal };
         let outcome = collapse(mesh, records, &goal, &mut progress.part(gone as u64, to_go))?;
         let proving = &mut progress.silent();
         let (mesh, lists) = (outcome.mesh, outcome.records.lists);
@@ -229,11 +238,17 @@ pub fn go_on<'a, const D: usize, const K: usize>(
         let open = known.open();
         let settled = open.is_empty() && (proven || passes.len() >= HOPE && news == 0);
         state = State { mesh, lists, history };
-        if settled || outcome.stop == Stop::Enough || state.history.is_settled() {
+        let is_rest_left = options.to_the_end && outcome.stop == Stop::Few;
+        let settled = settled || state.history.is_settled();
+        if (settled && !is_rest_left) || outcome.stop == Stop::Enough {
             return Ok(Reached { state, ledger: known, proven, stop: outcome.stop, passes });
         }
         progress.check()?;
-        state = state.step_back(original, &mut known, &open, &mut limits, &mut lost, passes.len());
+        if settled {
+            to_the_end = true;
+        } else {
+            state = state.step_back(original, &mut known, &open, &mut limits, &mut lost, passes.len());
+        }
         ledger = Some(known);
     }
 }

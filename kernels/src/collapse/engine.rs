@@ -119,6 +119,8 @@ pub enum Stop {
     Exhausted,
     /// As far as was asked: few enough triangles, enough collapses, or the priority reached.
     Target,
+    /// Next to none did, as was asked for.
+    Few,
     /// The caller was content with what there is.
     Enough,
 }

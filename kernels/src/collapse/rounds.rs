@@ -37,6 +37,9 @@ pub struct Goal {
     pub threads: usize,
     /// Triangles of a region. The result depends on it.
     pub region: usize,
+    /// A round that collapses fewer edges, as a share of the triangles, is the last; 0 to go on until none may. What is left
+    /// then are single edges that lay on a rim each time, and a round costs what it costs for any number of them.
+    pub least: f64,
     /// Record where the survivor of each collapse went.
     pub record: bool,
 }
@@ -91,6 +94,9 @@ pub fn collapse<const D: usize, R: Records<D>>(
         // The end: every edge waits on a refusal.
         if is_unlimited && (is_one || !rounds.has_open_edges()) {
             break Stop::Exhausted;
+        }
+        if is_unlimited && (collapsed as f64) < goal.least * rounds.mesh.triangles.len() as f64 {
+            break Stop::Few;
         }
         rounds.idle = if collapsed == 0 && is_unlimited { rounds.idle + 1 } else { 0 };
     };

@@ -12,8 +12,8 @@
 //! Every level goes on with the samples of the input that the last one had, and is proven against the input itself: bounds
 //! are never added up.
 
-use super::cluster::{Cell, Joint, cluster, contracted, joined, smoothed};
-use super::dual;
+use super::cells::of_triangles;
+use super::cluster::{Cell, Joint, cluster, contracted, joined};
 use super::forest::{Forest, Level, grown};
 use crate::base::errors::KernelError;
 use crate::base::geometry::{around, diagonal, position};
@@ -106,7 +106,7 @@ pub fn build<const D: usize, const K: usize>(
     // What is no manifold is refused before the work on it.
     Connectivity::from_triangles_on(parallel::threads(goal.threads), whole.points.len(), &whole.triangles)?;
     let original = Original::new(whole.points, whole.triangles);
-    let mut cells = Cells::of(&original, options.most);
+    let mut cells = Cells::of(&original, options.most, parallel::threads(goal.threads));
     progress.check()?;
     let mut state = State::of_input(&original, true)?;
     let mut nodes: Vec<Node> = vec![];
@@ -119,7 +119,8 @@ pub fn build<const D: usize, const K: usize>(
         let first = state.history.settle();
         let before = cells.counts(&state);
         let asked = Deviation { shape: bound, ..options.simplify.bounds };
-        let asked = simplify::Options { bounds: asked, ..options.simplify.clone() };
+        // The next level goes on where this one ends.
+        let asked = simplify::Options { bounds: asked, to_the_end: false, ..options.simplify.clone() };
         let locked = cells.borders(&original, &options.locked);
         let part: Vec<u32> = cells.of.iter().map(|&cell| cells.group[cell as usize]).collect();
         let apart = Apart { part: &part, close: &options.close };
@@ -193,16 +194,8 @@ fn renumber(nodes: &mut Vec<Node>, levels: &mut [Level]) {
 }
 
 impl Cells {
-    fn of<const D: usize>(original: &Original<D>, most: u32) -> Self {
-        let Original { points, triangles, .. } = original;
-        let mut joints = dual::shared_sides(points, triangles);
-        let sides = joints.len();
-        joints.extend(dual::links(points, triangles, &joints));
-        let cells = dual::cells(points, triangles);
-        let of = cluster(cells.clone(), &joints, most);
-        let of = smoothed(of, &joints[..sides], most);
-        let cells = joined(&cells, &joints, &of);
-        let joints = contracted(&joints, &of);
+    fn of<const D: usize>(original: &Original<D>, most: u32, threads: usize) -> Self {
+        let (of, cells, joints) = of_triangles(original, most, threads);
         let group = (0..cells.len() as u32).collect();
         Self { of, cells, joints, group }
     }

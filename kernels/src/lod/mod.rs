@@ -7,11 +7,13 @@
 //! | --- | --- |
 //! | [`dual`] | which triangles are neighbours, and how islands hang together |
 //! | [`cluster`] | neighbours joined to cells, and cells to larger ones |
+//! | [`cells`] | the first cells, from small clusters made block by block |
 //! | [`ladder`] | the levels: simplify within a bound, the cells' borders locked; prove; join cells; go on |
 //! | [`forest`] | collapses as splits of vertices, in an order in which any prefix is a mesh |
 //! | [`assemble`] | the mesh of a front of the tree |
 
 pub mod assemble;
+pub mod cells;
 pub mod cluster;
 pub mod dual;
 pub mod forest;

@@ -44,6 +44,7 @@ impl Running {
             triangles: self.target_triangles,
             threads: threads(self.threads),
             region: self.region_triangles.max(1),
+            least: 0.0,
             record: self.record,
         }
     }
@@ -71,7 +72,7 @@ pub struct Simplified {
 /// Why a run ended, in the words Python knows.
 pub fn stopped_by(stop: Stop) -> &'static str {
     match stop {
-        Stop::Exhausted => "bounds",
+        Stop::Exhausted | Stop::Few => "bounds",
         Stop::Target => "triangles",
         Stop::Enough => "request",
     }

@@ -186,7 +186,7 @@ impl<const D: usize> Sample<D> {
     ) -> Result<Option<f64>, KernelError> {
         let whole = Whole::<D, _>::new(self.points.clone(), self.triangles.clone(), vec![])?;
         let records = QemRecords::<K> { weight, importance: vec![] };
-        let goal = Goal { triangles: left, threads, region: REGION_TRIANGLES, record: false };
+        let goal = Goal { triangles: left, threads, region: REGION_TRIANGLES, least: 0.0, record: false };
         let mesh = match collapse(whole, records, &goal, progress) {
             Ok(outcome) => outcome.mesh,
             Err(error) if error.is_given_up() => return Err(error),

@@ -17,7 +17,7 @@ type Left = (u32, [u32; 3], [[f64; 4]; 3]);
 fn simplified(points: &[[f64; 4]], triangles: &Triangles) -> (Vec<Left>, Vec<Log<4>>) {
     let whole = Whole::<4, ()>::new(points.to_vec(), triangles.clone(), vec![]).unwrap();
     let records = QemRecords::<1> { weight: 0.01, importance: vec![] };
-    let goal = Goal { triangles: triangles.len() / 10, threads: 2, region: 60, record: true };
+    let goal = Goal { triangles: triangles.len() / 10, threads: 2, region: 60, least: 0.0, record: true };
     let control = Control::default();
     let outcome = collapse(whole, records, &goal, &mut Progress::new(&control)).unwrap();
     let mesh = outcome.mesh;

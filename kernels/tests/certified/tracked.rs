@@ -16,7 +16,7 @@ use scanloom_kernels::collapse::whole::Whole;
 use scanloom_kernels::mesh::connectivity::Connectivity;
 
 fn goal(threads: usize, region: usize) -> Goal {
-    Goal { triangles: 0, threads, region, record: false }
+    Goal { triangles: 0, threads, region, least: 0.0, record: false }
 }
 
 /// A torus dense enough to lose most of its triangles, shaken a little, with colours that turn smoothly.

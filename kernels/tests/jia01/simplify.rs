@@ -18,7 +18,7 @@ const OPTIONS: Options = Options {
     triangle_limit: 1_000_000,
 };
 
-const GOAL: Goal = Goal { triangles: 0, threads: 1, region: REGION_TRIANGLES, record: false };
+const GOAL: Goal = Goal { triangles: 0, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: false };
 
 fn run<const D: usize>(
     points: Vec<[f64; D]>,

@@ -48,7 +48,8 @@ fn painted(w: u32, h: u32) -> Surface<2> {
 
 fn run(surface: Surface<2>, knobs: Knobs, target: usize) -> Outcome<2> {
     let control = Control::default();
-    let rounds = rounds::Goal { triangles: target, threads: 1, region: REGION_TRIANGLES, record: true };
+    let rounds =
+        rounds::Goal { triangles: target, threads: 1, region: REGION_TRIANGLES, least: 0.0, record: true };
     let goal = Goal { rounds, fit: true };
     simplify::<5, 2>(&surface, knobs, goal, &mut Progress::new(&control)).expect("a sound surface")
 }
@@ -83,7 +84,7 @@ fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
     let surface = painted(48, 32);
     for region in [40, 150, 700] {
         let [one, three] = [1, 3].map(|threads| {
-            let rounds = rounds::Goal { triangles: 400, threads, region, record: true };
+            let rounds = rounds::Goal { triangles: 400, threads, region, least: 0.0, record: true };
             let control = Control::default();
             let goal = Goal { rounds, fit: false };
             simplify::<5, 2>(&surface, KNOBS, goal, &mut Progress::new(&control)).expect("a sound surface")

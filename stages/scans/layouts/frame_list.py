@@ -24,7 +24,7 @@ from stages.files import documents
 from stages.files.images import read_raw_depth
 from stages.files.noting import only_looking
 from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import matrix_of, rigid
+from stages.scans.poses import divided, matrix_of, rigid
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, inside, numbers
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -231,7 +231,7 @@ def _pose(entry: dict[str, Any], number: int, path: Path) -> Pose | None:
     held = _info(entry)["rt_cam"]
     matrix = held.get("matrix") if isinstance(held, dict) else held
     where = f"frame {number}: rt_cam"
-    return rigid(matrix_of(matrix, path, where), path, where)
+    return rigid(divided(matrix_of(matrix, path, where)), path, where)
 
 
 LAYOUT = Layout(

@@ -21,7 +21,7 @@ from stages.files import documents
 from stages.files.images import has_alpha, read_alpha
 from stages.files.telling import tell
 from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import from_opengl, inverted, matrix_of, rigid
+from stages.scans.poses import divided, from_opengl, inverted, matrix_of, rigid
 from stages.scans.reading.files import IMAGES, common_size, numbers
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moved import found_file, found_images
@@ -355,7 +355,7 @@ def _poses(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Pa
     for entry in entries:
         where = f"frame {_name(entry)}"
         matrix = matrix_of(entry.get("transform_matrix"), path, f"{where}: transform_matrix")
-        pose = rigid(matrix, path, where)
+        pose = rigid(divided(matrix), path, where)
         if pose is not None:
             pose[:3, 3] /= scale
             pose = from_opengl(original @ pose)

@@ -24,7 +24,7 @@ from stages.simplification.task import Task
 from stages.surface.color import has_color
 from stages.surface.mesh import Mesh
 
-RESULT_VERSION = 6
+RESULT_VERSION = 7
 
 # Triangles worked on at a time.
 REGION_TRIANGLES = 8192

@@ -110,8 +110,9 @@ fn a_triangle_s_reach_is_no_less_than_the_way_to_the_mesh() {
         for _ in 0..40 {
             let at = original.points[(chance(&mut state) * original.points.len() as f64) as usize];
             let corners = [0; 3].map(|_| at.map(|x| x + 0.8 * (chance(&mut state) - 0.5)));
-            let mut near = vec![false; original.triangles.len()];
-            ledger.mark_within_reach(&Known { source: 0, corners, verdict: Verdict::UNKNOWN }, &mut near);
+            let known = Known { source: 0, corners, verdict: Verdict::UNKNOWN };
+            let near = ledger.within_reach_of(&ledger.parts[0], &[&known]);
+            assert_eq!(near.len(), original.triangles.len());
             let new = corners.each_ref().map(position);
             for (t, (is_near, reach)) in original.triangles.iter().zip(near.iter().zip(&ledger.reach)) {
                 let reach = f64::from(*reach).min(0.35);

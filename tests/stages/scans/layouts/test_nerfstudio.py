@@ -86,6 +86,22 @@ def test_the_applied_transform_and_scale_are_undone(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
+@pytest.mark.parametrize("factor", [0.00118428, 250.0])
+def test_a_pose_multiplied_as_a_whole_is_the_same(scan_folder, tiny, factor):
+    poses = [factor * tiny.opengl(pose) for pose in (tiny.identity, tiny.second)]
+    write(scan_folder, document(tiny, poses))
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+@pytest.mark.parametrize("last", [[0, 0, 0, 2], [0, 0, 0, -1], [0, 0.5, 0, 1], [0, 0, 0, 0]])
+def test_a_last_row_that_no_division_makes_right_is_refused(scan_folder, tiny, last):
+    poses = [tiny.opengl(pose) for pose in (tiny.identity, tiny.second)]
+    poses[1][3] = last
+    write(scan_folder, document(tiny, poses))
+    with pytest.raises(InputError, match="frame 10: the last row of the pose is"):
+        read_scan(scan_folder)
+
+
 def test_a_camera_for_each_frame(scan_folder, tiny):
     content = document(tiny)
     camera = {key: content.pop(key) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")}

@@ -1,0 +1,118 @@
+//! The cells that a hierarchy begins with: clusters of the input's triangles.
+//!
+//! All triangles in one queue would take most of the time of a level: first small clusters are made, block by block on any
+//! thread, and these are joined to cells all over the mesh. Blocks are compact, and borders between small clusters are what
+//! cells' borders are chosen from, so that few of those run along a block's.
+
+use super::cluster::{Cell, Joint, cluster, contracted, joined, smoothed};
+use super::dual;
+use crate::base::parallel::map;
+use crate::certified::original::Original;
+use crate::collapse::partition::Partition;
+
+/// Triangles of a block: few enough for the caches.
+const BLOCK: usize = 4096;
+
+/// Triangles of a small cluster, at most; and so many of them in a full cell, at least.
+const SMALL: u32 = 32;
+const IN_A_CELL: u32 = 256;
+
+/// No triangle.
+const NONE: u32 = u32::MAX;
+
+/// Cells of at most `most` triangles: the cell of each triangle, the cells, and which lie side by side. They are the same for
+/// any number of threads.
+pub fn of_triangles<const D: usize>(
+    original: &Original<D>,
+    most: u32,
+    threads: usize,
+) -> (Vec<u32>, Vec<Cell>, Vec<Joint>) {
+    let Original { points, triangles, .. } = original;
+    let mut joints = dual::shared_sides(points, triangles);
+    let sides = joints.len();
+    joints.extend(dual::links(points, triangles, &joints));
+    let single = dual::cells(points, triangles);
+    let small = SMALL.min(most / IN_A_CELL);
+    let of = if small > 1 {
+        let blocks = Partition::new(points, triangles, triangles.len().div_ceil(BLOCK), 0, threads);
+        let small = in_blocks(&single, &joints, small, &blocks, threads);
+        let clusters = joined(&single, &joints, &small);
+        let group = cluster(clusters, &contracted(&joints, &small), most);
+        small.iter().map(|&cluster| group[cluster as usize]).collect()
+    } else {
+        cluster(single.clone(), &joints, most)
+    };
+    let of = smoothed(of, &joints[..sides], most);
+    let (cells, joints) = (joined(&single, &joints, &of), contracted(&joints, &of));
+    (of, cells, joints)
+}
+
+/// Clusters that end at the borders of blocks; the number of each triangle's.
+fn in_blocks(cells: &[Cell], joints: &[Joint], most: u32, blocks: &Partition, threads: usize) -> Vec<u32> {
+    // By triangle: its block, and its place there.
+    let mut place = vec![[NONE; 2]; cells.len()];
+    for block in 0..blocks.len() {
+        (0..).zip(blocks.region(block)).for_each(|(i, &t)| place[t as usize] = [block as u32, i]);
+    }
+    let mut inside: Vec<Vec<Joint>> = vec![vec![]; blocks.len()];
+    for joint in joints {
+        let [[block, a], [other, b]] = joint.between.map(|t| place[t as usize]);
+        if block == other {
+            inside[block as usize].push(Joint { between: [a, b], ..*joint });
+        }
+    }
+    let one = |(): &mut (), block: usize| {
+        let own = blocks.region(block).iter().map(|&t| cells[t as usize]).collect();
+        cluster(own, &inside[block], most)
+    };
+    let groups = map(blocks.len(), threads, || (), one);
+    let mut of = vec![NONE; cells.len()];
+    let mut first = 0;
+    for (block, groups) in groups.iter().enumerate() {
+        blocks.region(block).iter().zip(groups).for_each(|(&t, group)| of[t as usize] = first + group);
+        first += groups.iter().max().map_or(0, |last| last + 1);
+    }
+    of
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Hills of 2 · n² triangles.
+    fn hills(n: u32) -> Original<3> {
+        let place = |i: u32| {
+            let [x, y] = [i % (n + 1), i / (n + 1)].map(f64::from);
+            [x, y, 6.0 * (0.11 * x).sin() * (0.07 * y).cos()]
+        };
+        let points = (0..(n + 1) * (n + 1)).map(place).collect();
+        let corner = |i: u32| i / n * (n + 1) + i % n;
+        let both = |c: u32| [[c, c + 1, c + n + 2], [c, c + n + 2, c + n + 1]];
+        Original::new(points, (0..n * n).flat_map(|i| both(corner(i))).collect())
+    }
+
+    #[test]
+    fn cells_in_blocks_have_borders_as_short_as_those_of_one_queue() {
+        let original = hills(100);
+        let Original { points, triangles, .. } = &original;
+        let joints = dual::shared_sides(points, triangles);
+        let border = |of: &[u32]| {
+            let differ = |joint: &&Joint| of[joint.between[0] as usize] != of[joint.between[1] as usize];
+            joints.iter().filter(differ).map(|joint| joint.length).sum::<f64>()
+        };
+        for most in [20, 600, 3000] {
+            let (of, cells, beside) = of_triangles(&original, most, 1);
+            let one_queue = smoothed(cluster(dual::cells(points, triangles), &joints, most), &joints, most);
+            let mut counts = vec![0; cells.len()];
+            of.iter().for_each(|&cell| counts[cell as usize] += 1);
+            assert!(cells.iter().zip(&counts).all(|(cell, &count)| cell.count == count && count <= most));
+            assert!(counts.iter().all(|&count| count > 0));
+            let between: f64 = beside.iter().map(|joint| joint.length).sum();
+            assert!((between - border(&of)).abs() < 1e-9 * between, "{between}");
+            let ratio = border(&of) / border(&one_queue);
+            assert!(ratio < 1.1, "{most}: {ratio}");
+            let several = of_triangles(&original, most, 3);
+            assert_eq!(several.0, of);
+        }
+    }
+}
