@@ -21,7 +21,15 @@ _NAME = re.compile(r"frame-(\d+)\.depth\.png")
 _DEFAULT = (585.0, 585.0, 320.0, 240.0)
 # BundleFusion's own, and what ScanNet's tool writes of a .sens file.
 _INFOS = ("info.txt", "_info.txt")
-_INTRINSICS = ("camera-intrinsics.txt", "intrinsics.K.txt", "intrinsics.txt", "camera_intrinsics.txt")
+# Of two cameras, that of depth; where files name that of colour alone, depth has been brought to it.
+_INTRINSICS = (
+    "camera-intrinsics.txt",
+    "camera-intrinsics.depth.txt",
+    "camera-intrinsics.color.txt",
+    "intrinsics.K.txt",
+    "intrinsics.txt",
+    "camera_intrinsics.txt",
+)
 
 
 def _matches(folder: Path) -> str | None:

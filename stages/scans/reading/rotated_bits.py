@@ -21,6 +21,8 @@ from stages.scans.scan import Packed, Scan
 
 _LOOKED_AT = 2
 _MILLIMETRES = 1000.0
+# The unit of the APC toolbox. Who states it means the values turned back: hardly any sensor has steps of eight of them.
+_TENTHS_OF_MILLIMETRES = 10000.0
 # Fewer pixels, or fewer values, are no depth map that says how it is stored.
 _LEAST_PIXELS = 1000
 _LEAST_VALUES = 64
@@ -69,7 +71,8 @@ def with_bits_turned_back(scan: Scan, *, is_scale_stated: bool) -> Scan:
     """Return the scan with its depth maps turned back, and a warning, where their bits are rotated."""
     files = [frame.depth for frame in scan.frames if isinstance(frame.depth, Path)]
     # Rotated values are millimetres or tenths of them: of other units somebody said what they are.
-    is_scale_stated = is_scale_stated or any(frame.depth_scale != _MILLIMETRES for frame in scan.frames)
+    usual = {_TENTHS_OF_MILLIMETRES} if is_scale_stated else {_MILLIMETRES}
+    is_scale_stated = any(frame.depth_scale not in usual for frame in scan.frames)
     if not files or not are_rotated(files, is_scale_stated=is_scale_stated):
         return scan
     frames = [
@@ -78,10 +81,11 @@ def with_bits_turned_back(scan: Scan, *, is_scale_stated: bool) -> Scan:
         else frame
         for frame in scan.frames
     ]
+    is_millimetres = frames[0].depth_scale == _MILLIMETRES
+    hint = "; set scan.depth_scale=10000 where they are tenths of millimetres" if is_millimetres else ""
     said = (
         "the bits of the depth maps are rotated by three, as SUN3D stores them: they are turned back, and "
-        f"{frames[0].depth_scale:g} units are then a metre; set scan.depth_scale=10000 where they are tenths "
-        "of millimetres"
+        f"{frames[0].depth_scale:g} units are then a metre{hint}"
     )
     return replace(scan, frames=frames, warnings=(*scan.warnings, said))
 

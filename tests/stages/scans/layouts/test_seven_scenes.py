@@ -55,6 +55,17 @@ def test_intrinsics_of_the_whole_scene_are_found(scan_folder, tmp_path):
     assert read_scan(sequence).frames[0].camera.fx == 100
 
 
+@pytest.mark.parametrize(("kinds", "focal"), [(("color",), 100.0), (("color", "depth"), 90.0)])
+def test_intrinsics_named_by_the_camera_they_are_of(scan_folder, kinds, focal):
+    (scan_folder / "camera-intrinsics.txt").unlink()
+    for kind in kinds:
+        f = {"color": 100, "depth": 90}[kind]
+        (scan_folder / f"camera-intrinsics.{kind}.txt").write_text(f"{f} 0 16\n0 {f} 12\n0 0 1\n")
+    scan = read_scan(scan_folder)
+    assert scan.frames[0].camera.fx == focal
+    assert scan.warnings == ()
+
+
 def test_stated_intrinsics_and_scale_win(scan_folder):
     scan = read_scan(scan_folder, ScanParams(intrinsics="50, 60, 15, 11", depth_scale=2000))
     camera = scan.frames[0].camera
