@@ -21,7 +21,7 @@ from stages.scans.scan import Packed, Scan
 
 _LOOKED_AT = 2
 _MILLIMETRES = 1000.0
-# The unit of the APC toolbox. Who states it means the values turned back: hardly any sensor has steps of eight of them.
+# The unit of the APC toolbox. Who states it means the values turned back: hardly a sensor has steps of eight.
 _TENTHS_OF_MILLIMETRES = 10000.0
 # Fewer pixels, or fewer values, are no depth map that says how it is stored.
 _LEAST_PIXELS = 1000
