@@ -19,7 +19,7 @@ from stages.files import documents
 from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
-from stages.scans.formats import named_text, orb_slam, realsense, ros_text
+from stages.scans.formats import azure_kinect, named_text, orb_slam, realsense, ros_text
 from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size, with_rows_first
 from stages.scans.formats.lens_names import distortion_in
@@ -53,8 +53,9 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
 
     A 3x3 (or 4x4) matrix as text or .npy, or text of names and numbers; or JSON, TOML or YAML with `fx fy cx
     cy`, or `camera_matrix`, `K` or `intrinsic_matrix` (which Open3D stores column-major), and `distortion`;
-    Kalibr's camchain of one camera; ORB-SLAM's settings, and RealSense's. Of several the one for this size is
-    taken, or that of colour; a camera for another size of the same shape is scaled. Both are told.
+    Kalibr's camchain of one camera; ORB-SLAM's settings, RealSense's and Azure Kinect's. Of several the one
+    for this size is taken, or that of colour; a camera for another size of the same shape is scaled. Both are
+    told.
     """
     document = document_of(path)
     if document is None:
@@ -132,6 +133,8 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     InputError
         If something is missing, a number cannot be right, or the table is for images of another shape.
     """
+    if azure_kinect.is_one(values):
+        values = azure_kinect.as_table(values, width, height, path)
     chain = [key for key in values if re.fullmatch(r"cam\d+", str(key))]
     if len(chain) == 1:
         return kalibr_camera(values, chain[0], width, height, path)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stages.errors import InputError
-from stages.scans.formats import calibration, trajectories
+from stages.scans.formats import azure_kinect, calibration, trajectories
 from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.confidence_folder import confidence_of
 from stages.scans.reading.depth_pictures import without_pictures
@@ -83,7 +83,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     else:
         missing = ("poses: trajectory.log (or .json) is missing; name a trajectory with scan.poses=FILE",)
-    camera, scale, warnings = _camera(folder, options, [depth for depth, _ in pairs])
+    camera, stated, scale, warnings = _camera(folder, options, [depth for depth, _ in pairs])
+    color_camera, apart = _color_camera(stated, camera, [image for _, image in pairs])
     trusts, least, about_trust = confidence_of(folder, [depth for depth, _ in pairs], options)
     frames = [
         Frame(
@@ -95,6 +96,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             world_from_camera=pose,
             confidence=trusts.get(depth),
             least_confidence=least,
+            color_camera=color_camera,
+            color_from_depth=apart,
         )
         for (depth, image), pose in zip(pairs, poses, strict=True)
     ]
@@ -115,8 +118,10 @@ def _trajectory(folder: Path) -> Path | None:
     return None
 
 
-def _camera(folder: Path, options: ReadingParams, depths: Sequence[Path]) -> tuple[Camera, float, list[str]]:
-    """Return the camera, the depth scale and what is to be said about them."""
+def _camera(
+    folder: Path, options: ReadingParams, depths: Sequence[Path]
+) -> tuple[Camera, Path | None, float, list[str]]:
+    """Return the camera, the file it is from, the depth scale and what is to be said about them."""
     width, height = common_size(depths)
     # Open3D's own examples keep one camera file beside several scans.
     path = options.file("calibration", folder) or first_existing(
@@ -141,7 +146,17 @@ def _camera(folder: Path, options: ReadingParams, depths: Sequence[Path]) -> tup
                 f"where it is in millimetres set scan.depth_scale={_UNITS_PER_METRE:g}"
             )
             warnings = [*warnings, said]
-    return camera, scale, warnings
+    return camera, path, scale, warnings
+
+
+def _color_camera(
+    path: Path | None, camera: Camera, colors: Sequence[Path]
+) -> tuple[Camera | None, Pose | None]:
+    """Return the colour camera, and how it stands to that of depth, where the file states both."""
+    apart = None if path is None else azure_kinect.color_from_depth(path, camera)
+    if path is None or apart is None:
+        return None, None
+    return calibration.read_camera(path, *common_size(colors)), apart
 
 
 LAYOUT = Layout(
