@@ -26,6 +26,8 @@ _TRAJECTORIES = (".txt", ".log", ".tum", ".traj", ".csv", ".freiburg", ".json", 
 _MOST_TRAJECTORY_BYTES = 1 << 24
 # A single pose may be any matrix.
 _LEAST_POSES = 2
+# Texts of programs, whatever words stand in them.
+_OF_PROGRAMS = ("CMakeLists.txt", "requirements.txt", "package.json", "package-lock.json")
 # What stands in files of cameras, whoever wrote them.
 _OF_CAMERAS = re.compile(r"intrinsic|camera_?matrix|\bf[xy]\b|focal|\bK[12]?\b", re.IGNORECASE)
 _OFF_CENTRE = "its principal point is far from the middle of these images."
@@ -43,7 +45,10 @@ def small_documents(folder: Path, most: int = _MAX_BYTES) -> list[Path]:
     found = sorted(
         path
         for path in folder.iterdir()
-        if path.suffix.lower() in _SUFFIXES and path.is_file() and path.stat().st_size <= most
+        if path.suffix.lower() in _SUFFIXES
+        and path.name not in _OF_PROGRAMS
+        and path.is_file()
+        and path.stat().st_size <= most
     )
     if len(found) > _MOST_FILES:
         # Many texts are poses, one a frame.

@@ -267,6 +267,15 @@ def test_a_camera_beside_that_is_not_taken_is_told(scan_folder, text, reason):
     assert reason in said
 
 
+@pytest.mark.parametrize("name", ["CMakeLists.txt", "requirements.txt"])
+def test_texts_of_programs_state_no_camera(scan_folder, name):
+    (scan_folder / "intrinsic.json").unlink()
+    (scan_folder / name).write_text("# Focal + PCL 1.10\nif(PCL_VERSION VERSION_EQUAL 1.10)\n")
+    said = " ".join(read_scan(scan_folder, complete=False).warnings)
+    assert "has no intrinsics" in said
+    assert name not in said
+
+
 @pytest.mark.parametrize(("levels", "least"), [((0, 50, 100), 50), ((0, 1, 2), 1)])
 def test_confidence_beside_depth_leaves_out_the_lowest(scan_folder, levels, least):
     names = [path.name for path in sorted((scan_folder / "depth").iterdir())]
