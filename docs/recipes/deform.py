@@ -113,7 +113,7 @@ def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deforme
     """Mark, refine, deform, evaluate, adjust, deform and repair."""
     hierarchy = lod.build(mesh, cell_triangles=cell_triangles, root_triangles=cell_triangles // 4)
     view = view_of(mesh)
-    front = lod.adjust(hierarchy.front(), urgency(hierarchy, view, handle.region), LIMIT)
+    front = lod.adjust(hierarchy.front(), urgency(hierarchy, view, handle.region, in_full=True), LIMIT)
     before = front.cut().mesh
     deformed = as_rigid_as_possible(before, handle)
 
@@ -136,11 +136,20 @@ def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deforme
     )
 
 
-def urgency(hierarchy: lod.Hierarchy, view: lod.View, region: Region) -> measures.Weights:
-    """Return the paper's measures for a region; of the view its error counts, and not the outline."""
+def urgency(
+    hierarchy: lod.Hierarchy, view: lod.View, region: Region, *, in_full: bool = False
+) -> measures.Weights:
+    """Return the paper's measures for a region; of the view its error counts, and not the outline.
+
+    Parameters
+    ----------
+    in_full : a cell of which only a little is in the region is as urgent as one that is all of it, so that
+        nothing of the region stays coarse.
+    """
     found = lod.evaluate(hierarchy, view, region)
     nothing = np.zeros(hierarchy.nodes)
-    local = measures.local_measure(found.frustum, nothing, found.error_px, found.marked)
+    marked = np.ceil(found.marked) if in_full else found.marked
+    local = measures.local_measure(found.frustum, nothing, found.error_px, marked)
     for node in range(hierarchy.nodes - 1, 0, -1):
         local[hierarchy.parent[node]] = max(local[hierarchy.parent[node]], local[node])
     return replace(found, local=local)
