@@ -48,7 +48,11 @@ FOLDERS = (
     "real/nerf_alpha_toy",
     "stereo/middlebury_templeRing",
 )
-WAYS = {"pairs": {"views": "pairs", "partners": 4}, "sweep": {"views": "sweep"}}
+WAYS = {
+    "pairs": {"views": "pairs", "partners": 4},
+    "sweep, without planes": {"on_planes": False},
+    "sweep": {"views": "sweep"},
+}
 WRONG, JUMP, SAME = 0.05, 0.1, 0.03
 
 

@@ -28,6 +28,7 @@ class Counts:
     matched : those of the others that were measured with some partner.
     kept : those of them that enough other views agree with.
     filled : those that no view measured, and that lie on the hull of the silhouettes.
+    planar : those that no view measured, and that lie on planes of what is measured around.
     outlined : pixels of views whose scene is told from the rest by a mask or a backdrop.
     """
 
@@ -37,6 +38,7 @@ class Counts:
     matched: int = 0
     kept: int = 0
     filled: int = 0
+    planar: int = 0
     outlined: int = 0
 
     def __add__(self, other: Counts) -> Counts:
@@ -48,6 +50,7 @@ class Counts:
             self.matched + other.matched,
             self.kept + other.kept,
             self.filled + other.filled,
+            self.planar + other.planar,
             self.outlined + other.outlined,
         )
 
@@ -70,7 +73,7 @@ def with_warning(
             yield from held
             held = []
         held.append((frame, result))
-    said = [one for one in (why_little(total, params), why_filled(total)) if one]
+    said = [one for one in (why_little(total, params), why_filled(total), why_planar(total)) if one]
     for frame, result in held:
         if said and isinstance(result, DepthMap):
             yield frame, replace(result, warnings=(*result.warnings, *said))
@@ -82,7 +85,8 @@ def why_little(counts: Counts, params: DepthParams) -> str | None:
     """Return what is to be said of a scan whose depth covers little, or None."""
     is_thing = counts.outlined > counts.all / 2
     least = _OF_A_THING if is_thing else _OF_AN_IMAGE
-    if not counts.shown or counts.kept >= least * counts.shown:
+    kept = counts.kept + counts.planar
+    if not counts.shown or kept >= least * counts.shown:
         return None
     what = "what the masks or the backdrop leave of the views" if is_thing else "the views' pixels"
     rest = counts.shown - counts.plain
@@ -97,13 +101,13 @@ def why_little(counts: Counts, params: DepthParams) -> str | None:
             "matched no other view surely (depth.min_confidence=1 and depth.uniqueness=0 ask less)",
         ),
         (
-            counts.matched - counts.kept,
+            counts.matched - kept,
             f"{unsure}is not seen alike by {params.agreeing_views} other views ({asks})",
         ),
     )
     shares = [(count / counts.shown, text) for count, text in steps]
     named = ", ".join(f"{share:.0%} {text}" for share, text in sorted(shares, reverse=True) if share >= _MUCH)
-    return f"depth covers only {counts.kept / counts.shown:.0%} of {what}: {named}"
+    return f"depth covers only {kept / counts.shown:.0%} of {what}: {named}"
 
 
 def why_filled(counts: Counts) -> str | None:
@@ -114,4 +118,15 @@ def why_filled(counts: Counts) -> str | None:
     return (
         f"{share:.0%} of the thing's depth was measured by no view, and is that of the hull of its "
         "silhouettes (depth.on_hull=false leaves it out; more views measure more)"
+    )
+
+
+def why_planar(counts: Counts) -> str | None:
+    """Return what is to be said of views much of whose depth is that of planes, or None."""
+    share = counts.planar / max(counts.kept + counts.planar, 1)
+    if share < _MUCH:
+        return None
+    return (
+        f"{share:.0%} of the depth was measured by no view, and is that of planes on which measured depth "
+        "around it lies (depth.on_planes=false leaves it out)"
     )

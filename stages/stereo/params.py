@@ -233,6 +233,11 @@ class DepthParams:
         "depth of the hull of the silhouettes, as far behind it as measured depth around is, and is marked. "
         "Else the thing has holes there",
     )
+    on_planes: bool = param(
+        True,
+        "Single views of a scene, swept: places without texture between measured depth get the depth of the "
+        "plane that this lies on, where other views say the same, and are marked. Else they are left open",
+    )
     max_side: int = param(
         1600,
         "Single views: larger images are made smaller, to this longer side, with a warning",
@@ -342,6 +347,7 @@ class DepthKeywords(TypedDict, total=False):
     agreement: float | None
     backdrop: float
     on_hull: bool
+    on_planes: bool
     max_side: int
     max_pose_error: float
     turn_back: bool

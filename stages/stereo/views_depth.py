@@ -32,6 +32,7 @@ from stages.stereo.matching import SearchRange
 from stages.stereo.nearer_poses import nearer_poses
 from stages.stereo.params import OF_PAIRS, SWEEP, DepthKeywords, DepthParams
 from stages.stereo.partners import partners
+from stages.stereo.plane_fill import filled_on_planes
 from stages.stereo.posed_views import PosedView, posed_views
 from stages.stereo.recognised import Recognised, neighbours, recognised
 from stages.stereo.reduced import reduced
@@ -45,7 +46,7 @@ from stages.stereo.views_confidence import views_confidence
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 6
+RESULT_VERSION = 7
 
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0
@@ -79,7 +80,8 @@ def views_depth(
     Background matches anything, and gets no depth. Masks tell it, else a backdrop that all views have around
     the thing (see stages.stereo.background); in pairs also the want of texture. Where masks
     cut a thing out of all views, nothing is kept outside the hull of its silhouettes. What no view measured
-    of a thing lies on that hull (see stages.stereo.hull_fill). If depth covers little of what the views show,
+    of a thing lies on that hull (see stages.stereo.hull_fill); what no view measured of plain patches of
+    planes lies on these (see stages.stereo.plane_fill). If depth covers little of what the views show,
     or much of it was not measured, the last map has a warning that says so.
 
     Images larger than `max_side` are made smaller first, and those that are upside down against their poses
@@ -139,12 +141,14 @@ def _results(
     farthest = max(view.far for view in views)
     threads = params.threads or threads_to_use()
     fills = params.on_hull and bool(outline.hull)
-    turns = 3 if fills else 2
-    total = turns * len(views)
     of_pairs = network if network is not None and network.is_stereo else None
     sweeps = params.views == SWEEP and of_pairs is None
     if sweeps:
         params.require_default(OF_PAIRS, f"depth.views={SWEEP}")
+    # Things are seldom flat, and what masks leave of them lies on their hull.
+    on_planes = params.on_planes and sweeps and network is None and not outline.is_known
+    turns = 3 if fills or on_planes else 2
+    total = turns * len(views)
     least = params.min_confidence
     if least is None:
         least = _LEAST_OF_A_THING if outline.is_known else _LEAST
@@ -199,12 +203,14 @@ def _results(
 
         skipped: list[SkippedFrame] = []
         last_turn = read_ahead(check, range(len(views)), threads=threads, ahead=threads + 2)
+
+        def tell(done: int) -> None:
+            progress(len(views) + done, total)
+
         if fills:
-
-            def tell(done: int) -> None:
-                progress(len(views) + done, total)
-
             last_turn = filled_in(last_turn, scan, views, outline, params, Path(folder), tell)
+        elif on_planes:
+            last_turn = filled_on_planes(last_turn, scan, views, chosen, params, Path(folder), tell)
         for at, checked in enumerate(last_turn):
             if isinstance(checked, SkippedFrame):
                 skipped.append(checked)
@@ -212,7 +218,8 @@ def _results(
                 yield scan.frames[at], checked, counts.get(at, Counts())
             else:
                 if checked.filled is not None and network is None:
-                    counts[at] = replace(counts[at], filled=int(np.count_nonzero(checked.filled)))
+                    filled = int(np.count_nonzero(checked.filled))
+                    counts[at] = replace(counts[at], **{"planar" if on_planes else "filled": filled})
                 yield _measured_frame(scan.frames[at], views[at], checked), checked, counts[at]
             progress((turns - 1) * len(views) + at + 1, total)
 

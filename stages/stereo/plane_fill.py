@@ -1,0 +1,237 @@
+"""Where a view shows a plain patch of a plane: depth of the plane that measured depth around it lies on.
+
+What has no texture matches anything and is not measured, but floors, walls and tops of tables are flat. A
+patch of the photo without gradients is taken for one surface. Inverse depth of a plane is linear in the
+image's coordinates, so that a plane is three numbers, found by random samples (RANSAC, Fischler and
+Bolles, 1981) among sure depth at the patch's own pixels and at its rim. It tells depth only between what
+was measured, where it is well determined, and where the maps of other views say the same and none that
+looks there says otherwise. Similar planes guide PatchMatch in ACMP (Xu and Tao, "Planar prior assisted
+PatchMatch multi-view stereo", 2020), which asks for no such agreement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.errors import InputError
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
+from stages.scans.threads import threads_to_use
+from stages.stereo.by_network import FILLED
+from stages.stereo.depth_map import DepthMap
+from stages.stereo.kept_maps import KeptMaps
+from stages.stereo.params import DepthParams
+from stages.stereo.posed_views import PosedView
+from stages.stereo.view_images import color_of
+
+Mask = NDArray[np.bool_]
+# From pixels to those of another view, and what that has there.
+_Seen = tuple[NDArray[np.float64], DepthImage]
+Numbers = NDArray[np.float64]
+
+# Grey levels a pixel of any channel, after a blur of a pixel: less is no edge.
+_PLAIN = 3.0
+# A patch is at least this share of the image. Depth counts this far beyond it, px: edges are of what is near.
+_LEAST_PATCH, _RIM = 1e-3, 3
+# Depth that planes are fitted to, of 255: what is beside plain places and less sure is of something nearer.
+_SURE = 230
+# Depth is averaged in squares of so many pixels a side, of so many at least: its noise is alike within them.
+_SQUARE, _IN_A_SQUARE = 8, 6
+# Squares that a plane takes at least, their share of all at a patch, and how far off they are, as shares.
+_LEAST_SQUARES, _SHARE, _NOISE = 12, 0.6, 0.01
+# A plane has next to nothing behind it: what bounds it is its own rim, or before it.
+_BEHIND, _MOST_BEHIND = 0.03, 0.05
+_SAMPLES = 120
+# Noise of a place on the plane, over that of a square, squared.
+_MOST_LEVERAGE = 0.3
+# Maps of other views that are alike, as a share of depth, and those that do not differ.
+_SAME, _NEARLY = 0.02, 0.04
+
+
+def filled_on_planes(
+    checked: Iterator[DepthMap | SkippedFrame],
+    scan: Scan,
+    views: Sequence[PosedView],
+    chosen: Sequence[Sequence[int]],
+    params: DepthParams,
+    folder: Path,
+    progress: Callable[[int], object],
+) -> Iterator[DepthMap | SkippedFrame]:
+    """Give maps of all views, in their order, the depth of planes where none was measured.
+
+    Parameters
+    ----------
+    chosen : for each view the others that its depth is checked on.
+    folder : where maps are kept until all of them are there.
+    progress : called with the number of those that are.
+    """
+    measured, whole = KeptMaps(folder / "measured"), KeptMaps(folder / "whole")
+    rest: list[DepthMap | SkippedFrame] = []
+    none, colorless = np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)
+    depthless = none.astype(np.float32)
+    for at, one in enumerate(checked):
+        if isinstance(one, DepthMap):
+            told = on_planes(one.depth, one.confidence, one.color, seed=at)
+            measured.put(at, one.depth, one.confidence)
+            whole.put(at, np.where(one.depth > 0, one.depth, told), one.confidence)
+            bare = replace(one, depth=depthless, confidence=none, disparity=depthless, color=colorless)
+            rest.append(bare)
+        else:
+            rest.append(one)
+        progress(at + 1)
+
+    def fill(at: int) -> DepthMap | SkippedFrame:
+        found = rest[at]
+        if isinstance(found, SkippedFrame):
+            return found
+        try:
+            color = color_of(scan.frames[at])
+        except InputError as error:
+            return SkippedFrame(scan.frames[at].name, str(error))
+        depth, trust = measured.depth(at), measured.confidence(at)
+        told = np.where(depth > 0, np.float32(0), whole.depth(at))
+        others = [other for other in chosen[at] if isinstance(rest[other], DepthMap)]
+        ways = [views[at].pixels_to(views[other]) for other in others]
+        all_told, all_measured = (
+            list(zip(ways, map(maps.depth, others), strict=True)) for maps in (whole, measured)
+        )
+        filled = _agreed(told, all_told, all_measured, params.agreeing_views)
+        return replace(
+            found,
+            depth=np.where(filled, told, depth),
+            confidence=np.where(filled, np.uint8(FILLED), trust),
+            disparity=np.full(depth.shape, np.nan, np.float32),
+            color=color,
+            filled=filled if found.filled is None else filled | found.filled,
+        )
+
+    threads = params.threads or threads_to_use()
+    yield from read_ahead(fill, range(len(views)), threads=threads, ahead=threads + 2)
+
+
+def _agreed(told: DepthImage, whole: Sequence[_Seen], measured: Sequence[_Seen], least: int) -> Mask:
+    """Return where so many others say the same (h, w), and no more measured something else than the same."""
+    same, _ = _kernels.agreeing(told, whole, tolerances=(_SAME, _NEARLY), wanted_threads=1)
+    _, nearly = _kernels.agreeing(told, measured, tolerances=(_SAME, _NEARLY), wanted_threads=1)
+    looking = _kernels.not_before(told, measured, share=0.0, wanted_threads=1)
+    return np.asarray((told > 0) & (same >= least) & (looking.astype(int) - nearly <= nearly))
+
+
+def on_planes(depth: DepthImage, trust: NDArray[np.uint8], color: ColorImage, *, seed: int = 0) -> DepthImage:
+    """Return depth (h, w) at pixels of plain patches that have none, by the plane of what has; 0 elsewhere.
+
+    Parameters
+    ----------
+    depth : (h, w) float32 metres, 0 where none was measured.
+    trust : (h, w) uint8, 255 times the probability that it is right.
+    color : (h, w, 3) uint8 RGB, of a camera without distortion.
+    seed : of the random samples.
+    """
+    import cv2
+
+    height, width = depth.shape
+    told = np.zeros_like(depth)
+    sure = (depth > 0) & (trust >= _SURE)
+    count, patches, stats, _ = cv2.connectedComponentsWithStats(
+        _is_plain(color).astype(np.uint8), connectivity=4
+    )
+    random = np.random.default_rng(seed)
+    window = np.ones((2 * _RIM + 1, 2 * _RIM + 1), np.uint8)
+    for patch in range(1, count):
+        left, top, wide, high, area = (int(value) for value in stats[patch])
+        if area < _LEAST_PATCH * height * width:
+            continue
+        rows = slice(max(0, top - _RIM), top + high + _RIM)
+        columns = slice(max(0, left - _RIM), left + wide + _RIM)
+        inside = patches[rows, columns] == patch
+        bare = inside & (depth[rows, columns] == 0)
+        around = cv2.dilate(inside.astype(np.uint8), window) > 0
+        squares = _squares(depth[rows, columns], around & sure[rows, columns])
+        if len(squares) < _LEAST_SQUARES or not bare.any():
+            continue
+        taken = plane_of(squares, random)
+        if taken is not None:
+            part = told[rows, columns]
+            part[bare] = _between(squares[taken], bare)
+    return told
+
+
+def _is_plain(color: ColorImage) -> Mask:
+    """Return where a photo has no edge, (h, w)."""
+    import cv2
+
+    soft = cv2.GaussianBlur(color, (0, 0), 1.0).astype(np.float32)
+    across, down = (cv2.Sobel(soft, -1, *way, ksize=3, scale=1 / 8) for way in ((1, 0), (0, 1)))
+    return np.asarray(np.hypot(across, down).max(axis=2) < _PLAIN)
+
+
+def _squares(depth: DepthImage, known: Mask) -> Numbers:
+    """Return (n, 3) column, row and inverse depth: the means of what is known in each square."""
+    rows, columns = np.nonzero(known)
+    if not len(rows):
+        return np.zeros((0, 3))
+    across = -(-depth.shape[1] // _SQUARE)
+    square = rows // _SQUARE * across + columns // _SQUARE
+    order = np.argsort(square, kind="stable")
+    _, first, counts = np.unique(square[order], return_index=True, return_counts=True)
+    values = np.stack([columns, rows, 1 / depth[rows, columns].astype(np.float64)], axis=1)
+    means = np.add.reduceat(values[order], first, axis=0) / counts[:, None]
+    return np.asarray(means[counts >= _IN_A_SQUARE])
+
+
+def plane_of(squares: Numbers, random: np.random.Generator) -> Mask | None:
+    """Return which squares (n,) lie on the plane that takes the most; None if most lie elsewhere.
+
+    Parameters
+    ----------
+    squares : (n, 3) column and row, px, and inverse depth, 1/m.
+    """
+    if len(squares) < _LEAST_SQUARES:
+        return None
+    # Of a square at depth z, z · (a, b, c) · (column, row, 1) is 1 on the plane, and more behind it.
+    scaled = _homogeneous(squares) / squares[:, 2:]
+    triples = scaled[random.integers(len(squares), size=(_SAMPLES, 3))]
+    with np.errstate(all="ignore"):
+        usable = np.abs(np.linalg.det(triples)) > 1e-9 * np.abs(triples).max(axis=(1, 2)) ** 3
+    if not usable.any():
+        return None
+    planes = np.linalg.solve(triples[usable], np.ones((int(usable.sum()), 3, 1)))[..., 0]
+    near = np.abs(planes @ scaled.T - 1) < _NOISE
+    taken = near[near.sum(axis=1).argmax()]
+    off = np.zeros(len(squares))
+    for _ in range(3):
+        if taken.sum() < _LEAST_SQUARES:
+            return None
+        plane = np.linalg.lstsq(scaled[taken], np.ones(int(taken.sum())), rcond=None)[0]
+        off = scaled @ plane - 1
+        taken = np.abs(off) < _NOISE
+    is_surface = taken.mean() >= _SHARE and np.mean(off > _BEHIND) <= _MOST_BEHIND
+    return taken if is_surface and taken.sum() >= _LEAST_SQUARES else None
+
+
+def _between(squares: Numbers, bare: Mask) -> NDArray[np.float32]:
+    """Return the depth of the squares' plane at the pixels of a mask, 0 where they do not tell it."""
+    import cv2
+
+    scaled = _homogeneous(squares) / squares[:, 2:]
+    plane = np.linalg.lstsq(scaled, np.ones(len(squares)), rcond=None)[0]
+    rows, columns = np.nonzero(bare)
+    pixels = np.stack([columns, rows, np.ones(len(rows))], axis=1)
+    inverse = pixels @ plane
+    hull = cv2.convexHull(np.rint(squares[:, :2]).astype(np.int32))
+    within = cv2.fillConvexPoly(np.zeros(bare.shape, np.uint8), hull, 1)[rows, columns] > 0
+    spread = np.linalg.pinv(scaled.T @ scaled)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        leverage = np.einsum("ni,ij,nj->n", pixels, spread, pixels) / inverse**2
+        told = within & (inverse > 0) & (leverage < _MOST_LEVERAGE)
+        return np.where(told, 1 / inverse, 0).astype(np.float32)
+
+
+def _homogeneous(squares: Numbers) -> Numbers:
+    return np.column_stack([squares[:, :2], np.ones(len(squares))])
