@@ -72,19 +72,23 @@ def filled_on_planes(
     progress : called with the number of those that are.
     """
     measured, whole = KeptMaps(folder / "measured"), KeptMaps(folder / "whole")
-    rest: list[DepthMap | SkippedFrame] = []
     none, colorless = np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)
     depthless = none.astype(np.float32)
-    for at, one in enumerate(checked):
-        if isinstance(one, DepthMap):
-            told = on_planes(one.depth, one.confidence, one.color, seed=at)
-            measured.put(at, one.depth, one.confidence)
-            whole.put(at, np.where(one.depth > 0, one.depth, told), one.confidence)
-            bare = replace(one, depth=depthless, confidence=none, disparity=depthless, color=colorless)
-            rest.append(bare)
-        else:
-            rest.append(one)
-        progress(at + 1)
+
+    def keep(numbered: tuple[int, DepthMap | SkippedFrame]) -> DepthMap | SkippedFrame:
+        at, one = numbered
+        if isinstance(one, SkippedFrame):
+            return one
+        told = on_planes(one.depth, one.confidence, one.color, seed=at)
+        measured.put(at, one.depth, one.confidence)
+        whole.put(at, np.where(one.depth > 0, one.depth, told), one.confidence)
+        return replace(one, depth=depthless, confidence=none, disparity=depthless, color=colorless)
+
+    threads = params.threads or threads_to_use()
+    rest: list[DepthMap | SkippedFrame] = []
+    for kept in read_ahead(keep, enumerate(checked), threads=threads, ahead=threads):
+        rest.append(kept)
+        progress(len(rest))
 
     def fill(at: int) -> DepthMap | SkippedFrame:
         found = rest[at]
@@ -111,7 +115,6 @@ def filled_on_planes(
             filled=filled if found.filled is None else filled | found.filled,
         )
 
-    threads = params.threads or threads_to_use()
     yield from read_ahead(fill, range(len(views)), threads=threads, ahead=threads + 2)
 
 
@@ -138,15 +141,12 @@ def on_planes(depth: DepthImage, trust: NDArray[np.uint8], color: ColorImage, *,
     height, width = depth.shape
     told = np.zeros_like(depth)
     sure = (depth > 0) & (trust >= _SURE)
-    count, patches, stats, _ = cv2.connectedComponentsWithStats(
-        _is_plain(color).astype(np.uint8), connectivity=4
-    )
+    _, patches, stats, _ = cv2.connectedComponentsWithStats(_is_plain(color).astype(np.uint8), connectivity=4)
     random = np.random.default_rng(seed)
     window = np.ones((2 * _RIM + 1, 2 * _RIM + 1), np.uint8)
-    for patch in range(1, count):
-        left, top, wide, high, area = (int(value) for value in stats[patch])
-        if area < _LEAST_PATCH * height * width:
-            continue
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    for patch in 1 + np.flatnonzero(areas >= _LEAST_PATCH * height * width):
+        left, top, wide, high = (int(value) for value in stats[patch, :4])
         rows = slice(max(0, top - _RIM), top + high + _RIM)
         columns = slice(max(0, left - _RIM), left + wide + _RIM)
         inside = patches[rows, columns] == patch
