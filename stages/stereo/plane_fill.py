@@ -59,6 +59,7 @@ def filled_on_planes(
     scan: Scan,
     views: Sequence[PosedView],
     chosen: Sequence[Sequence[int]],
+    within: Callable[[int, DepthImage], DepthImage],
     params: DepthParams,
     folder: Path,
     progress: Callable[[int], object],
@@ -68,6 +69,7 @@ def filled_on_planes(
     Parameters
     ----------
     chosen : for each view the others that its depth is checked on.
+    within : from a view's depth to that of what may be kept of it.
     folder : where maps are kept until all of them are there.
     progress : called with the number of those that are.
     """
@@ -79,7 +81,7 @@ def filled_on_planes(
         at, one = numbered
         if isinstance(one, SkippedFrame):
             return one
-        told = on_planes(one.depth, one.confidence, one.color, seed=at)
+        told = within(at, on_planes(one.depth, one.confidence, one.color, seed=at))
         measured.put(at, one.depth, one.confidence)
         whole.put(at, np.where(one.depth > 0, one.depth, told), one.confidence)
         return replace(one, depth=depthless, confidence=none, disparity=depthless, color=colorless)

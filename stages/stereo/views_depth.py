@@ -170,6 +170,10 @@ def _results(
                 searches[at], counts[at] = result.search, result.counts
             progress(at + 1, total)
 
+        def within(at: int, depth: DepthImage) -> DepthImage:
+            shown = np.where(read_seen(scan.frames[at]), depth, np.float32(0))
+            return in_hull(_inside(shown, views[at], box), views[at], outline.silhouettes)
+
         def check(at: int) -> DepthMap | SkippedFrame:
             if at in lost:
                 return lost[at]
@@ -192,8 +196,7 @@ def _results(
             found = _depth_map(scan.frames[at], views[at], color, depth, trust, searches[at], farthest)
             if isinstance(found, DepthMap) and network is not None and not network.is_stereo:
                 whole = completed(found, network, params)
-                inside = np.where(read_seen(scan.frames[at]), whole.depth, np.float32(0))
-                inside = in_hull(_inside(inside, views[at], box), views[at], outline.silhouettes)
+                inside = within(at, whole.depth)
                 found = replace(whole, depth=inside, filled=(inside > 0) & (found.depth == 0))
             return (
                 found
@@ -210,7 +213,7 @@ def _results(
         if fills:
             last_turn = filled_in(last_turn, scan, views, outline, params, Path(folder), tell)
         elif on_planes:
-            last_turn = filled_on_planes(last_turn, scan, views, chosen, params, Path(folder), tell)
+            last_turn = filled_on_planes(last_turn, scan, views, chosen, within, params, Path(folder), tell)
         for at, checked in enumerate(last_turn):
             if isinstance(checked, SkippedFrame):
                 skipped.append(checked)

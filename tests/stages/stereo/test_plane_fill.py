@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import posed_scene
 import pytest
 
-from stages.scans.scan import DepthImage
-from stages.stereo.plane_fill import _agreed, on_planes, plane_of
+from stages.scans.scan import Camera, DepthImage, Frame, Scan, SkippedFrame
+from stages.stereo.depth_map import DepthMap
+from stages.stereo.matching import SearchRange
+from stages.stereo.params import DepthParams
+from stages.stereo.plane_fill import _agreed, filled_on_planes, on_planes, plane_of
 from stages.stereo.posed_views import PosedView
 
 HEIGHT, WIDTH = 240, 320
@@ -121,3 +126,39 @@ def test_a_place_is_told_where_others_say_the_same_and_none_measured_another(
     whole, measured_ = ([(way, told * np.float32(z)) for z in values] for values in (said, seen))
     kept = _agreed(told, whole, measured_, least=2)[1:-1, 1:-1]
     assert (kept == is_kept).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_maps_of_views_are_filled_marked_and_kept_within_what_may_be(tmp_path: Path, threads: int) -> None:
+    """Three views from one place, and one that was lost: all have a hole, whose left half is masked out."""
+    camera, color = Camera(WIDTH, HEIGHT, 300.0, 300.0, 160.0, 120.0), photo(SQUARE)
+    depth, trust = measured(FLOOR, SQUARE)
+    nothing = np.full(depth.shape, np.nan, np.float32)
+    found = DepthMap(depth, trust, nothing, color, camera, np.eye(3), SearchRange(0, 16), 0.5, 5.0)
+    maps: list[DepthMap | SkippedFrame] = [found, found, SkippedFrame("2", "it is damaged"), found]
+    views = [PosedView(camera, np.eye(4), 0.5, 5.0)] * 4
+    frames = [Frame(str(at), camera, color=color, world_from_camera=np.eye(4)) for at in range(4)]
+    right = COLUMNS >= 160
+    told: list[int] = []
+    filled = filled_on_planes(
+        iter(maps),
+        Scan("views", frames),
+        views,
+        [[other for other in range(4) if other != at] for at in range(4)],
+        lambda _, depth: np.where(right, depth, np.float32(0)),
+        DepthParams(threads=threads),
+        tmp_path,
+        told.append,
+    )
+    results = list(filled)
+    assert told == [1, 2, 3, 4]
+    assert results[2] == maps[2]
+    for one in (results[0], results[1], results[3]):
+        assert isinstance(one, DepthMap)
+        assert one.filled is not None
+        assert not one.filled[~right].any()
+        assert np.mean(one.filled[right & (depth == 0)]) > 0.9
+        np.testing.assert_array_equal(one.depth[~one.filled], depth[~one.filled])
+        assert (one.confidence[one.filled] == 1).all()
+        np.testing.assert_allclose(one.depth[one.filled], FLOOR[one.filled], rtol=3e-3)
+        np.testing.assert_array_equal(one.color, color)
