@@ -57,8 +57,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     read = replace(read, warnings=(*read.warnings, *in_sentences(told)))
     scan = with_up(_without_still_poses(replace(read, read_from=_files_of(read, noted))), layout, options)
     if layout.name != "sun-rgbd":  # It looks for itself.
-        is_stated = options.depth_scale is not None or layout.name == "plain-rgbd"
-        scan = with_bits_turned_back(scan, is_scale_stated=is_stated)
+        scan = with_bits_turned_back(scan, options.depth_scale, is_own=layout.name == "plain-rgbd")
     masks = options.file("masks", folder)
     if masks is not None:
         scan = with_masks(scan, masks)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
+from stages.stereo.filling import filled_with
 from stages.stereo.matching import SUBPIXELS, SearchRange, consistency, matched_pixels, textured
 from stages.stereo.networks.network import Network
 from stages.stereo.networks.sidecar import INVERSE_DEPTH
@@ -26,8 +27,6 @@ RESULT_VERSION = 1
 Image = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
-# Confidence of what was filled in: less than any that is measured needs.
-FILLED = 1
 # Only the matchers know of these.
 _OF_MATCHERS = ("matcher", "block_size", "p1", "p2", "prefilter_cap", "uniqueness", "left_right", "smooth")
 # If left and right agree on less of the image, its sidecar is wrong rather than the network.
@@ -142,12 +141,7 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
         filled = (measured.depth == 0) & agrees & (told >= low) & (told <= high)
         whole = np.where(filled, 1 / fitted if is_inverse else fitted, measured.depth)
     filled &= (whole >= measured.min_depth) & (whole <= measured.max_depth)
-    return replace(
-        measured,
-        depth=np.where(filled, whole, measured.depth).astype(np.float32),
-        confidence=np.where(filled, np.uint8(FILLED), measured.confidence),
-        filled=filled,
-    )
+    return filled_with(measured, np.where(filled, whole, 0).astype(np.float32))
 
 
 def _warned(depth_map: DepthMap, network: Network, why: str) -> DepthMap:

@@ -112,7 +112,7 @@ def why_little(counts: Counts, params: DepthParams) -> str | None:
 
 def why_filled(counts: Counts) -> str | None:
     """Return what is to be said of a thing much of which was not measured, or None."""
-    share = counts.filled / max(counts.kept + counts.filled, 1)
+    share = _of_all(counts.filled, counts)
     if share < _MUCH:
         return None
     return (
@@ -123,10 +123,15 @@ def why_filled(counts: Counts) -> str | None:
 
 def why_planar(counts: Counts) -> str | None:
     """Return what is to be said of views much of whose depth is that of planes, or None."""
-    share = counts.planar / max(counts.kept + counts.planar, 1)
+    share = _of_all(counts.planar, counts)
     if share < _MUCH:
         return None
     return (
         f"{share:.0%} of the depth was measured by no view, and is that of planes on which measured depth "
         "around it lies (depth.on_planes=false leaves it out)"
     )
+
+
+def _of_all(told: int, counts: Counts) -> float:
+    """Return the share of told depth among all that there is."""
+    return told / max(counts.kept + told, 1)

@@ -28,8 +28,8 @@ class DepthMap:
     search : the disparities that were tried.
     min_depth, max_depth : metres, the range that could be measured: of the disparities that were tried, or
         up to where the expected error or the parameter ends it.
-    filled : (h, w) bool, where depth was not measured but told by a network of one image or by silhouettes,
-        with a confidence of 1; None if it is measured everywhere.
+    filled : (h, w) bool, where depth was not measured but told by a network of one image, by silhouettes or
+        by planes, with a confidence of 1; None if it is measured everywhere.
     warnings : what is odd about the pair, in plain sentences.
     """
 

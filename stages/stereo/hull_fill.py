@@ -9,7 +9,6 @@ hollow stays as the hull has it only where no view measured it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +19,8 @@ from stages.errors import InputError
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import DepthImage, Scan, SkippedFrame
 from stages.scans.threads import threads_to_use
-from stages.stereo.by_network import FILLED
 from stages.stereo.depth_map import DepthMap
+from stages.stereo.filling import filled_with, with_images, without_images
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
@@ -59,15 +58,10 @@ def filled_in(
     """
     maps = KeptMaps(folder / "checked")
     rest: list[DepthMap | SkippedFrame] = []
-    none, colorless = np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)
-    depthless = none.astype(np.float32)
     for at, one in enumerate(checked):
         if isinstance(one, DepthMap):
             maps.put(at, one.depth, one.confidence)
-            bare = replace(one, depth=depthless, confidence=none, disparity=depthless, color=colorless)
-            rest.append(bare)
-        else:
-            rest.append(one)
+        rest.append(without_images(one) if isinstance(one, DepthMap) else one)
         progress(at + 1)
     measured = [at for at, one in enumerate(rest) if isinstance(one, DepthMap)]
 
@@ -80,19 +74,11 @@ def filled_in(
             seen, _ = shown(scan.frames[at], color, outline, params.backdrop)
         except InputError as error:
             return SkippedFrame(scan.frames[at].name, str(error))
-        depth, trust = maps.depth(at), maps.confidence(at)
+        depth = maps.depth(at)
         told = on_hull(views[at], depth, seen, outline.hull)
         others = [(views[other], maps.depth(other)) for other in _alike(views, at, measured)]
         told = unmeasured(views[at], told, others, params.agreeing_views + 1)
-        filled = told > 0
-        return replace(
-            found,
-            depth=np.where(filled, told, depth),
-            confidence=np.where(filled, np.uint8(FILLED), trust),
-            disparity=np.full(depth.shape, np.nan, np.float32),
-            color=color,
-            filled=filled if found.filled is None else filled | found.filled,
-        )
+        return filled_with(with_images(found, depth, maps.confidence(at), color), told)
 
     threads = params.threads or threads_to_use()
     yield from read_ahead(fill, range(len(views)), threads=threads, ahead=threads + 2)

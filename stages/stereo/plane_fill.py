@@ -12,7 +12,6 @@ PatchMatch multi-view stereo", 2020), which asks for no such agreement.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +22,8 @@ from stages.errors import InputError
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
 from stages.scans.threads import threads_to_use
-from stages.stereo.by_network import FILLED
 from stages.stereo.depth_map import DepthMap
+from stages.stereo.filling import filled_with, with_images, without_images
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
@@ -74,8 +73,6 @@ def filled_on_planes(
     progress : called with the number of those that are.
     """
     measured, whole = KeptMaps(folder / "measured"), KeptMaps(folder / "whole")
-    none, colorless = np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)
-    depthless = none.astype(np.float32)
 
     def keep(numbered: tuple[int, DepthMap | SkippedFrame]) -> DepthMap | SkippedFrame:
         at, one = numbered
@@ -84,7 +81,7 @@ def filled_on_planes(
         told = within(at, on_planes(one.depth, one.confidence, one.color, seed=at))
         measured.put(at, one.depth, one.confidence)
         whole.put(at, np.where(one.depth > 0, one.depth, told), one.confidence)
-        return replace(one, depth=depthless, confidence=none, disparity=depthless, color=colorless)
+        return without_images(one)
 
     threads = params.threads or threads_to_use()
     rest: list[DepthMap | SkippedFrame] = []
@@ -100,22 +97,15 @@ def filled_on_planes(
             color = color_of(scan.frames[at])
         except InputError as error:
             return SkippedFrame(scan.frames[at].name, str(error))
-        depth, trust = measured.depth(at), measured.confidence(at)
+        depth = measured.depth(at)
         told = np.where(depth > 0, np.float32(0), whole.depth(at))
         others = [other for other in chosen[at] if isinstance(rest[other], DepthMap)]
         ways = [views[at].pixels_to(views[other]) for other in others]
         all_told, all_measured = (
             list(zip(ways, map(maps.depth, others), strict=True)) for maps in (whole, measured)
         )
-        filled = _agreed(told, all_told, all_measured, params.agreeing_views)
-        return replace(
-            found,
-            depth=np.where(filled, told, depth),
-            confidence=np.where(filled, np.uint8(FILLED), trust),
-            disparity=np.full(depth.shape, np.nan, np.float32),
-            color=color,
-            filled=filled if found.filled is None else filled | found.filled,
-        )
+        told[~_agreed(told, all_told, all_measured, params.agreeing_views)] = 0
+        return filled_with(with_images(found, depth, measured.confidence(at), color), told)
 
     yield from read_ahead(fill, range(len(views)), threads=threads, ahead=threads + 2)
 

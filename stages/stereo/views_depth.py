@@ -221,8 +221,9 @@ def _results(
                 yield scan.frames[at], checked, counts.get(at, Counts())
             else:
                 if checked.filled is not None and network is None:
-                    filled = int(np.count_nonzero(checked.filled))
-                    counts[at] = replace(counts[at], **{"planar" if on_planes else "filled": filled})
+                    told = int(np.count_nonzero(checked.filled))
+                    of = counts[at]
+                    counts[at] = replace(of, planar=told) if on_planes else replace(of, filled=told)
                 yield _measured_frame(scan.frames[at], views[at], checked), checked, counts[at]
             progress((turns - 1) * len(views) + at + 1, total)
 

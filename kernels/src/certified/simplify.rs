@@ -205,11 +205,9 @@ pub fn go_on<'a, const D: usize, const K: usize>(
     let mut limits = limits_of(options, bounds, least, original.points.len());
     let decision =
         certify::Options { limit: Some(bounds), threads: goal.threads, effort: EFFORT, ..options.proof };
-    let goal = Goal { least: LEAST_ROUND, record: true, ..*goal };
+    let mut goal = Goal { least: LEAST_ROUND, record: true, ..*goal };
     let to_go = original.triangles.len().saturating_sub(goal.triangles) as u64;
     let mut passes: Vec<Pass> = vec![];
-    // Single edges are tried when the rest is proven.
-    let mut to_the_end = false;
     let mut attempts = 0;
     let mut lost = Lost { failures: vec![0; original.points.len()], locked };
     let mut ledger = None;
@@ -221,7 +219,6 @@ pub fn go_on<'a, const D: usize, const K: usize>(
             TrackedRecords::<D, K>::new(original, &limits, options.weight, importance, lists, options.rules);
         // What was taken back is to go once more, and proofs are counted in other units.
         let gone = original.triangles.len() - mesh.triangles.len();
-        let goal = Goal { least: if to_the_end { 0.0 } else { goal.least }, ..goal };
         let outcome = collapse(mesh, records, &goal, &mut progress.part(gone as u64, to_go))?;
         let proving = &mut progress.silent();
         let (mesh, lists) = (outcome.mesh, outcome.records.lists);
@@ -245,7 +242,8 @@ pub fn go_on<'a, const D: usize, const K: usize>(
         }
         progress.check()?;
         if settled {
-            to_the_end = true;
+            // Single edges are tried when the rest is proven.
+            goal.least = 0.0;
         } else {
             state = state.step_back(original, &mut known, &open, &mut limits, &mut lost, passes.len());
         }

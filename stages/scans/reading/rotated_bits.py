@@ -67,12 +67,18 @@ def is_rotated(raw: NDArray[np.uint16], *, is_scale_stated: bool) -> bool:
     return not is_scale_stated and bool(np.mean(turned[known] & 1) > _LEAST_ODD)
 
 
-def with_bits_turned_back(scan: Scan, *, is_scale_stated: bool) -> Scan:
-    """Return the scan with its depth maps turned back, and a warning, where their bits are rotated."""
+def with_bits_turned_back(scan: Scan, stated: float | None, *, is_own: bool) -> Scan:
+    """Return the scan with its depth maps turned back, and a warning, where their bits are rotated.
+
+    Parameters
+    ----------
+    stated : units a metre, as the person states them.
+    is_own : it is in our own form, whose unit is taken at its word.
+    """
     files = [frame.depth for frame in scan.frames if isinstance(frame.depth, Path)]
     # Rotated values are millimetres or tenths of them: of other units somebody said what they are.
-    usual = {_TENTHS_OF_MILLIMETRES} if is_scale_stated else {_MILLIMETRES}
-    is_scale_stated = any(frame.depth_scale not in usual for frame in scan.frames)
+    usual = _MILLIMETRES if stated is None else _TENTHS_OF_MILLIMETRES
+    is_scale_stated = is_own or any(frame.depth_scale != usual for frame in scan.frames)
     if not files or not are_rotated(files, is_scale_stated=is_scale_stated):
         return scan
     frames = [

@@ -12,10 +12,11 @@ from onnx import helper
 from stages.errors import InputError, UsageError
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
-from stages.stereo.by_network import FILLED, completed, network_of
+from stages.stereo.by_network import completed, network_of
 from stages.stereo.completed_scan import completed_scan
 from stages.stereo.depth import depth, depth_scan
 from stages.stereo.depth_map import DepthMap
+from stages.stereo.filling import FILLED
 from stages.stereo.matching import SearchRange
 from stages.stereo.networks.probe import known_pair
 from stages.stereo.networks.sidecar import Sidecar, sidecar_of, written

@@ -1,3 +1,5 @@
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -36,13 +38,19 @@ def test_values_that_are_rounded_are_not_rotated():
     assert not is_rotated(np.full((120, 160), 2000, np.uint16), is_scale_stated=False)
 
 
-def test_a_scan_is_turned_back_and_told(tmp_path):
+def write_scan(folder, nearest, farthest):
+    """Write three frames with rotated depth; return the last one's values before."""
     for place in ("color", "depth"):
-        (tmp_path / place).mkdir()
+        (folder / place).mkdir()
     for number in range(3):
-        depth = room(900, 12000, number)
-        assert cv2.imwrite(str(tmp_path / "depth" / f"{number}.png"), rotated(depth))
-        assert cv2.imwrite(str(tmp_path / "color" / f"{number}.png"), np.zeros((120, 160, 3), np.uint8))
+        depth = room(nearest, farthest, number)
+        assert cv2.imwrite(str(folder / "depth" / f"{number}.png"), rotated(depth))
+        assert cv2.imwrite(str(folder / "color" / f"{number}.png"), np.zeros((120, 160, 3), np.uint8))
+    return depth
+
+
+def test_a_scan_is_turned_back_and_told(tmp_path):
+    depth = write_scan(tmp_path, 900, 12000)
     scan = read_scan(tmp_path, complete=False)
     np.testing.assert_allclose(read_depth(scan.frames[2]), depth / 1000, atol=1e-6)
     assert any("set scan.depth_scale=10000" in text for text in scan.warnings)
@@ -53,18 +61,32 @@ def test_a_scan_is_turned_back_and_told(tmp_path):
 @pytest.mark.parametrize(("stated", "is_turned"), [(10000, True), (8000, False), (1000, False)])
 def test_tenths_of_millimetres_are_of_values_turned_back(tmp_path, stated, is_turned):
     """Nearer than 8192 units multiples of eight may be meant, but hardly steps of 0.8 mm."""
-    for place in ("color", "depth"):
-        (tmp_path / place).mkdir()
-    for number in range(3):
-        depth = room(2500, 7000, number)
-        assert cv2.imwrite(str(tmp_path / "depth" / f"{number}.png"), rotated(depth))
-        assert cv2.imwrite(str(tmp_path / "color" / f"{number}.png"), np.zeros((120, 160, 3), np.uint8))
+    depth = write_scan(tmp_path, 2500, 7000)
     scan = read_scan(tmp_path, ScanParams(depth_scale=stated), complete=False)
     values = depth if is_turned else rotated(depth)
     np.testing.assert_allclose(read_depth(scan.frames[2]), values / stated, atol=1e-6)
     told = [text for text in scan.warnings if "are turned back" in text]
     assert len(told) == is_turned
     assert all(text.endswith("10000 units are then a metre") for text in told)
+
+
+def test_our_own_form_is_taken_at_its_word(tmp_path):
+    depth = write_scan(tmp_path, 2500, 7000)
+    camera = {"width": 160, "height": 120, "fx": 150, "fy": 150, "cx": 80, "cy": 60}
+    frames = [
+        {
+            "name": str(number),
+            "color": f"color/{number}.png",
+            "depth": f"depth/{number}.png",
+            "world_from_camera": np.eye(4).tolist(),
+        }
+        for number in range(3)
+    ]
+    content = {"version": 1, "camera": camera, "depth_scale": 10000, "depth_missing": [], "frames": frames}
+    (tmp_path / "scan.json").write_text(json.dumps(content))
+    for options in (ScanParams(), ScanParams(depth_scale=10000)):
+        scan = read_scan(tmp_path, options, complete=False)
+        np.testing.assert_allclose(read_depth(scan.frames[2]), rotated(depth) / 10000, atol=1e-6)
 
 
 def test_real_depth_maps(shared_data):
