@@ -32,6 +32,11 @@ def baked_by_default(target: Path, light: Mesh, original: Mesh, out: Output) -> 
     """
     if target.suffix.lower() not in TEXTURED_SUFFIXES or not loses_image(light, original):
         return None
+    return baked_or_told(target, light, original, out)
+
+
+def baked_or_told(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
+    """Bake as `baked_to` does; where that cannot be, say why: None, and the mesh is still to be written."""
     try:
         return baked_to(target, light, original, BakeParams(), out)
     except ScanloomError as error:

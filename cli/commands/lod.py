@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
+from cli.baked import TEXTURED_SUFFIXES, baked_or_told, baked_text, baked_to
 from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, read_standing, tell_notes, write_file
 from cli.output import Output, size_of, table_of
 from cli.overlap import require_overlap
@@ -103,18 +103,27 @@ def cut(
         typer.Option(
             metavar="MODEL",
             help="Mesh file of the same surface with a texture or vertex colours, of which the mesh gets an "
-            "image, as with bake; OUT is .glb, .obj or .ply then.",
+            "image, as with bake; OUT is .glb, .obj or .ply then. By default the one that the levels were "
+            "built of, if that has a texture.",
             show_default=False,
         ),
     ] = None,
+    image: Annotated[
+        bool,
+        typer.Option("--image/--no-image", help="Whether the mesh gets an image, where there is one to get."),
+    ] = True,
 ) -> None:
     """Take a mesh out of levels of detail: for a view, a number of triangles or an error.
+
+    What was built of a mesh with a texture gets its image anew, in a format that holds one.
 
     Example: scanloom lod cut clean.slod near.ply --eye 0 0 0 --look 0 0 1 --error-px 1
     """
     require_new_file(target, MESH_SUFFIXES if texture is None else TEXTURED_SUFFIXES)
     if (eye is None) != (look is None):
         raise UsageError("a view needs both --eye and --look.")
+    if texture is not None and not image:
+        raise UsageError("--texture asks for an image and --no-image for none.")
     view = None
     if eye is not None and look is not None:
         view = lod.View(eye, look, up, *size, field)
@@ -129,17 +138,19 @@ def cut(
         out.unmet(f"{source}: the coarsest level has {figures['triangles']:,} triangles.")
     if max_shape is not None and figures["shape_bound_m"] > max_shape:
         out.unmet(f"{source}: the finest level is proven within {at_most(figures['shape_bound_m'])} m alone.")
-    if model is not None:
-        # What is proven is of colours of vertices; the image has what is measured.
-        figures["color_bound_levels"] = None
-    text = _cut_text(figures)
-    if texture is None or model is None:
+    baked = None
+    if texture is not None and model is not None:
+        mesh = found.mesh if found.mesh.up is not None else found.mesh.with_(up=model.up)
+        baked = baked_to(target, mesh, model, BakeParams(), out)
+        require_overlap(source, found.mesh, texture, model, out)
+    elif image and hierarchy.model is not None and target.suffix.lower() in TEXTURED_SUFFIXES:
+        baked = baked_or_told(target, found.mesh, hierarchy.model, out)
+    if baked is None:
         write_file(target, found.mesh, out)
     else:
-        mesh = found.mesh if found.mesh.up is not None else found.mesh.with_(up=model.up)
-        figures["texture"] = baked_to(target, mesh, model, BakeParams(), out)
-        require_overlap(source, found.mesh, texture, model, out)
-        text += f"\n\n{baked_text(figures['texture'])}"
+        # What is proven is of colours of vertices; the image has what is measured.
+        figures |= {"color_bound_levels": None, "texture": baked}
+    text = _cut_text(figures) + ("" if baked is None else f"\n\n{baked_text(baked)}")
     out.result(figures, None if out.as_json else text)
 
 

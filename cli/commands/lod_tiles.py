@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ import typer
 from cli.mesh_arguments import about_file, read_file, tell_notes
 from cli.output import Output, size_of
 from cli.paths import require_file, require_writable
-from stages import lod
+from stages import UsageError, lod
 from stages.files.replacing_folder import require_replaceable_folder
 from stages.lod import TileImageParams, TilesParams
 from stages.lod.tiles import TILESET, WHAT, is_tileset
@@ -38,24 +39,33 @@ def tiles(
         Path | None,
         typer.Option(
             metavar="MODEL",
-            help="Mesh file of the same surface with a texture or vertex colours: tiles get images of these.",
+            help="Mesh file of the same surface with a texture or vertex colours: tiles get images of these. "
+            "By default the one that the levels were built of, if that has a texture.",
             show_default=False,
         ),
     ] = None,
+    image: Annotated[
+        bool,
+        typer.Option("--image/--no-image", help="Whether tiles get images, where there are any to get."),
+    ] = True,
 ) -> None:
     """Write levels of detail as 3D Tiles 1.1, which viewers in the browser load by what they show.
 
-    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven. With --texture
-    each tile has an image of its own, in place of vertex colours; with --page OUTDIR gets a page too, which
-    draws them; scanloom view shows it.
+    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven. With --texture,
+    or of a mesh with a texture, each tile has an image of its own, in place of vertex colours; with --page
+    OUTDIR gets a page too, which draws them; scanloom view shows it.
 
     Example: scanloom lod tiles clean.slod clean_tiles --texture textured.glb
     """
     require_replaceable_folder(target, is_tileset, WHAT)
     require_writable(target.parent)
+    if texture is not None and not image:
+        raise UsageError("--texture asks for images and --no-image for none.")
     hierarchy = lod.read_slod(require_file(source))
     tell_notes(source, hierarchy.notes, out)
     model = None if texture is None else read_file(texture, out)
+    if not image:
+        hierarchy = replace(hierarchy, model_glb=None)
     with about_file(texture or source, "model"), out.progress("tiles", "tiles") as progress:
         written = lod.write_tiles(hierarchy, target, params, texture=model, images=images, progress=progress)
     tell_notes(target, written.notes, out)

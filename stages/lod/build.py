@@ -14,6 +14,7 @@ from stages.errors import InputError
 from stages.lod.first_error import first_error
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.islands import is_island
+from stages.lod.model import packed
 from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.progress import Progress, silent
@@ -121,8 +122,9 @@ def build(
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. A texture becomes
-        colours of the vertices, and a note says so.
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Of a texture, levels
+        have the colours at the vertices; the mesh itself is kept as `Hierarchy.model`, for images of tiles
+        and cuts.
     params : LodParams; single fields can be given by name instead.
     progress : called with (triangles gone, all).
 
@@ -140,8 +142,8 @@ def build(
     require_measurable(given, "mesh")
     if len(given.triangles) == 0:
         raise InputError("the mesh has no triangles; there are no levels of it.")
-    kept, islands = _without_islands(_plain(given), params.drop_islands)
-    base, shape, color, progress = _base(kept, params, progress)
+    kept, islands = _without_islands(given, params.drop_islands)
+    base, shape, color, progress = _base(_plain(kept), params, progress)
     hierarchy = _of_any(base, params, shape, progress)
     if shape:
         hierarchy = further_off(hierarchy, shape, color)
@@ -151,6 +153,7 @@ def build(
         dropped_islands=islands,
         dropped_triangles=len(given.triangles) - len(kept.triangles),
         up=given.up,
+        model_glb=packed(kept) if is_textured(kept) else None,
     )
 
 
@@ -179,10 +182,6 @@ def _plain(mesh: Mesh) -> Mesh:
         notes += (f"lod left out: {', '.join(names)}.",)
     if is_textured(mesh):
         mesh = mesh.with_(colors=_colors_of_vertices(mesh))
-        notes += (
-            "lod has taken the texture's colours at the vertices; the image itself was left out, and comes "
-            "back with lod tiles --texture and lod cut --texture.",
-        )
     return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, notes=notes, up=mesh.up)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.lod.model import unpacked
 from stages.printing import by_figures, table
 from stages.surface.mesh import Mesh
 
@@ -53,6 +54,7 @@ class Levels:
     dropped_islands, dropped_triangles : loose pieces of the mesh that was given and their triangles, which no
         level has, so that bounds are one-sided: all of a level is near the mesh, but not these near a level.
     up : (3,) of length 1, what is up in the mesh, where that is known.
+    model_glb : the mesh that was given, as a GLB file, where it has a texture; see `model`.
     """
 
     vertices: Floats
@@ -76,6 +78,7 @@ class Levels:
     dropped_islands: int = 0
     dropped_triangles: int = 0
     up: tuple[float, float, float] | None = None
+    model_glb: bytes | None = None
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -84,6 +87,17 @@ class Levels:
     def nodes(self) -> int:
         """How many nodes there are."""
         return len(self.parent)
+
+    @cached_property
+    def model(self) -> Mesh | None:
+        """The textured mesh that was given, of which tiles get their images, and cuts with `stages.bake`.
+
+        Raises
+        ------
+        InputError, MeshError
+            If `model_glb` is no mesh.
+        """
+        return None if self.model_glb is None else unpacked(self.model_glb)
 
     @property
     def is_one_sided(self) -> bool:

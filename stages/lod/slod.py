@@ -2,7 +2,8 @@
 
 All numbers are little-endian. A header of lengths and a checksum, the tree as JSON, then node by node from
 the root: the vertices it brings, what they become, its splits, its triangles, and a checksum. The root's
-block begins with the vertices that are there before any split. A file that ends early has fewer nodes.
+block begins with the vertices that are there before any split. Last comes the mesh that the levels were built
+of, if it had a texture, as a GLB file, and its checksum. A file that ends early has fewer nodes.
 """
 
 from __future__ import annotations
@@ -61,6 +62,7 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         "notes": list(h.notes),
         # Only where it is known; whoever does not look for it loses nothing else.
         **({} if h.up is None else {"up": list(h.up)}),
+        **({} if h.model_glb is None else {"model_bytes": len(h.model_glb)}),
         "nodes": {
             "parent": h.parent.tolist(),
             "level": h.level.tolist(),
@@ -77,6 +79,8 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
     for node in range(h.nodes):
         block = _block(h, node, np.dtype("<f4" if single else "<f8"))
         parts += [block, _CHECKSUM.pack(zlib.crc32(block))]
+    if h.model_glb is not None:
+        parts += [h.model_glb, _CHECKSUM.pack(zlib.crc32(h.model_glb))]
     with replacing(Path(path)) as draft:
         draft.write_bytes(b"".join(parts))
 
@@ -143,10 +147,8 @@ def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:
         kinds += [(np.dtype("<u4"), own), (np.dtype("u1"), splits), (np.dtype("u1"), splits)]
         kinds.append((np.dtype("<u4"), 3 * triangles))
         size = sum(kind.itemsize * number for kind, number in kinds)
-        block = data[at : at + size]
-        if len(data) < at + size + _CHECKSUM.size:
-            break
-        if _CHECKSUM.unpack_from(data, at + size)[0] != zlib.crc32(block):
+        block = _whole(data, at, size)
+        if block is None:
             break
         at += size + _CHECKSUM.size
         here, offset = [], 0
@@ -164,8 +166,22 @@ def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:
     _require_sound(hierarchy)
     if len(parts) < count:
         note = f"the file ends after {len(parts):,} of {count:,} nodes; finer levels are missing."
-        hierarchy = replace(hierarchy, notes=(*hierarchy.notes, note))
-    return hierarchy
+        return replace(hierarchy, notes=(*hierarchy.notes, note))
+    if "model_bytes" not in tree:
+        return hierarchy
+    model = _whole(data, at, _natural(tree["model_bytes"]))
+    if model is None:
+        note = "the file is damaged or cut off in the mesh with its image; colours of vertices are left."
+        return replace(hierarchy, notes=(*hierarchy.notes, note))
+    return replace(hierarchy, model_glb=model)
+
+
+def _whole(data: bytes, at: int, size: int) -> bytes | None:
+    """Return the bytes of a block whose checksum follows on it; None where it is cut off or damaged."""
+    block = data[at : at + size]
+    if len(data) < at + size + _CHECKSUM.size:
+        return None
+    return block if _CHECKSUM.unpack_from(data, at + size)[0] == zlib.crc32(block) else None
 
 
 def _joined(

@@ -168,9 +168,10 @@ def write_tiles(
     outdir : a folder that is made; a tileset of scanloom that is there is replaced, whole or not at all.
     params : TilesParams; single fields can be given by name instead.
     texture : a mesh of the same surface, with an image or vertex colours, in the same place: the one the
-        levels were built from, or what was textured since. Each tile gets an image of its own with its
-        colours, in place of vertex colours; its positions and triangles are the same as without. In the
-        `extras` of its content, what is sampled of its colours takes the place of `color_bound_levels`.
+        levels were built from, or what was textured since; if not given `hierarchy.model`, where there is
+        one. Each tile gets an image of its own with its colours, in place of vertex colours; its positions
+        and triangles are the same as without. In the `extras` of its content, what is sampled of its colours
+        takes the place of `color_bound_levels`.
     images : how these are.
     progress : called with (tiles written, all).
 
@@ -189,7 +190,7 @@ def write_tiles(
     params = resolve(TilesParams, params, changes)
     _require_whole(hierarchy)
     outdir = Path(outdir)
-    model = None if texture is None else as_mesh(texture, "model")
+    model = hierarchy.model if texture is None else as_mesh(texture, "model")
     with replacing_folder(outdir, is_tileset, WHAT) as draft:
         placed, grid = on_grid(hierarchy)
         (draft / _FOLDER).mkdir()

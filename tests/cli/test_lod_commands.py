@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stages import bake
 from stages.surface.formats.ply import write_ply
-from stages.surface.mesh_files import read_mesh
+from stages.surface.mesh_files import read_mesh, write_mesh
 from tests.made.coloured_meshes import sheet
 
 Run = Callable[..., Any]
@@ -69,6 +70,31 @@ def test_a_cut_gets_the_image_of_a_model(scanloom: Run, built: Path, tmp_path: P
     ran = scanloom("lod", "cut", built, tmp_path / "cut.stl", "--triangles", 700, "--texture", model)
     assert ran.exit_code == 2
     assert "the extension .stl stands for no format; use .glb, .obj, .ply." in ran.stderr
+
+
+def test_what_was_built_of_a_textured_mesh_gets_its_image_anew(scanloom: Run, tmp_path: Path) -> None:
+    source, slod, out = tmp_path / "m.glb", tmp_path / "m.slod", tmp_path / "cut.glb"
+    write_mesh(source, bake(sheet(16), sheet(16)).mesh)
+    ran = scanloom("lod", "build", source, slod, "--cell-triangles", 128, "--root-triangles", 100)
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    ran = scanloom("lod", "cut", slod, out, "--triangles", 300, "--json")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    mesh = read_mesh(out)
+    assert mesh.texture is not None
+    assert mesh.texture.images
+    assert mesh.up == (0.0, 1.0, 0.0)
+    assert ran.json["texture"]["color"]["rmse_levels"] < 10
+    ran = scanloom("lod", "cut", slod, out, "--triangles", 300, "--no-image", "--json")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    assert read_mesh(out).texture is None
+    assert "texture" not in ran.json
+    # A format for the shape alone says what it has no place for.
+    ran = scanloom("lod", "cut", slod, tmp_path / "cut.stl", "--triangles", 300)
+    assert ran.exit_code == 0
+    assert "colours" in ran.stderr
+    ran = scanloom("lod", "cut", slod, out, "--texture", source, "--no-image")
+    assert ran.exit_code == 2
+    assert "--texture asks for an image and --no-image for none." in ran.stderr
 
 
 def test_dropped_islands_are_told_everywhere(scanloom: Run, tmp_path: Path) -> None:

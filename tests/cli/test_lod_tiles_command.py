@@ -69,6 +69,25 @@ def test_tiles_with_images(scanloom: Run, slod: Path, textured: Path, tmp_path: 
     assert all((tile.image or b"").startswith(b"\xff\xd8") for tile in read_tiles(target).all())
 
 
+def test_tiles_have_the_image_of_what_the_levels_were_built_of(
+    scanloom: Run, textured: Path, tmp_path: Path
+) -> None:
+    source, target = tmp_path / "m.slod", tmp_path / "tiles"
+    words = ("--cell-triangles", 128, "--root-triangles", 100, "--ratio", 4)
+    assert scanloom("lod", "build", textured, source, *words).exit_code == 0
+    ran = scanloom("lod", "tiles", source, target, "--json")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    assert ran.json["images"]["color_rms_levels_sampled"]["largest"] < 10
+    assert all(tile.image is not None for tile in read_tiles(target).all())
+    ran = scanloom("lod", "tiles", source, target, "--no-image", "--json")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    assert ran.json["images"] is None
+    assert all(tile.image is None for tile in read_tiles(target).all())
+    ran = scanloom("lod", "tiles", source, target, "--texture", textured, "--no-image")
+    assert ran.exit_code == 2
+    assert "--texture asks for images and --no-image for none." in ran.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

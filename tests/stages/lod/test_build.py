@@ -246,17 +246,57 @@ def test_pinched_surfaces_are_taken_and_told() -> None:
     np.testing.assert_array_equal(triangles_in_space(whole), triangles_in_space(pinched))
 
 
-def test_a_texture_becomes_colours_and_that_is_told() -> None:
+def textured_sheet() -> Mesh:
+    """A sheet with an image of two columns, dark and light."""
     mesh = sheet(10).with_(colors=None)
     image = np.zeros((2, 2, 3), np.uint8)
     image[:, 1] = 200
     uvs = mesh.vertices[mesh.triangles][:, :, :2].copy()
     material = np.zeros(len(mesh.triangles), np.int32)
-    texture = Texture(uvs, material, (Material(image=Image(given=image)),))
-    hierarchy = lod.build(mesh.with_(texture=texture), cell_triangles=64, root_triangles=10)
+    return mesh.with_(texture=Texture(uvs, material, (Material(image=Image(given=image)),)))
+
+
+def test_a_texture_becomes_colours_and_the_mesh_with_its_image_is_kept(tmp_path: Path) -> None:
+    mesh = textured_sheet()
+    hierarchy = lod.build(mesh, cell_triangles=64, root_triangles=10)
     assert hierarchy.colors is not None
     assert hierarchy.colors.max() > 150
-    assert any("image itself was left out" in note for note in hierarchy.notes)
+    assert hierarchy.notes == ()
+    lod.write_slod(tmp_path / "m.slod", hierarchy)
+    model = lod.read_slod(tmp_path / "m.slod").model
+    assert model is not None
+    assert model.texture is not None
+    assert mesh.texture is not None
+    # Corners in single precision.
+    np.testing.assert_allclose(triangles_in_space(model), triangles_in_space(mesh), rtol=1e-6, atol=1e-7)
+    np.testing.assert_array_equal(model.texture.images[0].pixels, mesh.texture.images[0].pixels)
+    assert lod.build(sheet(10), cell_triangles=64).model is None
+
+
+def test_without_the_end_of_its_file_a_model_is_left_out_and_that_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "m.slod"
+    lod.write_slod(path, lod.build(textured_sheet(), cell_triangles=64, root_triangles=10))
+    whole = path.read_bytes()
+    for damaged in (whole[:-5], whole[:-50] + b"x" + whole[-49:]):
+        path.write_bytes(damaged)
+        hierarchy = lod.read_slod(path)
+        assert hierarchy.model is None
+        assert hierarchy.notes == (
+            "the file is damaged or cut off in the mesh with its image; colours of vertices are left.",
+        )
+        assert len(hierarchy.cut(max_shape=0.0).mesh.triangles) == hierarchy.input_triangles
+
+
+def test_islands_that_are_dropped_are_not_in_the_model() -> None:
+    mesh = textured_sheet()
+    assert mesh.texture is not None
+    speck = np.array([(0, 0, 1), (0.001, 0, 1), (0, 0.001, 1)])
+    triangles = np.concatenate([mesh.triangles, np.arange(3)[None] + len(mesh.vertices)]).astype(np.int32)
+    texture = mesh.texture.rows(np.append(np.arange(len(mesh.triangles)), 0))
+    more = Mesh(np.concatenate([mesh.vertices, speck]), triangles, texture=texture)
+    model = lod.build(more, cell_triangles=64, root_triangles=10, drop_islands=0.01).model
+    assert model is not None
+    assert len(model.triangles) == len(mesh.triangles)
 
 
 def test_what_cannot_be_built_is_one_sentence() -> None:
