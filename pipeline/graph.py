@@ -70,6 +70,7 @@ from stages.exporting.export import export
 from stages.inspecting.coverage.coverage import coverage
 from stages.inspecting.libraries import installed
 from stages.inspecting.sanity import pose_doubts, require_poses
+from stages.inspecting.view_poses import require_view_poses
 from stages.lod.slod import read_slod
 from stages.lod.tiles import write_tiles
 from stages.normal_meshes.unmet import unmet as not_close
@@ -102,6 +103,8 @@ _ADJUSTED = "adjusted"
 
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
+    if scan.is_views and job.config.scan.check_poses:
+        require_view_poses(scan)
     measured = measure_of(scan)(scan, job.config.depth, job.progress)
     figures = _with_skipped(write_depth_maps(job.folder, measured, scan))
     return from_folder(figures, scan.folder)

@@ -17,6 +17,7 @@ from stages.errors import UsageError
 from stages.fusion.fuse import fuse
 from stages.fusion.noise import depth_noise
 from stages.inspecting.sanity import require_poses
+from stages.inspecting.view_poses import require_view_poses
 from stages.lod.build import build
 from stages.normal_meshes.remesh import remesh
 from stages.simplification.auto import chosen
@@ -44,8 +45,14 @@ def of(*functions: Callable[..., Any]) -> Versions:
 def of_depth(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:
     """Return the versions of what `depth` runs."""
     network = {} if config.depth.model is None else _stated(network_of, Network)
+    scan = inputs["pairs"]
+    is_checked = scan.is_views and config.scan.check_poses
     # Views are matched in pairs, each as depth_scan does it.
-    return {**_stated(depth_scan, measure_of(inputs["pairs"])), **network}
+    return {
+        **_stated(depth_scan, measure_of(scan)),
+        **network,
+        **(_stated(require_view_poses) if is_checked else {}),
+    }
 
 
 def of_adjust(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001

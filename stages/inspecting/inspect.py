@@ -24,6 +24,7 @@ from stages.inspecting.image_sizes import odd_sizes
 from stages.inspecting.inspection import Inspection
 from stages.inspecting.outlook import outlook
 from stages.inspecting.unused import unused
+from stages.inspecting.view_poses import check_view_poses
 from stages.registration.focal import focal_of, focal_warnings, is_guess
 from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.subject import shows_thing
@@ -68,7 +69,9 @@ def inspect(scan: Scan) -> Inspection:
     if scan.rig is not None and scan.rig.left.is_calibrated:
         stereo_depth = _stereo_depth(scan.rig)
         warnings += sanity.check_pairs([(one.color, one.right) for one in samples], scan.rig)
-    elif scan.rig is None and not scan.is_views:
+    elif scan.is_views:
+        warnings += [] if path is None else check_view_poses(scan.frames)[1]
+    elif scan.rig is None:
         about_scale = [] if path is None or not scan.is_metric else sanity.check_scale(scan.frames, SCALES)
         depth, said = depth_range([one.depth for one in samples], scan, with_hints=not about_scale)
         errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)

@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.inspecting.meant import AS_GIVEN, advice, motions
 from stages.scans.images import read_depth
 from stages.scans.poses import inverted
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
 
 RESULT_VERSION = 2
 
-_DECLARED = "as given"
-_BACKWARDS = "in the order of the frames backwards"
 _COUPLES = 8
 # Of the points of one frame, the share that must fall on depth of the other for the two to be compared.
 _LEAST_OVERLAP = 0.1
@@ -33,7 +32,6 @@ _PATCH, _LEAST_POINTS, _NEAR_SHARE = 64, 16, 0.05
 # Recordings with sound poses come to 0.1 to 0.3 %; those with poses of another moment, or half a degree off,
 # to 0.6 to 1 %.
 _INEXACT_SHARE = 0.005
-_FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 # The same for the unit of depth: below the first the declared one is right, below the second another is.
 _SOUND_SCALE_SHARE = 0.015
 _FITTING_SCALE_SHARE = 0.012
@@ -53,12 +51,10 @@ def require_poses(scan: Scan) -> list[str]:
         nothing to compare, and a warning is returned.
     """
     errors, warnings = check_poses(scan.frames)
-    if warnings and _DECLARED in errors:
+    if warnings and AS_GIVEN in errors:
         compared = "; ".join(f"{error * 1000:.0f} mm {name}" for name, error in errors.items())
         raise InputError(
-            f"{warnings[0]} (compared: {compared}). Give camera-to-world poses with x right, y down, "
-            "z forward, in the frames' order, or use these as they are with --no-check-poses (in a config "
-            "file: check_poses = false under [scan]).",
+            f"{warnings[0]} (compared: {compared}). {advice(min(errors, key=lambda name: errors[name]))}",
             scan.folder,
         )
     return warnings
@@ -85,9 +81,7 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
     for (i, first), (k, second) in _couples(frames):
         points = _points(first, frames[i].camera)
         distances.append(points[:, 2])
-        ways = _ways(poses[i], poses[k])
-        ways[_BACKWARDS] = inverted(poses[-1 - k]) @ poses[-1 - i]
-        for name, second_from_first in ways.items():
+        for name, second_from_first in motions(poses, i, k).items():
             found = _depth_errors(points, second_from_first, second, frames[k].camera)
             if found.size > _LEAST_OVERLAP * len(points):
                 errors.setdefault(name, []).append(found)
@@ -95,7 +89,7 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
     if not medians:
         return {}, []
     distance = float(np.median(np.concatenate(distances)))
-    declared = medians.get(_DECLARED)
+    declared = medians.get(AS_GIVEN)
     best = min(medians, key=lambda name: medians[name])
     is_sound = declared is not None and declared < max(2 * medians[best], _SOUND_SHARE * distance)
     if is_sound or medians[best] > _FITTING_SHARE * distance:
@@ -244,18 +238,6 @@ def _posed(frames: Sequence[Frame]) -> tuple[Sequence[Frame], list[Pose]]:
     """Return the frames that have a pose, and their poses."""
     posed = [frame for frame in frames if frame.world_from_camera is not None]
     return posed, [frame.world_from_camera for frame in posed if frame.world_from_camera is not None]
-
-
-def _ways(first: Pose, second: Pose) -> dict[str, Pose]:
-    """Return second_from_first as each way to take the two poses gives it."""
-    given = inverted(second) @ first
-    turned = second @ inverted(first)
-    return {
-        _DECLARED: given,
-        "world-to-camera": turned,
-        "of a camera with y up and z back": _FLIP @ given @ _FLIP,
-        "world-to-camera, with y up and z back": _FLIP @ turned @ _FLIP,
-    }
 
 
 def _points(depth: DepthImage, camera: Camera) -> NDArray[np.float64]:

@@ -22,6 +22,10 @@ _MOST_TURN = 1.0
 # From a camera with y up and z back (OpenGL) to one with y down and z forward.
 _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 
+# How poses can be meant, whatever the form of their file says.
+WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP = "world-to-camera", "y-up", "world-to-camera-y-up"
+CONVENTIONS = ("as-written", WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP)
+
 
 def inverted(pose: Pose) -> Pose:
     """Return the inverse of a rigid (4, 4) pose: the other direction of the same relation."""
@@ -34,6 +38,13 @@ def inverted(pose: Pose) -> Pose:
 def from_opengl(pose: Pose) -> Pose:
     """Return the world_from_camera of a camera whose own axes were OpenGL's: x right, y up, z back."""
     return np.asarray(pose @ _FLIP)
+
+
+def meant(pose: Pose, convention: str) -> Pose:
+    """Return the world_from_camera of a pose that is meant by one of `CONVENTIONS`."""
+    if convention in (WORLD_TO_CAMERA, WORLD_TO_CAMERA_Y_UP):
+        pose = inverted(pose)
+    return from_opengl(pose) if convention in (Y_UP, WORLD_TO_CAMERA_Y_UP) else pose
 
 
 def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | None:

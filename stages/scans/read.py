@@ -14,8 +14,11 @@ from stages._opencv import require_opencv
 from stages.errors import InputError, UsageError
 from stages.files.noting import noting
 from stages.files.telling import in_sentences, telling
+from stages.scans.layouts import plain_views
+from stages.scans.layouts.plain_views import place_of_photos
 from stages.scans.layouts.refused import Refused, refused
 from stages.scans.params import ScanParams
+from stages.scans.poses import meant
 from stages.scans.reading.adjusted import with_adjusted
 from stages.scans.reading.axis_alignment import aligned
 from stages.scans.reading.files import common_size
@@ -47,6 +50,9 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     folder = Path(folder)
     options = options or ScanParams()
     layout = next((one for one in LAYOUTS if one.name == options.layout), None)
+    if layout is None and options.poses is not None and matching(folder) is None:
+        # Photos alone are no scan, but here their poses are said to be elsewhere.
+        layout = plain_views.LAYOUT if place_of_photos(folder) else None
     if layout is None:
         layout = recognise(folder)[0]
     else:
@@ -55,6 +61,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         read = layout.read(folder, options)
     _require_used(options, folder, layout, read, noted)
     read = replace(read, warnings=(*read.warnings, *in_sentences(told)))
+    read = _as_meant(read, options.pose_convention)
     scan = with_up(_without_still_poses(replace(read, read_from=_files_of(read, noted))), layout, options)
     if layout.name != "sun-rgbd":  # It looks for itself.
         scan = with_bits_turned_back(scan, options.depth_scale, is_own=layout.name == "plain-rgbd")
@@ -77,6 +84,17 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         require_complete(scan, folder)
     _require_equal_sides(scan.frames, folder)
     return scan
+
+
+def _as_meant(scan: Scan, convention: str) -> Scan:
+    """Return the scan with its poses as the person says they are meant."""
+    frames = [
+        frame
+        if frame.world_from_camera is None
+        else replace(frame, world_from_camera=meant(frame.world_from_camera, convention))
+        for frame in scan.frames
+    ]
+    return replace(scan, frames=frames)
 
 
 def _require_used(
@@ -190,13 +208,27 @@ def _unknown(folder: Path) -> str:
     content = sorted(path.name + "/" * path.is_dir() for path in folder.iterdir())
     if not content:
         return "the folder is empty."
-    for child in sorted(path for path in folder.iterdir() if path.is_dir()):
-        inside = _first_match(LAYOUTS, child)
-        if inside is not None:
-            return f"no scan here, but its folder {child.name}/ looks like one ({inside[0].name}); give that."
+    if (inside := _scan_inside(folder)) is not None:
+        child, layout = inside
+        return f"no scan here, but its folder {child}/ looks like one ({layout}); give that."
+    if (photos := place_of_photos(folder)) is not None:
+        where = f"{photos.name}/" if photos != folder else "it"
+        return (
+            f"unknown layout: {where} holds images, and nothing says where they were taken from. Name a file "
+            "with a pose for each by scan.poses=FILE; COLMAP finds them, and its folder is read as it is."
+        )
     shown = ", ".join(content[:6]) + (f" and {len(content) - 6} more" if len(content) > 6 else "")
     known = ", ".join(one.name for one in LAYOUTS)
     return f"unknown layout. The folder holds {shown}. Layouts that can be read are {known}; see the README."
+
+
+def _scan_inside(folder: Path) -> tuple[str, str] | None:
+    """Name the folder within one that looks like a scan, and its layout; None if there is none."""
+    for child in sorted(path for path in folder.iterdir() if path.is_dir()):
+        inside = _first_match(LAYOUTS, child)
+        if inside is not None:
+            return child.name, inside[0].name
+    return None
 
 
 def _selected(scan: Scan, options: ScanParams) -> Sequence[Frame]:
@@ -279,7 +311,9 @@ def _without_lost(scan: Scan, folder: Path) -> Scan:
     skipped = (*scan.skipped, *lost)
     if not frames:
         reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
-        raise InputError(f"none of its {len(skipped)} frames can be used{reason}.", folder)
+        inside = _scan_inside(folder) if folder.is_dir() else None
+        other = "" if inside is None else f" Its folder {inside[0]}/ looks like a scan of its own."
+        raise InputError(f"none of its {len(skipped)} frames can be used{reason}.{other}", folder)
     return replace(scan, frames=frames, skipped=skipped)
 
 

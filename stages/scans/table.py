@@ -20,6 +20,7 @@ from stages.scans.layouts import (
     nerfstudio,
     nyu,
     plain_stereo,
+    plain_views,
     polycam,
     record3d,
     redwood,
@@ -77,5 +78,7 @@ GENERIC: tuple[Layout, ...] = (
     plain_stereo.LAYOUT,
     single_pair.LAYOUT,
     redwood.LAYOUT,
+    # Wants the least: after all that know more of their folders.
+    plain_views.LAYOUT,
 )
 LAYOUTS: tuple[Layout, ...] = DISTINCT + GENERIC

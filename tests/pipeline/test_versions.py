@@ -107,7 +107,9 @@ def test_parameters_that_suit_no_method_are_left_for_the_stage_to_refuse():
 
 
 def test_depth_has_the_version_of_views_only_for_views():
-    assert set(versions(stage_named("depth"), VIEWS)) == {"depth", "views_depth"}
+    assert set(versions(stage_named("depth"), VIEWS)) == {"depth", "views_depth", "view_poses"}
+    unchecked = versions(stage_named("depth"), VIEWS, "scan.check_poses=false")
+    assert set(unchecked) == {"depth", "views_depth"}
     assert set(versions(stage_named("depth"), PAIRS)) == {"depth"}
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 import numpy as np
@@ -28,6 +28,8 @@ T = TypeVar("T")
 # Of a pose in a NumPy array, and how many there may be: days of frames.
 _STACKED = ((3, 4), (4, 4), (12,), (16,))
 _MOST_POSES = 1 << 22
+# Python reads no number of thousands of digits.
+_LONGEST_NUMBER = 255
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +40,12 @@ class Trajectory:
     ----------
     poses : (4, 4) float64 world-from-camera (or -body, where the file says so); None where tracking was lost.
     timestamps : (n,) int64 nanoseconds, or None when the form has none.
+    names : what the file calls the frame of each, its name or its number; None when the form has none.
     """
 
     poses: Sequence[Pose | None]
     timestamps: NDArray[np.int64] | None = None
+    names: Sequence[str] | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -52,7 +56,8 @@ def read_trajectory(path: Path) -> Trajectory:
 
     KITTI and plain 4x4 lines (12 or 16 numbers, row-major), TUM lines (`t tx ty tz qx qy qz qw`), the same
     without times (SLAMBench), Redwood and Open3D `.log`, Open3D `.json` (world-to-camera, column-major),
-    EuRoC `.csv`, ARKitScenes `.traj`, nested rows in JSON, and matrices as NumPy's `.npy`.
+    EuRoC `.csv`, ARKitScenes `.traj`, nested rows in JSON, in a list or by frame, and matrices as NumPy's
+    `.npy`.
 
     Raises
     ------
@@ -183,10 +188,11 @@ def read_stacked(path: Path) -> Trajectory:
 
 
 def read_json(path: Path) -> Trajectory:
-    """Read poses from JSON: Open3D's camera trajectory or pose graph, or a list of row-major 4x4 matrices.
+    """Read poses from JSON: Open3D's camera trajectory or pose graph, or row-major 4x4 matrices.
 
     Open3D writes 16 numbers column-major; its camera trajectory holds *world-to-camera* extrinsics, its pose
-    graph camera-to-world poses.
+    graph camera-to-world poses. Matrices are camera-to-world, in a list, or the values of an object whose
+    names are those of the frames, or their numbers.
     """
     document = documents.read_json(path)
     if isinstance(document, dict) and isinstance(document.get("parameters"), list):
@@ -194,11 +200,15 @@ def read_json(path: Path) -> Trajectory:
     elif isinstance(document, dict) and isinstance(document.get("nodes"), list):
         entries, key, inverse = document["nodes"], "pose", False
     else:
-        entries = document.get("poses") if isinstance(document, dict) else document
+        entries = document.get("poses", document) if isinstance(document, dict) else document
+        names = None
+        if isinstance(entries, dict) and entries and all(isinstance(one, list) for one in entries.values()):
+            names, entries = tuple(entries), list(entries.values())
         if not isinstance(entries, list):
             raise InputError("it holds none of `parameters`, `nodes` or `poses`, so no trajectory.", path)
+        matrices = [matrix_of(entry, path, f"pose {i}") for i, entry in enumerate(entries)]
         return Trajectory(
-            [rigid(matrix_of(entry, path, f"pose {i}"), path, f"pose {i}") for i, entry in enumerate(entries)]
+            [rigid(matrix, path, f"pose {i}") for i, matrix in enumerate(matrices)], names=names
         )
     poses = []
     for i, entry in enumerate(entries):
@@ -307,8 +317,38 @@ def in_order(trajectory: Trajectory) -> Trajectory:
 
 
 def match(trajectory: Trajectory, names: Sequence[str], path: Path) -> list[Pose | None]:
-    """Return the pose of each frame of a form without times: the n-th, or the one its number counts to."""
-    return by_number(trajectory.poses, names, path, "poses")
+    """Return the pose of each frame of a form without times: the n-th, or the one its number counts to.
+
+    Where the file names the frames, each has that of its name, or of its name's number, and a frame that is
+    not in the file has none.
+    """
+    if trajectory.names is None:
+        return by_number(trajectory.poses, names, path, "poses")
+    by_key = [
+        {key(name): pose for name, pose in zip(trajectory.names, trajectory.poses, strict=True)}
+        for key in (_stem, _last_number)
+    ]
+    found = [
+        [of.get(key(name)) for name in names] for of, key in zip(by_key, (_stem, _last_number), strict=True)
+    ]
+    most = max(found, key=lambda poses: sum(pose is not None for pose in poses))
+    if all(pose is None for pose in most):
+        raise InputError(
+            f"it holds poses of {trajectory.names[0]!r} and so on, and none of a frame of the scan, such as "
+            f"{names[0]!r}.",
+            path,
+        )
+    return most
+
+
+def _stem(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).stem
+
+
+def _last_number(name: str) -> object:
+    """Return the last number in a name; a name without one is like no other."""
+    digits = re.findall(r"\d+", _stem(name)[-_LONGEST_NUMBER:])
+    return int(digits[-1]) if digits else name
 
 
 def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) -> list[T]:

@@ -100,14 +100,19 @@ def trajectory_beside(folder: Path, count: int) -> Path | None:
     if count < _LEAST_POSES:
         return None
     with only_looking():
-        texts = [path for path in folder.iterdir() if path.suffix.lower() in _TRAJECTORIES and path.is_file()]
-        found = [path for path in sorted(texts)[:_MOST_FILES] if _count_of_poses(path) == count]
+        found = [path for path in texts_of_poses(folder) if _count_of_poses(path) == count]
     return found[0] if len(found) == 1 else None
+
+
+def texts_of_poses(folder: Path) -> list[Path]:
+    """Return the files of a folder that may hold poses, by their extension and size, in order."""
+    found = [path for path in folder.iterdir() if path.suffix.lower() in _TRAJECTORIES and path.is_file()]
+    return [path for path in sorted(found)[:_MOST_FILES] if path.stat().st_size <= _MOST_TRAJECTORY_BYTES]
 
 
 def _count_of_poses(path: Path) -> int:
     try:
-        return len(trajectories.read_trajectory(path)) if path.stat().st_size <= _MOST_TRAJECTORY_BYTES else 0
+        return len(trajectories.read_trajectory(path))
     except InputError:
         return 0
 

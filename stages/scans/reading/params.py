@@ -8,6 +8,7 @@ from pathlib import Path
 
 from stages.errors import UsageError
 from stages.params import check, param
+from stages.scans.poses import CONVENTIONS
 from stages.scans.scan import Camera
 
 
@@ -37,6 +38,12 @@ class ReadingParams:
         "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv) in place of the folder's; "
         "camera-to-world, but for a .traj.",
         is_path=True,
+    )
+    pose_convention: str = param(
+        CONVENTIONS[0],
+        "How the poses are meant, if not as the form of their file says: world-to-camera, of a camera with y "
+        "up and z back (OpenGL's), or both.",
+        choices=CONVENTIONS,
     )
     poses_by_order: bool = param(
         False,

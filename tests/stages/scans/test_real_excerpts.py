@@ -48,6 +48,7 @@ MADE = {
     "icl-nuim",
     "karlsruhe",
     "plain-rgbd",
+    "plain-views",
     "polycam",
     "record3d",
     "replica",

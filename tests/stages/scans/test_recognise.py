@@ -1,5 +1,7 @@
+import json
 import re
 
+import numpy as np
 import pytest
 
 from stages.errors import InputError, UsageError
@@ -125,6 +127,16 @@ def test_an_unknown_folder_says_what_it_holds_and_what_is_known(tmp_path):
 def test_a_folder_above_a_scan_points_to_it(tmp_path):
     touch(tmp_path, "seq-01/frame-000000.depth.png", "readme.txt")
     with pytest.raises(InputError, match=r"its folder seq-01/ looks like one \(7scenes\)"):
+        read_scan(tmp_path)
+
+
+def test_a_list_of_frames_that_are_elsewhere_points_to_the_scan_beside(tmp_path, tiny):
+    frames = [{"file_path": "images/0.png", "transform_matrix": np.eye(4).tolist()}]
+    model = {"fl_x": 40, "fl_y": 40, "cx": 16, "cy": 12, "w": 32, "h": 24, "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(model))
+    tiny.color(tmp_path / "undistorted" / "images" / "0.png")
+    (tmp_path / "undistorted" / "transforms.json").write_text(json.dumps(model))
+    with pytest.raises(InputError, match=r"frames can be used.*undistorted/ looks like a scan of its own"):
         read_scan(tmp_path)
 
 

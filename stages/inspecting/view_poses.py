@@ -1,0 +1,182 @@
+"""Do photos agree with the poses that a folder gives them? What two of them show lies where the poses say.
+
+Points that are recognised in both lie on each other's epipolar lines (Hartley and Zisserman, "Multiple view
+geometry", 2004, section 9), and in front of both cameras. If they do under another reading of the poses, and
+not under the declared one, no depth comes of them, or a wrong one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.inspecting.meant import AS_GIVEN, advice, motions
+from stages.registration.sift import Keypoints, keypoints, matches
+from stages.scans.images import read_pinhole
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Camera, Frame, Pose, Scan, pinhole, scaled
+
+RESULT_VERSION = 1
+
+# Couples of views, each of one and the next or the one after; images no wider than so many pixels.
+_COUPLES, _AFTER, _WIDEST, _KEYPOINTS = 5, 2, 1200, 2000
+# Matches of one motion that a couple needs to tell anything; how far they may be off it, pixels.
+_LEAST, _OFF_PX, _TRIALS = 24, 2.0, 2000
+# So exact a reading fits; one that is no worse than the second is sound, whatever another comes to.
+_FITTING_PX, _SOUND_PX = 2.0, 4.0
+# A reading is another's better by so much.
+_CLEARLY = 4.0
+# Points behind a camera were not seen.
+_LEAST_IN_FRONT = 0.5
+
+Pixels = NDArray[np.float64]
+
+
+def require_view_poses(scan: Scan) -> None:
+    """Stop when another reading of the poses clearly fits the photos better.
+
+    Raises
+    ------
+    InputError
+        With the comparison of `check_view_poses`.
+    """
+    errors, said = check_view_poses(scan.frames)
+    if said:
+        compared = "; ".join(f"{error:.1f} px {name}" for name, error in errors.items())
+        raise InputError(
+            f"{said[0]} (compared: {compared}). {advice(min(errors, key=lambda name: errors[name]))}",
+            scan.folder,
+        )
+
+
+def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
+    """Match a few couples of views, and measure how far matches are off with the poses meant in several ways.
+
+    Parameters
+    ----------
+    frames : with photos and poses; those without are left out.
+
+    Returns
+    -------
+    The median distance of each way from its epipolar lines, in pixels of photos no wider than 1200; infinite
+    where points come to lie behind a camera. And a sentence if another way fits clearly better than the
+    declared one.
+    """
+    posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
+    poses = [frame.world_from_camera for frame in posed if frame.world_from_camera is not None]
+    found: dict[str, list[Pixels]] = {}
+    for first, second, one, other, camera in _matched(posed):
+        for name, motion in motions(poses, first, second).items():
+            found.setdefault(name, []).append(_errors(motion, one, other, camera))
+    errors = {name: float(np.median(np.concatenate(each))) for name, each in found.items()}
+    if not errors:
+        return {}, []
+    declared, best = errors[AS_GIVEN], min(errors, key=lambda name: errors[name])
+    if declared < max(_SOUND_PX, _CLEARLY * errors[best]) or errors[best] > _FITTING_PX:
+        return errors, []
+    alike = [name for name, error in errors.items() if error < max(_CLEARLY * errors[best], 1.0)]
+    was = f"{declared:.0f} px" if np.isfinite(declared) else "behind the cameras"
+    return errors, [
+        f"the poses are probably {', or '.join(alike)}: so taken, what one photo shows lies within "
+        f"{max(errors[best], 0.1):.1f} px of where another has it, as given {was}"
+    ]
+
+
+def _matched(
+    frames: Sequence[Frame],
+) -> list[tuple[int, int, Pixels, Pixels, tuple[Camera, Camera]]]:
+    """Return couples of views: their places, the pixels in each of what both show, and their cameras."""
+    count = len(frames)
+    starts = np.unique(
+        np.linspace(0, max(count - 2, 0), min(_COUPLES, max(count - 1, 0))).round().astype(int)
+    )
+    places = sorted({int(at) + n for at in starts for n in range(_AFTER + 1) if at + n < count})
+    threads = workers()
+    seen = dict(
+        zip(
+            places,
+            read_ahead(lambda at: _seen(frames[at]), places, threads=threads, ahead=threads),
+            strict=True,
+        )
+    )
+    couples = []
+    for at in starts:
+        for second in range(int(at) + 1, min(int(at) + _AFTER + 1, count)):
+            one, other = seen[int(at)], seen[second]
+            if one is None or other is None:
+                continue
+            pixels = _agreeing(one[0], other[0])
+            if pixels is not None:
+                couples.append((int(at), second, *pixels, (one[1], other[1])))
+                break
+    return couples
+
+
+def _seen(frame: Frame) -> tuple[Keypoints, Camera] | None:
+    """Return what can be recognised in a view, and its camera in that size; None if it cannot be read."""
+    import cv2
+
+    try:
+        image = read_pinhole(frame)
+    except InputError:
+        return None
+    if image is None:
+        return None
+    camera = pinhole(frame.camera)
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    if camera.width > _WIDEST:
+        camera = scaled(camera, _WIDEST, max(round(camera.height * _WIDEST / camera.width), 1))
+        grey = cv2.resize(grey, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return keypoints(np.asarray(grey, np.uint8), _KEYPOINTS), camera
+
+
+def _agreeing(one: Keypoints, other: Keypoints) -> tuple[Pixels, Pixels] | None:
+    """Return the pixels of matches that one fundamental matrix explains, None where they are too few."""
+    import cv2
+
+    pairs = matches(one.descriptors, other.descriptors)
+    if len(pairs) < _LEAST:
+        return None
+    first, second = one.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
+    _, kept = cv2.findFundamentalMat(first, second, cv2.FM_RANSAC, _OFF_PX, 0.999, _TRIALS)
+    good = np.zeros(len(pairs), bool) if kept is None else np.ravel(kept) > 0
+    if np.count_nonzero(good) < _LEAST:
+        return None
+    return first[good].astype(np.float64), second[good].astype(np.float64)
+
+
+def _errors(
+    second_from_first: Pose, first: Pixels, second: Pixels, cameras: tuple[Camera, Camera]
+) -> NDArray[np.float64]:
+    """Return how far matches (n, 2) are off each other's epipolar lines (Sampson's distance), pixels."""
+    turn, shift = second_from_first[:3, :3], second_from_first[:3, 3]
+    rays = [_rays(pixels, camera) for pixels, camera in zip((first, second), cameras, strict=True)]
+    across = np.array([[0, -shift[2], shift[1]], [shift[2], 0, -shift[0]], [-shift[1], shift[0], 0]])
+    essential = across @ turn / max(float(np.linalg.norm(shift)), 1e-300)
+    lines, others = rays[0] @ essential.T, rays[1] @ essential
+    off = np.abs((rays[1] * lines).sum(axis=1))
+    # A line's slope in pixels: rays are of focal length 1.
+    slopes = (
+        np.hypot(*(lines[:, :2] / _focal(cameras[1])).T),
+        np.hypot(*(others[:, :2] / _focal(cameras[0])).T),
+    )
+    distance = off / np.hypot(*slopes).clip(1e-300)
+    turned = rays[0] @ turn.T
+    # Signs of the depths at which the rays come nearest: d1 turned + shift = d2 ray.
+    normal = np.cross(turned, rays[1])
+    depths = [-(np.cross(shift, ray) * normal).sum(axis=1) for ray in (rays[1], turned)]
+    in_front = (depths[0] > 0) & (depths[1] > 0)
+    if np.count_nonzero(in_front) < _LEAST_IN_FRONT * len(in_front):
+        return np.full(len(first), np.inf)
+    return np.asarray(distance)
+
+
+def _rays(pixels: Pixels, camera: Camera) -> NDArray[np.float64]:
+    return np.column_stack([(pixels - (camera.cx, camera.cy)) / _focal(camera), np.ones(len(pixels))])
+
+
+def _focal(camera: Camera) -> NDArray[np.float64]:
+    return np.array([camera.fx, camera.fy])

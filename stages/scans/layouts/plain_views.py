@@ -1,0 +1,163 @@
+"""Photos with their camera and their poses in files beside them, under any name: views without depth.
+
+    images/frame_000319.png  …            or rgb/, color/ and so on, or beside the files
+    poses.json | poses.txt | K.npy | …    a pose for each, camera-to-world, by name, number, time or order
+    intrinsic.json | K.txt | …            the camera of all
+
+What a file is tells its content. Poses are taken to be in metres, of a camera with x right and y down.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.files.noting import note, only_looking
+from stages.files.telling import in_sentences, telling
+from stages.scans.formats import trajectories
+from stages.scans.reading.beside import texts_of_poses
+from stages.scans.reading.files import COLOR_FOLDERS, common_size, images
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import found_camera, stated_camera
+from stages.scans.reading.timed_poses import poses_at
+from stages.scans.reading.views import single_view
+from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
+
+_FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs")
+# Fewer show no depth.
+_LEAST_VIEWS = 2
+# Names that are moments: seconds, or nanoseconds since 1970.
+_SECONDS, _NANOSECONDS = re.compile(r"\d+\.\d+"), re.compile(r"\d{16,19}")
+_TOLERANCE = 20_000_000
+# A file is the trajectory where it has a pose for so many of the images.
+_POSED = 0.5
+
+
+def _matches(folder: Path) -> str | None:
+    place = place_of_photos(folder)
+    if place is None:
+        return None
+    with only_looking():
+        found = _trajectories(folder, images(place), ReadingParams())
+    if not found:
+        return None
+    shown = f"{place.name}/" if place != folder else "images"
+    return f"{shown} and {found[0][0].name}, a pose for each"
+
+
+def place_of_photos(folder: Path) -> Path | None:
+    """Return the folder that the photos lie in."""
+    places = [folder / name for name in _FOLDERS if (folder / name).is_dir()]
+    return next((place for place in (*places, folder) if len(images(place)) >= _LEAST_VIEWS), None)
+
+
+def _trajectories(
+    folder: Path, colors: Sequence[Path], options: ReadingParams
+) -> list[tuple[Path, list[Pose | None]]]:
+    """Return the files of a folder that have poses for most of the images."""
+    found = []
+    for path in texts_of_poses(folder):
+        try:
+            with telling():
+                poses = _poses_of(path, colors, options)
+        except InputError:
+            continue
+        if sum(pose is not None for pose in poses) >= max(_POSED * len(colors), _LEAST_VIEWS):
+            found.append((path, poses))
+    return found
+
+
+def _poses_of(path: Path, colors: Sequence[Path], options: ReadingParams) -> list[Pose | None]:
+    names = [color.stem for color in colors]
+    trajectory = trajectories.read_trajectory(path)
+    moments = _moments(names, path)
+    if trajectory.timestamps is None or moments is None:
+        return trajectories.match(trajectory, names, path)
+    return poses_at(path, moments, names, _TOLERANCE, options)
+
+
+def _moments(names: Sequence[str], path: Path) -> list[int] | None:
+    """Return the moments that images are named by, nanoseconds; None where they have other names."""
+    if all(_SECONDS.fullmatch(name) for name in names):
+        return [trajectories.stamp(name, path, 0) for name in names]
+    return [int(name) for name in names] if all(_NANOSECONDS.fullmatch(name) for name in names) else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    place = place_of_photos(folder)
+    if place is None:
+        raise InputError("a folder images/ with two photos or more is needed.", folder)
+    colors = images(place)
+    camera, warnings = _camera(folder, options, colors)
+    path, poses, said = _poses(folder, options, colors)
+    missing = []
+    if camera is None:
+        missing.append(
+            "calibration: no file beside the images states their camera; name one with "
+            "scan.calibration=FILE, or say scan.intrinsics=fx,fy,cx,cy"
+        )
+        # So that the rest can be told.
+        camera, warnings = found_camera(folder, *common_size(colors))[0], []
+    if path is None:
+        missing.append(
+            "poses: no file beside the images has one for each; name one with scan.poses=FILE. Photos alone "
+            "get theirs from COLMAP, whose folder is read as it is"
+        )
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for color, pose in zip(colors, poses, strict=True):
+        if path is not None and pose is None:
+            skipped.append(SkippedFrame(color.stem, f"it has no pose in {path.name}"))
+            continue
+        try:
+            frames.append(single_view(color.stem, camera, color, pose))
+        except InputError as error:
+            skipped.append(SkippedFrame(color.stem, str(error)))
+    return Scan(
+        LAYOUT.name, frames, None, folder, tuple(skipped), (*warnings, *said), tuple(missing), is_metric=True
+    )
+
+
+def _camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tuple[Camera | None, list[str]]:
+    """Return the camera that is stated for the images, and what is to be said about it."""
+    size = common_size(colors)
+    stated = stated_camera(options, folder, *size)
+    if stated is not None:
+        return stated, []
+    camera, path, warnings = found_camera(folder, *size)
+    return (None if path is None else camera), warnings
+
+
+def _poses(
+    folder: Path, options: ReadingParams, colors: Sequence[Path]
+) -> tuple[Path | None, list[Pose | None], list[str]]:
+    """Return the file with the poses, the pose of each image, and what is to be said about it."""
+    given = options.file("poses", folder)
+    if given is not None:
+        return given, _poses_of(given, colors, options), []
+    with only_looking():
+        found = _trajectories(folder, colors, options)
+    nothing: list[Pose | None] = [None] * len(colors)
+    if not found:
+        return None, nothing, []
+    if len(found) > 1:
+        names = ", ".join(path.name for path, _ in found[:5])
+        return None, nothing, [f"{names} all have poses for the images: none is taken"]
+    path, poses = found[0]
+    note(path)
+    with telling() as told:
+        poses = _poses_of(path, colors, options)
+    said = f"the poses are read from {path.name}, which lies beside the images: camera-to-world, in metres"
+    return path, poses, [said, *in_sentences(told)]
+
+
+LAYOUT = Layout(
+    name="plain-views",
+    text="images/ (or rgb/, photos/ and so on), a file with a pose for each and one with their camera, under "
+    "any name: single views, without depth",
+    matches=_matches,
+    read=_read,
+)
