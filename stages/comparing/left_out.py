@@ -22,11 +22,11 @@ from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.images import read_depth, read_photo
 from stages.scans.poses import inverted
-from stages.scans.scan import ColorImage, Frame, Pose, SkippedFrame
+from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame, scaled
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 # Depth that differs by more than this share of it, and this many metres, shows something else.
 _SAME_SHARE, _SAME_M = 0.01, 0.04
@@ -35,6 +35,8 @@ _LEAST_PIXELS, _SAME_COVERAGE = 500, 0.9
 # Window of SSIM, and blur before gradients are measured, both standard deviations in pixels.
 _SSIM_SIGMA, _GRADIENT_SIGMA = 1.5, 0.7
 _BORDER = 7
+# Where a larger photo was taken is looked for with so many pixels a side at most; it is judged as it is.
+_LARGEST_PLACED = 1600
 
 
 @dataclass(frozen=True)
@@ -140,22 +142,69 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
     if frame.shutter_turn is not None:
         frame = _with_its_turn(frame, given, apart, surface)
         image, camera, shown = read_photo(frame)
-    found: list[tuple[Score, ColorImage]] = []
-    for pose in poses_of(image, camera, given, surface):
-        seen = seen_from(surface, camera, pose)
-        counted = _counted(seen, replace(frame, world_from_camera=pose @ apart))
-        counted = counted if shown is None else counted & shown
-        if np.count_nonzero(counted) >= _LEAST_PIXELS:
-            drawn = np.where(seen.hit[..., None], seen.levels, 0).clip(0, 255).astype(np.uint8)
-            found.append((_score(place, seen.levels, image, counted, placed=pose is not given), drawn))
+    photo = _Photo(image, camera, shown)
+    small = photo.no_larger_than(_LARGEST_PLACED)
+    found: list[tuple[Score, ColorImage, Pose]] = []
+    for pose in poses_of(small.image, small.camera, given, surface):
+        judged = _from_pose(place, small, surface, frame, pose, apart, placed=pose is not given)
+        if judged is not None:
+            found.append((*judged, pose))
     if not found:
         raise InputError("its photo does not show the mesh.", f"frame {frame.name}")
     # A wrong pose may come near to little of the photo.
-    least = _SAME_COVERAGE * max(score.coverage for score, _ in found)
-    score, drawn = max(
+    least = _SAME_COVERAGE * max(score.coverage for score, *_ in found)
+    score, drawn, pose = max(
         (one for one in found if one[0].coverage >= least), key=lambda one: (one[0].affine, not one[0].placed)
     )
-    return score, np.hstack([image, drawn])
+    whole = None
+    if small is not photo:
+        whole = _from_pose(place, photo, surface, frame, pose, apart, placed=score.placed)
+    return (
+        (score, np.hstack([small.image, drawn]))
+        if whole is None
+        else (whole[0], np.hstack([image, whole[1]]))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Photo:
+    """A photo without lens distortion, and which of its pixels count, if not all."""
+
+    image: ColorImage
+    camera: Camera
+    shown: NDArray[np.bool_] | None
+
+    def no_larger_than(self, side: int) -> _Photo:
+        """Return the photo with no side of more pixels: itself, where none is longer."""
+        import cv2
+
+        width, height = self.camera.width, self.camera.height
+        if max(width, height) <= side:
+            return self
+        share = side / max(width, height)
+        size = max(round(width * share), 1), max(round(height * share), 1)
+        shown = self.shown
+        if shown is not None:
+            shown = cv2.resize(shown.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        image = np.asarray(cv2.resize(self.image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return _Photo(image, scaled(self.camera, *size), shown)
+
+
+def _from_pose(
+    place: int, photo: _Photo, surface: Surface, frame: Frame, pose: Pose, apart: Pose, *, placed: bool
+) -> tuple[Score, ColorImage] | None:
+    """Return how a photo and the mesh differ from a pose of its camera, and that picture of the mesh.
+
+    None if too little of the mesh is seen from there. `apart` takes points of the frame's camera to the
+    photo's.
+    """
+    seen = seen_from(surface, photo.camera, pose)
+    counted = _counted(seen, replace(frame, world_from_camera=pose @ apart))
+    counted = counted if photo.shown is None else counted & photo.shown
+    if np.count_nonzero(counted) < _LEAST_PIXELS:
+        return None
+    drawn = np.where(seen.hit[..., None], seen.levels, 0).clip(0, 255).astype(np.uint8)
+    return _score(place, seen.levels, photo.image, counted, placed=placed), drawn
 
 
 def _with_its_turn(frame: Frame, given: Pose, apart: Pose, surface: Surface) -> Frame:

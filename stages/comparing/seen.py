@@ -35,8 +35,11 @@ def seen_from(surface: Surface, camera: Camera, pose: Pose) -> Seen:
     places = np.zeros((rows.size, 3))
     hit = np.zeros(rows.size, np.bool_)
     levels[hits.rays] = color_at(surface.mesh, hits.triangles, hits.weights)
-    corners = surface.mesh.vertices[surface.mesh.triangles[hits.triangles]]
-    places[hits.rays] = np.einsum("kc,kcx->kx", hits.weights, corners)
+    corners = surface.mesh.triangles.take(hits.triangles, axis=0)
+    # A corner at a time: several times as fast as all at once.
+    places[hits.rays] = sum(
+        surface.mesh.vertices.take(corners[:, k], axis=0) * hits.weights[:, k, None] for k in range(3)
+    )
     hit[hits.rays] = True
     return Seen(levels.reshape(*rows.shape, 3), hit.reshape(rows.shape), places.reshape(*rows.shape, 3))
 

@@ -39,6 +39,18 @@ def test_a_photo_whose_pose_is_off_is_placed(painted):
     assert found.pictures["worst"].shape == (120, 320, 3)
 
 
+def test_a_large_photo_is_placed_when_made_smaller_and_judged_as_it_is(painted, monkeypatch):
+    off = replace(photo(0, pose(0.5, 0.5)), world_from_camera=pose(0.53, 0.49))
+    (whole,) = left_out(painted, [off]).scores
+    monkeypatch.setattr(left_out_module, "_LARGEST_PLACED", 120)
+    found = left_out(painted, [off])
+    (score,) = found.scores
+    assert score.placed
+    assert score.affine > whole.affine - 1
+    assert score.coverage == pytest.approx(whole.coverage, abs=0.01)
+    assert found.pictures["worst"].shape == (120, 320, 3)
+
+
 def test_a_pose_from_which_little_counts_is_not_taken(painted, monkeypatch):
     frame = replace(photo(0, pose(0.5, 0.5)), world_from_camera=pose(0.6, 0.45))
     # From there the wall fills a corner, and nothing of it can be wrong.
