@@ -8,6 +8,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from stages.files.opening import content_of
 from stages.surface.formats.gltf import read_gltf
 from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.mesh import Mesh
@@ -27,7 +28,7 @@ def packed(mesh: Mesh) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.glb"
         write_gltf(path, plain)
-        return path.read_bytes()
+        return content_of(path)
 
 
 def unpacked(data: bytes) -> Mesh:

@@ -17,7 +17,6 @@ READINGS = {
     "world-to-camera, with y up and z back": lambda pose: np.linalg.inv(pose @ FLIP),
 }
 VIEWS = [
-    "real/instant_ngp_fox",
     "real/nerf_alpha_toy",
     "real/colmap_views_meeting_room",
     "stereo/middlebury_templeRing",
