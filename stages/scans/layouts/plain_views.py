@@ -26,7 +26,8 @@ from stages.scans.reading.timed_poses import poses_at
 from stages.scans.reading.views import single_view
 from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
 
-_FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs")
+# The last are what a rig of one camera keeps of its names.
+_FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs", "image_0", "image_2", "image_l", "image_left", "left")
 # Fewer show no depth.
 _LEAST_VIEWS = 2
 # Names that are moments: seconds, or nanoseconds since 1970.

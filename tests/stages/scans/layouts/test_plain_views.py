@@ -72,6 +72,13 @@ def test_poses_by_time(tmp_path, tiny):
     np.testing.assert_allclose(places(read_scan(tmp_path)), (0, 5, 10))
 
 
+def test_one_camera_of_a_rig(photos):
+    (photos / "images").rename(photos / "image_l")
+    (photos / "poses.txt").write_text(rows((1, 2, 3)))
+    scan = read_scan(photos)
+    assert (scan.layout, places(scan)) == ("plain-views", [1, 2, 3])
+
+
 def test_what_is_lacking_is_told(photos):
     with pytest.raises(InputError, match=r"unknown layout: images/ holds images, .* scan.poses=FILE"):
         read_scan(photos)
