@@ -14,11 +14,9 @@ from stages.adjusting.lifting import in_world, lifted, transfer_errors
 from stages.adjusting.shutter import late_of
 from stages.adjusting.view import View
 from stages.progress import Progress, silent
-from stages.registration.sift import matches
+from stages.registration.sift import matches, of_one_motion
 from stages.scans.prefetch import read_ahead, workers
 
-# Pixels that a match may be off the epipolar line; trials; fewer matches tell no fundamental matrix.
-_OFF_PX, _TRIALS, _LEAST = 2.0, 1000, 16
 # How far apart two views may measure a match, a share of its distance, for it to be of one thing.
 GAP_SHARE = 0.13
 
@@ -70,18 +68,12 @@ def match(views: Sequence[View], couples: Sequence[tuple[int, int]], progress: P
 
 
 def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the matches that one fundamental matrix explains; OpenCV draws its trials from a fixed seed."""
-    import cv2
-
-    if len(pairs) < _LEAST:
-        return pairs[:0]
-    flat = [
+    """Return the matches that one motion of a camera without lens distortion explains."""
+    first, second = (
         (rays(one.pixels[pairs[:, side]], one.lens)[:, :2] * one.lens[:2] + one.lens[2:4]).astype(np.float32)
         for side, one in enumerate((a, b))
-    ]
-    _, found = cv2.findFundamentalMat(flat[0], flat[1], cv2.FM_RANSAC, _OFF_PX, 0.999, _TRIALS)
-    kept = np.zeros(0) if found is None else np.ravel(found) > 0
-    return pairs[:0] if np.count_nonzero(kept) < _LEAST else pairs[kept]
+    )
+    return pairs[of_one_motion(first, second)]
 
 
 def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:

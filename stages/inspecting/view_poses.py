@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.inspecting.meant import AS_GIVEN, advice, motions
-from stages.registration.sift import Keypoints, keypoints, matches
+from stages.registration.sift import Keypoints, keypoints, matches, of_one_motion
 from stages.scans.images import read_pinhole
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, Frame, Pose, Scan, pinhole, scaled
@@ -23,8 +23,8 @@ RESULT_VERSION = 1
 
 # Couples of views, each of one and the next or the one after; images no wider than so many pixels.
 _COUPLES, _AFTER, _WIDEST, _KEYPOINTS = 5, 2, 1200, 2000
-# Matches of one motion that a couple needs to tell anything; how far they may be off it, pixels.
-_LEAST, _OFF_PX, _TRIALS = 24, 2.0, 2000
+# Matches of one motion that a couple needs to tell anything.
+_LEAST = 24
 # So exact a reading fits; one that is no worse than the second is sound, whatever another comes to.
 _FITTING_PX, _SOUND_PX = 2.0, 4.0
 # A reading is another's better by so much.
@@ -134,15 +134,10 @@ def _seen(frame: Frame) -> tuple[Keypoints, Camera] | None:
 
 
 def _agreeing(one: Keypoints, other: Keypoints) -> tuple[Pixels, Pixels] | None:
-    """Return the pixels of matches that one fundamental matrix explains, None where they are too few."""
-    import cv2
-
+    """Return the pixels of matches that one motion of the camera explains, None where they are too few."""
     pairs = matches(one.descriptors, other.descriptors)
-    if len(pairs) < _LEAST:
-        return None
     first, second = one.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
-    _, kept = cv2.findFundamentalMat(first, second, cv2.FM_RANSAC, _OFF_PX, 0.999, _TRIALS)
-    good = np.zeros(len(pairs), bool) if kept is None else np.ravel(kept) > 0
+    good = of_one_motion(first, second)
     if np.count_nonzero(good) < _LEAST:
         return None
     return first[good].astype(np.float64), second[good].astype(np.float64)

@@ -13,6 +13,8 @@ _CONTRAST = 0.04
 _TAILS = 0.01
 # A match counts where the second best is this much farther.
 _DISTINCT = 0.8
+# Pixels that a match may be off the epipolar line; trials; fewer matches tell no fundamental matrix.
+_OFF_PX, _TRIALS, _LEAST = 2.0, 1000, 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,20 @@ def matches(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> NDArray[np.
 
     # A kernel, for products of small matrices keep all threads of OpenBLAS waiting for each other.
     return _kernels.match_descriptors(source, target, distinct=_DISTINCT)
+
+
+def of_one_motion(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return which matches, (n, 2) pixels in two images, one fundamental matrix explains: none if too few.
+
+    OpenCV draws its trials from a fixed seed.
+    """
+    import cv2
+
+    if len(first) < _LEAST:
+        return np.zeros(len(first), bool)
+    _, found = cv2.findFundamentalMat(first, second, cv2.FM_RANSAC, _OFF_PX, 0.999, _TRIALS)
+    kept = np.zeros(len(first), bool) if found is None else np.ravel(found) > 0
+    return kept & (np.count_nonzero(kept) >= _LEAST)
 
 
 def _stretched(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:

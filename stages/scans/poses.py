@@ -24,7 +24,8 @@ _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 
 # How poses can be meant, whatever the form of their file says.
 WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP = "world-to-camera", "y-up", "world-to-camera-y-up"
-CONVENTIONS = ("as-written", WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP)
+AS_WRITTEN = "as-written"
+CONVENTIONS = (AS_WRITTEN, WORLD_TO_CAMERA, Y_UP, WORLD_TO_CAMERA_Y_UP)
 
 
 def inverted(pose: Pose) -> Pose:

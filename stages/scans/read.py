@@ -18,7 +18,7 @@ from stages.scans.layouts import plain_views
 from stages.scans.layouts.plain_views import place_of_photos
 from stages.scans.layouts.refused import Refused, refused
 from stages.scans.params import ScanParams
-from stages.scans.poses import meant
+from stages.scans.poses import AS_WRITTEN, meant
 from stages.scans.reading.adjusted import with_adjusted
 from stages.scans.reading.axis_alignment import aligned
 from stages.scans.reading.files import common_size
@@ -49,14 +49,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     require_opencv()
     folder = Path(folder)
     options = options or ScanParams()
-    layout = next((one for one in LAYOUTS if one.name == options.layout), None)
-    if layout is None and options.poses is not None and matching(folder) is None:
-        # Photos alone are no scan, but here their poses are said to be elsewhere.
-        layout = plain_views.LAYOUT if place_of_photos(folder) else None
-    if layout is None:
-        layout = recognise(folder)[0]
-    else:
-        _require_place(folder, layout.suffixes)
+    layout = _layout_of(folder, options)
     with noting() as noted, telling() as told:
         read = layout.read(folder, options)
     _require_used(options, folder, layout, read, noted)
@@ -86,8 +79,24 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     return scan
 
 
+def _layout_of(folder: Path, options: ScanParams) -> Layout:
+    named = next((one for one in LAYOUTS if one.name == options.layout), None)
+    if named is not None:
+        _require_place(folder, named.suffixes)
+        return named
+    found = matching(folder)
+    if found is not None:
+        return found[0]
+    # Photos alone are no scan, but here their poses are said to be elsewhere.
+    if options.poses is not None and place_of_photos(folder) is not None:
+        return plain_views.LAYOUT
+    raise InputError(_unknown(folder), folder)
+
+
 def _as_meant(scan: Scan, convention: str) -> Scan:
     """Return the scan with its poses as the person says they are meant."""
+    if convention == AS_WRITTEN:
+        return scan
     frames = [
         frame
         if frame.world_from_camera is None

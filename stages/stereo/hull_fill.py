@@ -15,17 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import InputError
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import DepthImage, Scan, SkippedFrame
+from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
 from stages.scans.threads import threads_to_use
 from stages.stereo.depth_map import DepthMap
-from stages.stereo.filling import filled_with, with_images, without_images
+from stages.stereo.filling import filled_again, without_images
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.shown import Outline, Silhouette, hull_front, shown
-from stages.stereo.view_images import color_of
 
 Mask = NDArray[np.bool_]
 Map = NDArray[np.float32]
@@ -65,23 +62,15 @@ def filled_in(
         progress(at + 1)
     measured = [at for at, one in enumerate(rest) if isinstance(one, DepthMap)]
 
-    def fill(at: int) -> DepthMap | SkippedFrame:
-        found = rest[at]
-        if isinstance(found, SkippedFrame):
-            return found
-        try:
-            color = color_of(scan.frames[at])
-            seen, _ = shown(scan.frames[at], color, outline, params.backdrop)
-        except InputError as error:
-            return SkippedFrame(scan.frames[at].name, str(error))
+    def depths(at: int, color: ColorImage) -> tuple[DepthImage, NDArray[np.uint8], DepthImage]:
+        seen, _ = shown(scan.frames[at], color, outline, params.backdrop)
         depth = maps.depth(at)
         told = on_hull(views[at], depth, seen, outline.hull)
         others = [(views[other], maps.depth(other)) for other in _alike(views, at, measured)]
         told = unmeasured(views[at], told, others, params.agreeing_views + 1)
-        return filled_with(with_images(found, depth, maps.confidence(at), color), told)
+        return depth, maps.confidence(at), told
 
-    threads = params.threads or threads_to_use()
-    yield from read_ahead(fill, range(len(views)), threads=threads, ahead=threads + 2)
+    yield from filled_again(rest, scan.frames, depths, params.threads or threads_to_use())
 
 
 def _alike(views: Sequence[PosedView], at: int, among: Sequence[int]) -> list[int]:

@@ -18,16 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import InputError
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
 from stages.scans.threads import threads_to_use
 from stages.stereo.depth_map import DepthMap
-from stages.stereo.filling import filled_with, with_images, without_images
+from stages.stereo.filling import filled_again, without_images
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
-from stages.stereo.view_images import color_of
 
 Mask = NDArray[np.bool_]
 # From pixels to those of another view, and what that has there.
@@ -89,14 +87,7 @@ def filled_on_planes(
         rest.append(kept)
         progress(len(rest))
 
-    def fill(at: int) -> DepthMap | SkippedFrame:
-        found = rest[at]
-        if isinstance(found, SkippedFrame):
-            return found
-        try:
-            color = color_of(scan.frames[at])
-        except InputError as error:
-            return SkippedFrame(scan.frames[at].name, str(error))
+    def depths(at: int, _: ColorImage) -> tuple[DepthImage, NDArray[np.uint8], DepthImage]:
         depth = measured.depth(at)
         told = np.where(depth > 0, np.float32(0), whole.depth(at))
         others = [other for other in chosen[at] if isinstance(rest[other], DepthMap)]
@@ -105,9 +96,9 @@ def filled_on_planes(
             list(zip(ways, map(maps.depth, others), strict=True)) for maps in (whole, measured)
         )
         told[~_agreed(told, all_told, all_measured, params.agreeing_views)] = 0
-        return filled_with(with_images(found, depth, measured.confidence(at), color), told)
+        return depth, measured.confidence(at), told
 
-    yield from read_ahead(fill, range(len(views)), threads=threads, ahead=threads + 2)
+    yield from filled_again(rest, scan.frames, depths, threads)
 
 
 def _agreed(told: DepthImage, whole: Sequence[_Seen], measured: Sequence[_Seen], least: int) -> Mask:

@@ -1,7 +1,7 @@
 """Photos with their camera and their poses in files beside them, under any name: views without depth.
 
     images/frame_000319.png  …            or rgb/, color/ and so on, or beside the files
-    poses.json | poses.txt | K.npy | …    a pose for each, camera-to-world, by name, number, time or order
+    poses.json | poses.txt | …            a pose for each, camera-to-world, by name, number, time or order
     intrinsic.json | K.txt | …            the camera of all
 
 What a file is tells its content. Poses are taken to be in metres, of a camera with x right and y down.
@@ -46,7 +46,7 @@ def _matches(folder: Path) -> str | None:
     if not found:
         return None
     shown = f"{place.name}/" if place != folder else "images"
-    return f"{shown} and {found[0][0].name}, a pose for each"
+    return f"{shown} and {found[0].name}, a pose for each"
 
 
 def place_of_photos(folder: Path) -> Path | None:
@@ -55,9 +55,7 @@ def place_of_photos(folder: Path) -> Path | None:
     return next((place for place in (*places, folder) if len(images(place)) >= _LEAST_VIEWS), None)
 
 
-def _trajectories(
-    folder: Path, colors: Sequence[Path], options: ReadingParams
-) -> list[tuple[Path, list[Pose | None]]]:
+def _trajectories(folder: Path, colors: Sequence[Path], options: ReadingParams) -> list[Path]:
     """Return the files of a folder that have poses for most of the images."""
     found = []
     for path in texts_of_poses(folder):
@@ -67,7 +65,7 @@ def _trajectories(
         except InputError:
             continue
         if sum(pose is not None for pose in poses) >= max(_POSED * len(colors), _LEAST_VIEWS):
-            found.append((path, poses))
+            found.append(path)
     return found
 
 
@@ -145,9 +143,9 @@ def _poses(
     if not found:
         return None, nothing, []
     if len(found) > 1:
-        names = ", ".join(path.name for path, _ in found[:5])
+        names = ", ".join(path.name for path in found[:5])
         return None, nothing, [f"{names} all have poses for the images: none is taken"]
-    path, poses = found[0]
+    path = found[0]
     note(path)
     with telling() as told:
         poses = _poses_of(path, colors, options)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stages.errors import UsageError
 from stages.params import check, param
-from stages.scans.poses import CONVENTIONS
+from stages.scans.poses import AS_WRITTEN, CONVENTIONS
 from stages.scans.scan import Camera
 
 
@@ -40,7 +40,7 @@ class ReadingParams:
         is_path=True,
     )
     pose_convention: str = param(
-        CONVENTIONS[0],
+        AS_WRITTEN,
         "How the poses are meant, if not as the form of their file says: world-to-camera, of a camera with y "
         "up and z back (OpenGL's), or both.",
         choices=CONVENTIONS,
