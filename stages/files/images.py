@@ -5,7 +5,6 @@ Files come from anywhere, so what an image promises is checked before a decoder 
 
 from __future__ import annotations
 
-import tokenize
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,24 +22,12 @@ from stages.files.image_bytes import (
     promised_size,
     require_room_for,
 )
-from stages.files.numpy_files import mapped
+from stages.files.numpy_files import NPY_FAULTS, mapped
 from stages.files.opening import content_of, opened, said_of
 from stages.files.room import require_room
 
 # Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
 _HEADER_BYTES = 1 << 19
-# What numpy raises for damaged headers, which it parses as Python: MemoryError for signs upon signs.
-_NPY_FAULTS = (
-    OSError,
-    ValueError,
-    EOFError,
-    TypeError,
-    OverflowError,
-    MemoryError,
-    RecursionError,
-    SyntaxError,
-    tokenize.TokenError,
-)
 # Where a PNG says how its colours are kept, and what it says where they are with transparency.
 _PNG_COLOR_TYPE = 25
 _PNG_WITH_ALPHA = (b"\x04", b"\x06")
@@ -92,7 +79,7 @@ def read_array(path: Path, what: str) -> NDArray[Any]:
     """Return the array of a .npy file, which stays on disk; raises InputError, which calls it `what`."""
     try:
         array = mapped(path)
-    except _NPY_FAULTS as error:
+    except NPY_FAULTS as error:
         require_room(path.stat().st_size if path.is_file() else 0)
         raise InputError(f"{what} cannot be read ({error}).", path) from error
     return array

@@ -14,6 +14,7 @@ from stages.files.noting import only_looking
 from stages.printing import by_fields
 from stages.scans.formats import calibration, rig_calibration, trajectories
 from stages.scans.reading.adjusted import with_adjusted
+from stages.scans.reading.associations import read_associations
 from stages.scans.reading.files import DEPTHS, IMAGES
 from stages.scans.scan import Scan
 
@@ -24,7 +25,20 @@ _ALONE = 3
 _TEXTS_ALONE = 12
 # Larger texts are logs and meshes; a pose takes some hundred bytes.
 _MAX_BYTES = 1 << 22
-_TEXTS = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".csv", ".log", ".tum", ".traj", ".freiburg")
+_TEXTS = (
+    ".json",
+    ".yaml",
+    ".yml",
+    ".toml",
+    ".xml",
+    ".txt",
+    ".csv",
+    ".log",
+    ".tum",
+    ".traj",
+    ".freiburg",
+    ".npz",
+)
 _SUFFIXES = {
     ".ply": "points or a mesh",
     ".obj": "a mesh",
@@ -150,6 +164,8 @@ def _looks_like(path: Path, scan: Scan) -> str:
         return _SUFFIXES.get(suffix, "")
     if (count := _poses_in(path)) > 1:
         return f"{count} poses: scan.poses={path.name}"
+    if path.suffix == ".txt" and _reads(lambda: read_associations(path)):
+        return "couples of colour and depth, which the frames are known without"
     if _reads(lambda: with_adjusted(scan, path)):
         return f"what adjust found: scan.adjusted={path.name}"
     camera = scan.frames[0].camera

@@ -19,7 +19,7 @@ from stages.files import documents
 from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
-from stages.scans.formats import azure_kinect, named_text, orb_slam, realsense, ros_text
+from stages.scans.formats import azure_kinect, named_arrays, named_text, orb_slam, realsense, ros_text
 from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size, with_rows_first
 from stages.scans.formats.lens_names import distortion_in
@@ -31,8 +31,8 @@ _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4"
 _PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
 # Matrices that begin with the camera's.
 _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
-# Suffixes of files that hold bare numbers, or lines of names and numbers; NumPy's of one array.
-ARRAY = ".npy"
+# Suffixes of files that hold bare numbers, or lines of names and numbers; NumPy's of one array, of more.
+ARRAY, ARCHIVE = ".npy", ".npz"
 TEXTS = (".txt", ".csv", ".ini", ARRAY)
 MATRIX_AND_BASELINE = 10
 _THREE_BY_FOUR, _MOST_NUMBERS = 12, 16
@@ -51,8 +51,8 @@ _LARGEST_DISTORTION = 1e6
 def read_camera(path: Path, width: int, height: int) -> Camera:
     """Read one camera, for images of this size in pixels.
 
-    A 3x3 (or 4x4) matrix as text or .npy, or text of names and numbers; or JSON, TOML or YAML with `fx fy cx
-    cy`, or `camera_matrix`, `K` or `intrinsic_matrix` (which Open3D stores column-major), and `distortion`;
+    A 3x3 (or 4x4) matrix as text or .npy, or text of names and numbers; or JSON, TOML, YAML or .npz with `fx
+    fy cx cy`, or `camera_matrix`, `K` or `intrinsic_matrix` (as Open3D, column-major), and `distortion`;
     Kalibr's camchain of one camera; ORB-SLAM's settings, RealSense's and Azure Kinect's. Of several the one
     for this size is taken, or that of colour; a camera for another size of the same shape is scaled. Both are
     told.
@@ -65,6 +65,8 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
 
 def document_of(path: Path) -> dict[str, Any] | None:
     """Return what a calibration file states under names; None for one of bare numbers."""
+    if path.suffix == ARCHIVE:
+        return named_arrays.tables(path)
     if path.suffix not in TEXTS:
         return documents.read_document(path)
     if path.suffix == ARRAY:

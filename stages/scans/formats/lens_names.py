@@ -7,21 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from stages.files.telling import tell
+from stages.scans.formats.pair_names import lenses_of_pair
 
 _KNOWN = re.compile("d|coeffs|dist(ortion)?_?(coef.*|param.*)?", re.IGNORECASE)
 _ALIKE = re.compile("distort|coef|^dist", re.IGNORECASE)
 _TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
-# Of the first and the second camera of a pair.
-_OF_PAIRS = (
-    ("D1", "D2"),
-    ("dist1", "dist2"),
-    ("distCoeffs1", "distCoeffs2"),
-    ("dist_coeffs1", "dist_coeffs2"),
-    ("dist_coeffs_left", "dist_coeffs_right"),
-    ("distL", "distR"),
-    ("Dl", "Dr"),
-)
 
 
 def distortion_in(values: dict[str, Any], path: Path, *, fisheye: bool) -> object:
@@ -43,7 +34,7 @@ def distortion_in(values: dict[str, Any], path: Path, *, fisheye: bool) -> objec
 
 def distortions_of_pair(values: dict[str, Any], path: Path) -> tuple[object, object]:
     """Return what a table of two cameras states of the first and the second lens, likewise."""
-    keys = next((keys for keys in _OF_PAIRS if keys[0] in values and keys[1] in values), None)
+    keys = lenses_of_pair(values)
     if keys is None:
         _tell_of_others(values, path)
         return None, None

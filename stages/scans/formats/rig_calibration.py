@@ -26,19 +26,14 @@ from stages.scans.formats.calibration import (
 from stages.scans.formats.contradictions import tell_of_rectified, tell_of_rig, tell_of_two_relations
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.lens_names import distortions_of_pair
+from stages.scans.formats.pair_names import matrices_of_pair
 from stages.scans.formats.table_values import matrix_in, number_of, table_in
 from stages.scans.poses import inverted, matrix_of, rigid
 from stages.scans.scan import Camera, Pose, StereoRig
 
-# Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
-_MATRICES = (
-    ("K1", "K2"),
-    ("M1", "M2"),
-    ("cameraMatrix1", "cameraMatrix2"),
-    ("camera_matrix_left", "camera_matrix_right"),
-    ("mtxL", "mtxR"),
-    ("Kl", "Kr"),
-)
+# Names of how the cameras stand to each other.
+_ROTATIONS = ("R", "rotation", "rotation_matrix", "Rot", "rot")
+_TRANSLATIONS = ("T", "translation", "t", "translation_vector", "Trns", "trns", "Trans", "trans")
 _PROJECTIONS = ("projection_matrix", "P", "p")
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
@@ -55,10 +50,10 @@ def read_rig(
     """Read a stereo rig for images of this size in pixels, and return it with what is odd about the file.
 
     Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
-    `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T` (or `M1 …`), or `P1 P2` for rectified images;
-    Kalibr's `cam0` and `cam1`; ROS's camera_info under `left` and `right`; ORB-SLAM's settings; a text of the
-    nine numbers of a matrix and a baseline, of a rectified pair. Lengths are metres unless `unit` says `mm`,
-    `cm` or `m`.
+    `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T`, under any names that part both sides (`mtxL`,
+    `cam_matrix_right` …), as YAML, XML or NumPy's .npz; `P1 P2` for rectified images; Kalibr's `cam0` and
+    `cam1`; ROS's camera_info under `left` and `right`; ORB-SLAM's settings; a text of the nine numbers of a
+    matrix and a baseline, of a rectified pair. Lengths are metres unless `unit` says `mm`, `cm` or `m`.
 
     Parameters
     ----------
@@ -86,7 +81,7 @@ def read_rig(
             camera_from_table(table_in(values, side, path), width, height, path) for side in ("left", "right")
         )
         right_from_left = _extrinsics(values, path, required=baseline is None)
-    elif (keys := _present(values, _MATRICES)) is not None:
+    elif (keys := matrices_of_pair(values)) is not None:
         lenses = distortions_of_pair(values, path)
         size = stated_size(values, width, height, path)
         cameras = [
@@ -127,6 +122,11 @@ def read_rig(
     if baseline is None:
         tell_of_rig(document, values, rig, length, path)
     return rig, warnings
+
+
+def states_a_pair(values: dict[str, Any]) -> bool:
+    """Say whether a table has the matrices of two cameras, and how one stands to the other."""
+    return matrices_of_pair(values) is not None and _first_key(values, _TRANSLATIONS) is not None
 
 
 def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
@@ -231,8 +231,8 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
             raise InputError("the relation of the cameras must be 4x4.", path)
         return inverted(_finite_pose(given, "the relation of the cameras", path))
     matrix = np.eye(4)
-    rotation = next((key for key in ("R", "rotation") if key in values), None)
-    translation = next((key for key in ("T", "translation", "t") if key in values), None)
+    rotation = _first_key(values, _ROTATIONS)
+    translation = _first_key(values, _TRANSLATIONS)
     if rotation is not None:
         turn = matrix_in(values, rotation, path)
         if turn.size == 3:
@@ -306,7 +306,3 @@ def _numbers_of_pair(path: Path) -> dict[str, Any]:
     if len(numbers) == MATRIX_AND_BASELINE:
         return {"K": numbers[:-1], "baseline": numbers[-1]}
     return {"K": text_matrix(path).tolist()}
-
-
-def _present(values: dict[str, Any], names: tuple[tuple[str, str], ...]) -> tuple[str, str] | None:
-    return next((keys for keys in names if keys[0] in values and keys[1] in values), None)

@@ -1,15 +1,17 @@
 """KITTI odometry: rectified pairs in numbered folders, calib.txt with projection matrices, a pose a line.
 
 The raw recordings have the same pairs in image_02/data/ and image_03/data/, calib_cam_to_cam.txt in the
-folder above, and poses of the car in oxts/.
+folder above, and poses of the car in oxts/. Images of one camera alone are single views.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
@@ -18,10 +20,11 @@ from stages.scans.reading.files import about_order, common_size, first_existing,
 from stages.scans.reading.kitti_oxts import unit_poses
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.projections import projected_rig, read_projections, rectified_size
+from stages.scans.reading.projections import projected_camera, projected_rig, read_projections, rectified_size
 from stages.scans.reading.rigs import uncalibrated
-from stages.scans.scan import Frame, Pose, Scan
-from stages.scans.world import Z_UP, up_of_layout
+from stages.scans.reading.views import single_view
+from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
+from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
 # Left folder, right folder, the number of the left projection matrix. Colour is preferred.
 _CAMERAS = (
@@ -36,15 +39,37 @@ _CALIBRATIONS = ("calib.txt", "calib_cam_to_cam.txt", "../calib_cam_to_cam.txt")
 
 
 def _matches(folder: Path) -> str | None:
+    calib = first_existing(folder, *_CALIBRATIONS)
     for left, right, _ in _CAMERAS:
         if has(folder, left, right) and (left != "image_l" or has(folder, "calib.txt")):
-            calib = first_existing(folder, *_CALIBRATIONS)
             return f"{left}/ and {right}/" + (f" with {calib.name}" if calib else "")
+    alone = _alone(folder, calib)
+    return None if alone is None or calib is None else f"{alone[0]}/ with {calib.name}"
+
+
+def _alone(folder: Path, calib: Path | None) -> tuple[str, int] | None:
+    """Return the folder of one camera without the other of its pair, and the number of its projection."""
+    if calib is None:
+        return None
+    for left, right, at in _CAMERAS:
+        for name, number in ((left, at), (right, at + 1)):
+            if has(folder, name) and number in _projections(calib):
+                return name, number
     return None
+
+
+def _projections(calib: Path) -> dict[int, NDArray[np.float64]]:
+    """Return the projections of a file; none where it is another layout's of this name."""
+    try:
+        return read_projections(calib)
+    except InputError:
+        return {}
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     calib = options.file("calibration", folder) or first_existing(folder, *_CALIBRATIONS)
+    if calib is not None and not any(has(folder, *names[:2]) for names in _CAMERAS):
+        return _read_views(folder, options, calib)
     projections = {} if calib is None else read_projections(calib)
     left, right, at = next(
         (
@@ -69,21 +94,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         rig, left_from_cam0 = projected_rig(
             projections[at], projections[at + 1], size, options, calib, stated
         )
-    world_from_cam0: list[Pose | None] = [None] * len(names)
-    up = None
-    path = options.file("poses", folder) or _pose_file(folder)
-    if path is not None:
-        world_from_cam0 = trajectories.match(trajectories.read_trajectory(path), names, path)
-    elif left.endswith("/data") and calib is not None:
-        found, lacking = unit_poses(folder, names, calib)
-        world_from_cam0 = world_from_cam0 if found is None else found
-        # Of trajectories in a file the first camera is the world.
-        up = None if found is None else up_of_layout(LAYOUT.name, Z_UP)
-        if found is None:
-            missing = (f"poses: {lacking}; name a trajectory of camera 0 with scan.poses=FILE",)
-    else:
-        lacking = f"poses.txt (or ../../poses/{folder.resolve().name}.txt) is missing"
-        missing = (*missing, f"poses: {lacking}; name one with scan.poses=FILE")
+    poses, up, lacking_poses = _poses(folder, options, left, names, calib)
     times = _times(folder, left, names)
     cam0_from_left = np.linalg.inv(left_from_cam0)
     frames = [
@@ -95,10 +106,55 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             world_from_camera=None if pose is None else pose @ cam0_from_left,
             timestamp=time,
         )
-        for (one, other), pose, time in zip(pairs, world_from_cam0, times, strict=True)
+        for (one, other), pose, time in zip(pairs, poses, times, strict=True)
     ]
     said = about_order(pairs, f"{left}/", f"{right}/")
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(said), missing, up=up)
+    lacks = (*missing, *lacking_poses)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(said), lacks, up=up)
+
+
+def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
+    """Read a sequence of which the images of one camera alone are there: as single views."""
+    alone = _alone(folder, calib)
+    if alone is None:
+        raise InputError("it states no projection matrix for a folder of images.", calib)
+    place, number = alone
+    colors = images(folder / place)
+    names = [color.stem for color in colors]
+    size = common_size(colors)
+    camera, camera_from_cam0 = projected_camera(
+        _projections(calib)[number], size, options, calib, rectified_size(calib, size)
+    )
+    poses, up, lacks = _poses(folder, options, place, names, calib)
+    cam0_from_camera = np.linalg.inv(camera_from_cam0)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for color, pose, time in zip(colors, poses, _times(folder, place, names), strict=True):
+        try:
+            view = single_view(color.stem, camera, color, None if pose is None else pose @ cam0_from_camera)
+        except InputError as error:
+            skipped.append(SkippedFrame(color.stem, str(error)))
+            continue
+        frames.append(replace(view, timestamp=time))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), lacks, is_metric=True, up=up)
+
+
+def _poses(
+    folder: Path, options: ReadingParams, place: str, names: list[str], calib: Path | None
+) -> tuple[list[Pose | None], WorldUp | None, tuple[str, ...]]:
+    """Return world-from-camera 0 of each frame, what is up in that world, and what is missing."""
+    poses: list[Pose | None] = [None] * len(names)
+    path = options.file("poses", folder) or _pose_file(folder)
+    if path is not None:
+        # Of trajectories in a file the first camera is the world.
+        return trajectories.match(trajectories.read_trajectory(path), names, path), None, ()
+    if place.endswith("/data") and calib is not None:
+        found, lacking = unit_poses(folder, names, calib)
+        if found is not None:
+            return found, up_of_layout(LAYOUT.name, Z_UP), ()
+        return poses, None, (f"poses: {lacking}; name a trajectory of camera 0 with scan.poses=FILE",)
+    lacking = f"poses.txt (or ../../poses/{folder.resolve().name}.txt) is missing"
+    return poses, None, (f"poses: {lacking}; name one with scan.poses=FILE",)
 
 
 def _times(folder: Path, left: str, names: list[str]) -> list[int | None]:

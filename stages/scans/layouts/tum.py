@@ -30,27 +30,17 @@ from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.moved import found_file
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import found_camera
 from stages.scans.reading.timed_poses import poses_at
-from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+from stages.scans.reading.tum_data_set import camera_of, data_set_camera, is_named_in
+from stages.scans.reading.views import single_view
+from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
 from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
 # The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
 _TOLERANCE = 20_000_000
 _SECOND = 1_000_000_000
 _UNITS_PER_METRE = 5000.0
-# The folder holds no intrinsics; which recording it is of tells the camera: fx fy cx cy, then k1 k2 p1 p2 k3.
-_CAMERAS = {
-    "freiburg1": ((517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
-    "freiburg2": ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
-    "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
-}
 _ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
-# Which recording a file is of stands in its first lines: `# file: 'rgbd_dataset_freiburg1_rpy.bag'`.
-_RECORDING = re.compile(r"^#\s*file:\s*['\"]?([^'\"\n]+)", re.MULTILINE)
-_OWN = re.compile(r"rgbd_dataset_freiburg([123])(?!\d)")
-_LIKE_OWN = re.compile(r"(?<![a-z])(?:freiburg|fr)_?[123](?!\d)", re.IGNORECASE)
-_HEAD = 1000
 # How images are named when their lists are lost.
 _STAMPED = re.compile(r"\d+\.\d+")
 
@@ -71,17 +61,27 @@ def _matches(folder: Path) -> str | None:
     elif (stamped := _stamped(folder)) is not None:
         color, depth = (stream.files[0].parent.name for stream in stamped)
         found = f"{color}/ and {depth}/ with times for names"
+    elif _is_without_depth(folder):
+        found = "rgb.txt"
     else:
         return None
     return found + (" with groundtruth.txt" if has(folder, "groundtruth.txt") else "")
 
 
+def _is_without_depth(folder: Path) -> bool:
+    """Say whether a folder has the list of colour alone: what has depth in any form is no folder of views."""
+    return has(folder, "rgb.txt") and first_existing(folder, "depth.txt", *DEPTH_FOLDERS) is None
+
+
 def _read(folder: Path, options: ReadingParams) -> Scan:
+    if _is_without_depth(folder):
+        return _read_views(folder, options)
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
     color_stream, depth_stream, warnings = _streams(folder)
     colors, depths = color_stream.files, depth_stream.files
-    camera, scale, about_camera = _camera(folder, options, depths)
-    warnings += about_camera
+    camera, calib, about_camera = camera_of(folder, options, *common_size(depths))
+    scale, about_scale = _depth_scale(folder, options, depths, calib)
+    warnings += [*about_camera, *about_scale]
 
     frames: list[Frame] = []
     partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE).tolist()
@@ -116,10 +116,45 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 timestamp=time,
             )
         )
-    lacking = "poses: groundtruth.txt is missing; name a trajectory with scan.poses=FILE"
-    missing = (lacking,) if path is None else ()
+    missing = _missing(path)
     up = None if path is None else _up(folder, path)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
+
+
+def _read_views(folder: Path, options: ReadingParams) -> Scan:
+    """Read a recording whose depth is not there: its photos are single views."""
+    stream = _listed(folder / "rgb.txt")
+    colors, warnings = _where_they_are(stream.files, folder)
+    camera, _, about_camera = camera_of(folder, options, *common_size(colors))
+    moments, names = stream.times.tolist(), [color.stem for color in colors]
+    path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
+    poses: list[Pose | None] = [None] * len(names)
+    if path is not None:
+        poses = poses_at(path, moments, names, _TOLERANCE, options)
+    elif (found := _poses_beside(folder, moments, names, options)) is not None:
+        path, poses, said = found
+        warnings.append(said)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for color, time, pose in zip(colors, moments, poses, strict=True):
+        if pose is None and path is not None:
+            skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
+            continue
+        try:
+            frames.append(replace(single_view(color.stem, camera, color, pose), timestamp=time))
+        except InputError as error:
+            skipped.append(SkippedFrame(color.stem, str(error)))
+    missing = _missing(path)
+    up = None if path is None else _up(folder, path)
+    said_of_all = (*warnings, *about_camera)
+    return Scan(
+        LAYOUT.name, frames, None, folder, tuple(skipped), said_of_all, missing, is_metric=True, up=up
+    )
+
+
+def _missing(poses: Path | None) -> tuple[str, ...]:
+    lacking = "poses: groundtruth.txt is missing; name a trajectory with scan.poses=FILE"
+    return (lacking,) if poses is None else ()
 
 
 def _poses_beside(
@@ -144,7 +179,7 @@ def _poses_beside(
 
 def _up(folder: Path, trajectory: Path) -> WorldUp | None:
     """Return what is up in the worlds of the data set's motion capture; None where others use its form."""
-    is_own = _data_set_camera(folder)[0] is not None or _OWN.search(documents.read_text(trajectory)[:_HEAD])
+    is_own = data_set_camera(folder)[0] is not None or is_named_in(trajectory)
     return up_of_layout(LAYOUT.name, Z_UP) if is_own else None
 
 
@@ -213,53 +248,15 @@ def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[s
     return [found / path.name for path in files], [said]
 
 
-def _recorded_as(folder: Path) -> str | None:
-    """Return the recording that the lists name in their first lines; None where they name none."""
-    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
-        head = documents.read_text(folder / name)[:_HEAD] if (folder / name).is_file() else ""
-        if named := _RECORDING.search(head):
-            return named[1]
-    return None
-
-
-def _data_set_camera(folder: Path) -> tuple[str | None, str]:
-    """Return which of the data set's cameras took the images, and what says so.
-
-    What the lists say counts. The folder's name does only where they say nothing, and only as the data set
-    gives it: anyone's recording may lie in a folder that is called freiburg1.
-    """
-    recorded = _recorded_as(folder)
-    named = _OWN.match(folder.resolve().name if recorded is None else recorded)
-    source = "the folder's name" if recorded is None else "the name of the recording in its lists"
-    return (None if named is None else f"freiburg{named[1]}"), source
-
-
-def _camera(folder: Path, options: ReadingParams, depths: Sequence[Path]) -> tuple[Camera, float, list[str]]:
-    """Return the camera, the depth scale, and what is to be said about them."""
-    width, height = common_size(depths)
-    own, source = _data_set_camera(folder)
-    path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
-    camera = options.camera(width, height)
-    warnings: list[str] = []
-    if camera is None and path is not None:
-        camera = calibration.read_camera(path, width, height)
-    elif camera is None:
-        camera, path, warnings = found_camera(folder, width, height)
-        if path is None and own is not None:
-            matrix, distortion = _CAMERAS[own]
-            camera = scaled(Camera(640, 480, *matrix, distortion), width, height)
-            warnings = [f"the camera is {own}'s, by {source}"]
-        elif path is None and _LIKE_OWN.search(folder.resolve().name):
-            warnings.append(
-                "the folder's name is like one of the TUM data set, but nothing in it says that it is: its "
-                "lens is not taken from the name"
-            )
-    stated = path and calibration.read_depth_scale(path)
-    scale = options.depth_scale or stated or (None if own is None else _UNITS_PER_METRE)
-    if scale is None:
-        scale, about_scale = _scale(depths)
-        warnings += about_scale
-    return camera, scale, warnings
+def _depth_scale(
+    folder: Path, options: ReadingParams, depths: Sequence[Path], calib: Path | None
+) -> tuple[float, list[str]]:
+    """Return the units a metre of depth, which the file of the camera may state, and what is to be said."""
+    stated = None if calib is None else calibration.read_depth_scale(calib)
+    scale = options.depth_scale or stated
+    if scale is None and data_set_camera(folder)[0] is not None:
+        scale = _UNITS_PER_METRE
+    return _scale(depths) if scale is None else (scale, [])
 
 
 def _scale(depths: Sequence[Path]) -> tuple[float, list[str]]:

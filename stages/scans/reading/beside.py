@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from stages.errors import InputError
 from stages.files import documents
@@ -18,7 +18,9 @@ from stages.scans.scan import Camera, StereoRig
 Told = list[tuple[str, Path]]
 T = TypeVar("T")
 
-_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini", ".npy")
+_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini", ".npy", ".npz")
+# Folders that calibrations are kept in, inside that of a scan.
+_PLACES = re.compile("calib|param|intrinsic", re.IGNORECASE)
 # A calibration is a page or two; a folder with more texts than this holds something else in them.
 _MAX_BYTES = 1 << 16
 _MOST_FILES = 64
@@ -33,6 +35,31 @@ _OF_CAMERAS = re.compile(r"intrinsic|camera_?matrix|\bf[xy]\b|focal|\bK[12]?\b",
 _OFF_CENTRE = "its principal point is far from the middle of these images."
 # Focal lengths of lenses, as shares of an image's longer side: other matrices are none of a camera.
 _FOCAL_LENGTHS = (0.1, 30.0)
+
+
+def places_of_calibrations(folder: Path) -> list[Path]:
+    """Return a scan's folder, and those in it whose names say that calibrations are in them."""
+    inside = [path for path in folder.iterdir() if _PLACES.search(path.name) and path.is_dir()]
+    return [folder, *sorted(inside)]
+
+
+def parts_of_calibration(folder: Path) -> tuple[dict[str, Any], list[Path]]:
+    """Return what the files of a folder that are a matrix or a row each state, by their names; and them."""
+    found, files = {}, []
+    for path in small_documents(folder):
+        if path.suffix not in calibration.TEXTS:
+            continue
+        try:
+            found[path.stem] = calibration.text_numbers(path)
+            files.append(path)
+        except InputError:
+            continue
+    return found, files
+
+
+def _documents(folder: Path) -> list[Path]:
+    """Return the files that may be calibrations, of all places of such."""
+    return [path for place in places_of_calibrations(folder) for path in small_documents(place)]
 
 
 def small_documents(folder: Path, most: int = _MAX_BYTES) -> list[Path]:
@@ -68,7 +95,7 @@ def cameras_beside(folder: Path, width: int, height: int) -> list[tuple[Camera, 
 
 
 def _cameras(folder: Path, width: int, height: int) -> Iterator[tuple[Camera, Path, Told]]:
-    for path in small_documents(folder):
+    for path in _documents(folder):
         try:
             with telling() as told:
                 camera = calibration.read_camera(path, width, height)
@@ -84,7 +111,7 @@ def rigs_beside(
     """Return the rigs for images of this size that files of a folder state, and what is odd about them."""
     found = []
     with only_looking():
-        for path in small_documents(folder):
+        for path in _documents(folder):
             try:
                 with telling() as told:
                     rig, warnings = rig_calibration.read_rig(path, width, height, baseline=baseline)
@@ -120,7 +147,7 @@ def _count_of_poses(path: Path) -> int:
 def not_taken(folder: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> list[str]:
     """Return why each file of a folder that seems to state a camera for such images is none of theirs."""
     with only_looking():
-        doubtful = [(path, _fault(path, width, height, read)) for path in small_documents(folder)]
+        doubtful = [(path, _fault(path, width, height, read)) for path in _documents(folder)]
     warnings = []
     for path, fault in doubtful:
         if fault is not None:
@@ -131,7 +158,9 @@ def not_taken(folder: Path, width: int, height: int, read: Callable[[Path, int, 
 def _fault(path: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> str | None:
     try:
         # An array has no words that tell what it is.
-        if path.suffix == calibration.ARRAY or not _OF_CAMERAS.search(documents.read_text(path)):
+        if path.suffix in (calibration.ARRAY, calibration.ARCHIVE) or not _OF_CAMERAS.search(
+            documents.read_text(path)
+        ):
             return None
         with telling():
             found = read(path, width, height)

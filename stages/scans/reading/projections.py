@@ -14,7 +14,7 @@ from stages.scans.formats.calibration import matrix_camera
 from stages.scans.formats.image_size import LARGEST_SIDE, for_images, is_of_shape
 from stages.scans.formats.rig_calibration import with_baseline
 from stages.scans.reading.params import ReadingParams
-from stages.scans.scan import StereoRig
+from stages.scans.scan import Camera, StereoRig
 
 # Images that were made smaller are smaller than so, as a share of the stated width.
 _SMALLER = 0.9
@@ -77,6 +77,35 @@ def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
     return width, height
 
 
+def projected_camera(
+    projection: NDArray[np.float64],
+    size: tuple[int, int],
+    options: ReadingParams,
+    calib: Path,
+    stated: tuple[int, int] | None = None,
+) -> tuple[Camera, NDArray[np.float64]]:
+    """Return the camera of a projection K [I | t], and camera_from_cam0: t takes camera 0 to its camera.
+
+    Parameters
+    ----------
+    projection : (3, 4) float64.
+    size, stated : of the images, and of those that the projection is for; (width, height) in pixels.
+
+    Raises
+    ------
+    InputError
+        If the matrix is singular, or none of a camera.
+    """
+    k = projection[:, :3]
+    camera = matrix_camera(k, (), *(stated or size), calib)
+    camera = options.camera(*size) or for_images(camera, *size, calib)
+    if abs(np.linalg.det(k)) < 1e-9:
+        raise InputError("a projection matrix is singular.", calib)
+    offset = np.eye(4)
+    offset[:3, 3] = np.linalg.solve(k, projection[:, 3])
+    return camera, offset
+
+
 def projected_rig(
     left: NDArray[np.float64],
     right: NDArray[np.float64],
@@ -97,16 +126,9 @@ def projected_rig(
     InputError
         If a matrix is singular, or the second camera does not stand right of the first.
     """
-    cameras, offsets = [], []
-    for matrix in (left, right):
-        k = matrix[:, :3]
-        camera = matrix_camera(k, (), *(stated or size), calib)
-        cameras.append(options.camera(*size) or for_images(camera, *size, calib))
-        if abs(np.linalg.det(k)) < 1e-9:
-            raise InputError("a projection matrix is singular.", calib)
-        offset = np.eye(4)
-        offset[:3, 3] = np.linalg.solve(k, matrix[:, 3])
-        offsets.append(offset)
+    cameras, offsets = zip(
+        *(projected_camera(matrix, size, options, calib, stated) for matrix in (left, right)), strict=True
+    )
     right_from_left = offsets[1] @ np.linalg.inv(offsets[0])
     if right_from_left[0, 3] >= 0:
         raise InputError(

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from stages.files import documents
-from stages.files.noting import note
+from stages.files.noting import note, only_looking
 from stages.scans.formats import rig_calibration
-from stages.scans.reading.beside import not_taken, rigs_beside
+from stages.scans.reading.beside import not_taken, parts_of_calibration, places_of_calibrations, rigs_beside
 from stages.scans.reading.files import first_existing, has
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Images
 from stages.scans.scan import Camera, StereoRig
 
+_OPENCV_FILES = ("intrinsics.yml", "extrinsics.yml")
 # ROS's calibrator writes a file a camera.
 _ROS_FILES = (
     ("left.yaml", "right.yaml"),
@@ -51,19 +52,10 @@ def rig_of(
     elif stated is not None and options.baseline is not None:
         beside = rig_calibration.with_baseline(np.eye(4), options.baseline)
         return StereoRig(stated, stated, beside, rectified=True), [], ()
-    elif has(folder, "intrinsics.yml", "extrinsics.yml"):
-        # OpenCV's stereo sample writes the two halves as two files.
-        halves = [documents.read_document(folder / name) for name in ("intrinsics.yml", "extrinsics.yml")]
-        rig, warnings = rig_calibration.read_rig(
-            folder / "extrinsics.yml", *size, document=halves[0] | halves[1], baseline=options.baseline
-        )
-    elif (halves_of := next((pair for pair in _ROS_FILES if has(folder, *pair)), None)) is not None:
-        sides = dict(
-            zip(("left", "right"), map(documents.read_document, map(folder.joinpath, halves_of)), strict=True)
-        )
-        rig, warnings = rig_calibration.read_rig(
-            folder / halves_of[1], *size, document=sides, baseline=options.baseline
-        )
+    elif (several := _in_halves(folder) or _in_parts(folder)) is not None:
+        document, path, said = several
+        rig, warnings = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+        warnings = [*said, *warnings]
     elif found := rigs_beside(folder, *size, options.baseline):
         rig, warnings, path = found[0]
         if len(found) > 1:
@@ -80,6 +72,32 @@ def rig_of(
         )
         return uncalibrated(size), not_taken(folder, *size, rig_calibration.read_rig), (lacking,)
     return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings, ()
+
+
+def _in_halves(folder: Path) -> tuple[dict[str, Any], Path, list[str]] | None:
+    """Return a calibration in two files, as OpenCV's sample and ROS write it, and what is to be said."""
+    for place in places_of_calibrations(folder):
+        for pair in (_OPENCV_FILES, *_ROS_FILES):
+            if has(place, *pair):
+                first, second = (documents.read_document(place / name) for name in pair)
+                table = first | second if pair == _OPENCV_FILES else {"left": first, "right": second}
+                said = [] if place == folder else [f"the calibration is read from the files in {place.name}/"]
+                return table, place / pair[1], said
+    return None
+
+
+def _in_parts(folder: Path) -> tuple[dict[str, Any], Path, list[str]] | None:
+    """Return a calibration of which each matrix is a file, the folder of these, and what is to be said."""
+    for place in places_of_calibrations(folder):
+        with only_looking():
+            table, files = parts_of_calibration(place)
+        if rig_calibration.states_a_pair(table):
+            for path in files:
+                note(path)
+            names = ", ".join(path.relative_to(folder).as_posix() for path in files)
+            said = [f"the calibration is read from {names}, a matrix each"]
+            return table, place, said
+    return None
 
 
 def _with_other_half(path: Path) -> dict[str, Any] | None:

@@ -42,9 +42,15 @@ def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
     (scan_folder / "camera_path.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
     (scan_folder / "notes.txt").write_text("we walked around the table")
     (scan_folder / "cloud.ply").write_text("ply")
+    (scan_folder / "associations.txt").write_text("0.1 rgb/0.png 0.1 depth/0.png\n")
+    np.savez(
+        scan_folder / "mono.npz", mtx=np.array([[30, 0, 15.5], [0, 30, 11.5], [0, 0, 1]]), dist=np.zeros(5)
+    )
     assert told(scan_folder) == [
+        "associations.txt looks like couples of colour and depth, which the frames are known without",
         "camera_path.txt looks like 3 poses: scan.poses=camera_path.txt",
         "cloud.ply looks like points or a mesh",
+        "mono.npz looks like a camera: scan.calibration=mono.npz",
         "other.json looks like a camera: scan.calibration=other.json",
         "notes.txt",
     ]

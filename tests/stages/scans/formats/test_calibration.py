@@ -417,6 +417,10 @@ def test_a_lens_under_an_unknown_name_is_told(tmp_path):
         ("M1 M2", "dist_coeffs1 dist_coeffs2"),
         ("cameraMatrix1 cameraMatrix2", "distCoeffs1 distCoeffs2"),
         ("mtxL mtxR", "distL distR"),
+        ("Left_camera_matrix Right_camera_matrix", "leftDistortion rightDistortion"),
+        ("Intrinsic_mtx_1 Intrinsic_mtx_2", "dist_1 dist_2"),
+        ("K_cam0 K_cam1", "D_cam0 D_cam1"),
+        ("l_mtx r_mtx", "l_coeffs r_coeffs"),
     ],
 )
 def test_other_names_of_a_pair(tmp_path, matrices, lenses):
@@ -425,7 +429,7 @@ def test_other_names_of_a_pair(tmp_path, matrices, lenses):
     file.write_text(json.dumps(said))
     rig = read_rig(file, 32, 24)[0]
     assert rig.left.distortion == rig.right.distortion == tuple(BENT)
-    unknown = {f"{key}_distortion": said.pop(key) for key in lenses.split()}
+    unknown = {f"distortion of {number}": said.pop(key) for number, key in enumerate(lenses.split(), 3)}
     file.write_text(json.dumps(said | unknown))
     with telling() as told:
         assert read_rig(file, 32, 24)[0].left.distortion == ()

@@ -202,3 +202,25 @@ def test_damaged_dates_are_told(drive, text):
     (drive / "image_02" / "timestamps.txt").write_text(text)
     with pytest.raises(InputError, match=r"timestamps\.txt"):
         read_scan(drive, ScanParams(poses="mine.txt"))
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_images_of_one_camera_are_views_of_its_own_projection(scan_folder, tiny, number):
+    for side in ("image_0", "image_1"):
+        (scan_folder / side).rename(scan_folder.parent / f"{scan_folder.name}_{side}")
+    for at in (0, 1):
+        tiny.color(scan_folder / f"image_{number}" / f"{at:06d}.png")
+    scan = read_scan(scan_folder)
+    assert (scan.layout, scan.is_stereo, [one.depth for one in scan.frames]) == ("kitti", False, [None, None])
+    # K [I | t]: camera 1 stands 0.5 m right of camera 0, 2 stands 0.06 m left of it, 3 is 0.48 m right of it.
+    stands_right = (0, 0.5, -0.06, 0.48)[number]
+    np.testing.assert_allclose(scan.frames[0].world_from_camera[:3, 3], (stands_right, 0, 0), atol=1e-12)
+    np.testing.assert_allclose(scan.frames[1].world_from_camera[:3, 3], (1, 2, 3 - stands_right), atol=1e-12)
+    assert (scan.frames[0].camera.fx, scan.frames[0].camera.cx) == (100, 16)
+
+
+def test_images_of_one_camera_without_its_projection_are_plain_views(scan_folder):
+    (scan_folder / "image_1").rename(scan_folder.parent / f"{scan_folder.name}_other")
+    (scan_folder / "calib.txt").write_text("P2: 100 0 16 6 0 100 12 0 0 0 1 0\n")
+    scan = read_scan(scan_folder, complete=False)
+    assert (scan.layout, len(scan.frames)) == ("plain-views", 2)

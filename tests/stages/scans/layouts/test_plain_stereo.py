@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
+from stages.inspecting.unused import unused
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 
@@ -226,3 +227,83 @@ def test_a_rig_beside_that_is_not_taken_is_told(scan_folder):
         "of the rig.yaml seems to state a camera and is not taken: the file does not parse"
         in scan.warnings[0]
     )
+
+
+MATRIX = np.array([[100.0, 0, 16], [0, 100, 12], [0, 0, 1]])
+# A camera 0.5 m right of the other, as cv2.stereoCalibrate tells it.
+RIG = {"R": np.eye(3), "T": np.array([[-0.5], [0], [0]])}
+
+
+def names_of_a_rig(matrices, lenses):
+    bent = np.array([[0.1, -0.02, 0, 0, 0.003]])
+    return RIG | dict.fromkeys(matrices, MATRIX) | dict.fromkeys(lenses, bent)
+
+
+@pytest.mark.parametrize(
+    ("matrices", "lenses"),
+    [
+        (("mtxL", "mtxR"), ("distL", "distR")),
+        (("Left_camera_matrix", "Right_camera_matrix"), ("Left_dist", "Right_dist")),
+        (("Intrinsic_mtx_1", "Intrinsic_mtx_2"), ("dist_1", "dist_2")),
+    ],
+)
+@pytest.mark.parametrize("place", [".", "calib"])
+def test_arrays_of_a_calibration_in_one_archive(scan_folder, matrices, lenses, place):
+    (scan_folder / "calibration.json").unlink()
+    (scan_folder / place).mkdir(exist_ok=True)
+    corners = np.array([np.zeros((3, 2)), np.zeros((4, 2))], dtype=object)
+    straight = {f"new{name}": MATRIX * 2 / [[2], [2], [2]] for name in matrices}
+    arrays = names_of_a_rig(matrices, lenses) | straight | {"corners": corners, "P1": np.eye(3, 4)}
+    np.savez(scan_folder / place / "stereo.npz", **arrays, allow_pickle=True)
+    scan = read_scan(scan_folder)
+    assert (scan.rig.baseline, scan.rig.rectified) == (0.5, False)
+    assert scan.rig.left.distortion == (0.1, -0.02, 0, 0, 0.003)
+    assert "the calibration is read from stereo.npz, which lies beside the images" in scan.warnings
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".npy"])
+@pytest.mark.parametrize("place", [".", "camera_params"])
+def test_a_calibration_in_a_file_for_each_matrix(scan_folder, suffix, place):
+    (scan_folder / "calibration.json").unlink()
+    (scan_folder / place).mkdir(exist_ok=True)
+    for name, array in names_of_a_rig(("mtx_l", "mtx_r"), ("dist_l", "dist_r")).items():
+        save = np.savetxt if suffix == ".txt" else np.save
+        save(scan_folder / place / f"{name}{suffix}", array)
+    scan = read_scan(scan_folder)
+    assert (scan.rig.baseline, scan.rig.left.fx, scan.rig.right.distortion[1]) == (0.5, 100, -0.02)
+    (said,) = [text for text in scan.warnings if "a matrix each" in text]
+    assert all(f"{name}{suffix}" in said for name in ("mtx_l", "dist_r", "R", "T"))
+    assert not unused(scan)
+    (scan_folder / place / f"mtx_r{suffix}").unlink()
+    with pytest.raises(InputError, match="no calibration"):
+        read_scan(scan_folder)
+
+
+def test_files_of_both_cameras_in_a_folder_of_calibrations(scan_folder):
+    (scan_folder / "calibration.json").unlink()
+    (scan_folder / "calib").mkdir()
+    for side, shift in (("left", 0), ("right", -50)):
+        p = {"rows": 3, "cols": 4, "data": [100, 0, 16, shift, 0, 100, 12, 0, 0, 0, 1, 0]}
+        matrix = {"rows": 3, "cols": 3, "data": MATRIX.ravel().tolist()}
+        info = {
+            "image_width": 32,
+            "image_height": 24,
+            "camera_matrix": matrix,
+            "projection_matrix": p,
+        }
+        (scan_folder / "calib" / f"{side}.yaml").write_text(json.dumps(info))
+    scan = read_scan(scan_folder)
+    assert scan.rig.baseline == 0.5
+    assert "the calibration is read from the files in calib/" in scan.warnings
+
+
+def test_a_damaged_archive_of_arrays_is_told(scan_folder):
+    (scan_folder / "calibration.json").unlink()
+    np.savez(scan_folder / "stereo.npz", **names_of_a_rig(("mtxL", "mtxR"), ("distL", "distR")))
+    whole = (scan_folder / "stereo.npz").read_bytes()
+    for content in (b"", whole[:-30], whole[:200] + bytes(200) + whole[400:]):
+        (scan_folder / "stereo.npz").write_bytes(content)
+        with pytest.raises(
+            InputError, match=r"stereo\.npz: (the archive|.* cannot be read|.*expected)|no small"
+        ):
+            read_scan(scan_folder, ScanParams(calibration="stereo.npz"))

@@ -327,3 +327,46 @@ def test_lists_of_other_systems_are_read(scan_folder, tiny, old, new):
     path.write_bytes(path.read_text().replace(old, new).encode("utf-16"))
     found = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert [frame.color for frame in found.frames] == [frame.color for frame in known.frames]
+
+
+def without_depth(folder):
+    (folder / "depth.txt").unlink()
+    (folder / "depth").rename(folder.parent / "elsewhere")
+    return folder
+
+
+def test_a_recording_without_depth_is_views_of_its_own_camera(scan_folder):
+    scan = read_scan(without_depth(scan_folder))
+    assert (scan.layout, [one.depth for one in scan.frames]) == ("tum", [None, None])
+    assert [one.name for one in scan.frames] == ["10.000000", "10.500000"]
+    assert [(one.name, one.reason) for one in scan.skipped] == [("11.000000", "no pose within 0.02 s")]
+    # Of 640x480 pixels to the 32x24 of the images.
+    assert scan.frames[0].camera.fx == pytest.approx(535.4 / 20)
+    assert "the camera is freiburg3's, by the folder's name" in scan.warnings
+    np.testing.assert_allclose(scan.frames[1].world_from_camera[:3, 3], (1, 2, 2), atol=1e-9)
+    assert scan.up is not None
+    (scan_folder / "groundtruth.txt").unlink()
+    with pytest.raises(InputError, match=r"no poses: groundtruth\.txt is missing"):
+        read_scan(scan_folder)
+
+
+def test_a_list_of_depth_alone_is_no_recording_of_views(scan_folder):
+    (scan_folder / "depth").rename(scan_folder.parent / "elsewhere")
+    with pytest.raises(InputError, match="depth"):
+        read_scan(scan_folder)
+
+
+def test_a_photo_that_is_gone_is_skipped(scan_folder):
+    (without_depth(scan_folder) / "rgb" / "10.000000.png").unlink()
+    scan = read_scan(scan_folder)
+    assert [one.name for one in scan.frames] == ["10.500000"]
+    assert "10.000000" in [one.name for one in scan.skipped]
+
+
+def test_real_photos_of_a_recording_without_their_depth(shared_data, tmp_path):
+    real = shared_data / "real" / "rgbd_dataset_freiburg1_rpy"
+    for name in ("rgb", "rgb.txt", "groundtruth.txt"):
+        (tmp_path / name).symlink_to(real / name)
+    scan = read_scan(tmp_path)
+    assert (len(scan.frames), scan.frames[0].camera.fx) == (24, 517.3)
+    assert "the camera is freiburg1's, by the name of the recording in its lists" in scan.warnings

@@ -1,0 +1,99 @@
+"""Which of a table's values are of the left and which of the right camera, whatever their writer called them.
+
+    K1 K2    mtxL mtxR    camera_matrix_left camera_matrix_right    Intrinsic_mtx_1 Intrinsic_mtx_2
+
+Two names are a pair where they are one but for the side, and their values of the kind that is looked for.
+Those of OpenCV's samples and tutorials, and of our own tables, need not be: what is wrong there is told.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_MATRICES = (
+    ("K1", "K2"),
+    ("M1", "M2"),
+    ("cameraMatrix1", "cameraMatrix2"),
+    ("camera_matrix_left", "camera_matrix_right"),
+    ("mtxL", "mtxR"),
+    ("Kl", "Kr"),
+)
+_LENSES = (
+    ("D1", "D2"),
+    ("dist1", "dist2"),
+    ("distCoeffs1", "distCoeffs2"),
+    ("dist_coeffs1", "dist_coeffs2"),
+    ("dist_coeffs_left", "dist_coeffs_right"),
+    ("distL", "distR"),
+    ("Dl", "Dr"),
+)
+_SIDES = (
+    ("left", "right"),
+    ("Left", "Right"),
+    ("LEFT", "RIGHT"),
+    ("l", "r"),
+    ("L", "R"),
+    ("1", "2"),
+    ("0", "1"),
+)
+# Of images that were straightened with them: not those that a camera takes.
+_OF_STRAIGHTENED = re.compile("new|opt|rect|undist", re.IGNORECASE)
+_OF_A_LENS = re.compile("dist|coef|^d", re.IGNORECASE)
+_COEFFICIENTS = (4, 5, 8, 12, 14)
+# Pixels; matrices of one are unit matrices, and turns.
+_LEAST_FOCAL_LENGTH = 2.0
+
+
+def matrices_of_pair(values: dict[str, Any]) -> tuple[str, str] | None:
+    """Return the names of the matrices of the left and the right camera; None without one such pair."""
+    return _known(values, _MATRICES) or _pair(values, lambda _, array: _is_camera_matrix(array))
+
+
+def lenses_of_pair(values: dict[str, Any]) -> tuple[str, str] | None:
+    """Return the names of the coefficients of both lenses, likewise."""
+    return _known(values, _LENSES) or _pair(
+        values, lambda name, array: array.size in _COEFFICIENTS and _OF_A_LENS.search(name) is not None
+    )
+
+
+def _known(values: dict[str, Any], names: tuple[tuple[str, str], ...]) -> tuple[str, str] | None:
+    return next((keys for keys in names if keys[0] in values and keys[1] in values), None)
+
+
+def _pair(values: dict[str, Any], fits: Callable[[str, NDArray[np.float64]], bool]) -> tuple[str, str] | None:
+    fitting = {name for name, value in values.items() if fits(name, _array_of(value))}
+    pairs = {(left, right) for left in fitting for right in _other_sides(left) if right in fitting}
+    if len(pairs) > 1:
+        pairs = {pair for pair in pairs if not _OF_STRAIGHTENED.search(pair[0])}
+    return pairs.pop() if len(pairs) == 1 else None
+
+
+def _other_sides(name: str) -> Iterator[str]:
+    """Yield what the right one of a pair may be called, of which the left one has this name."""
+    for left, right in _SIDES:
+        for found in re.finditer(left, name):
+            yield name[: found.start()] + right + name[found.end() :]
+
+
+def _array_of(value: object) -> NDArray[np.float64]:
+    """Return the numbers of a value in rows, as of OpenCV's matrices; an empty array where it has none."""
+    try:
+        return np.asarray(value["data"] if isinstance(value, dict) else value, np.float64)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return np.empty(0)
+
+
+def _is_camera_matrix(array: NDArray[np.float64]) -> bool:
+    if array.size != 9:
+        return False
+    matrix = array.reshape(3, 3)
+    return (
+        min(matrix[0, 0], matrix[1, 1]) >= _LEAST_FOCAL_LENGTH
+        and not matrix[1, 0]
+        and bool((matrix[2] == (0, 0, 1)).all())
+    )
