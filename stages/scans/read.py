@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,9 @@ from stages.scans.scale import with_scale
 from stages.scans.scan import Frame, Packed, Scan, SkippedFrame
 from stages.scans.table import DISTINCT, GENERIC, LAYOUTS
 from stages.scans.up import with_up
+
+# Folders inside one that are said to look like scans.
+_MOST_NAMED = 6
 
 
 def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete: bool = True) -> Scan:
@@ -217,9 +221,11 @@ def _unknown(folder: Path) -> str:
     content = sorted(path.name + "/" * path.is_dir() for path in folder.iterdir())
     if not content:
         return "the folder is empty."
-    if (inside := _scan_inside(folder)) is not None:
-        child, layout = inside
-        return f"no scan here, but its folder {child}/ looks like one ({layout}); give that."
+    if inside := _scans_inside(folder):
+        child, layout = inside[0]
+        others = ", ".join(f"{name}/" for name, _ in inside[1:])
+        also = f", and so do {others}" if others else ""
+        return f"no scan here, but its folder {child}/ looks like one ({layout}); give that{also}."
     if (photos := place_of_photos(folder)) is not None:
         where = f"{photos.name}/" if photos != folder else "it"
         return (
@@ -231,13 +237,11 @@ def _unknown(folder: Path) -> str:
     return f"unknown layout. The folder holds {shown}. Layouts that can be read are {known}; see the README."
 
 
-def _scan_inside(folder: Path) -> tuple[str, str] | None:
-    """Name the folder within one that looks like a scan, and its layout; None if there is none."""
-    for child in sorted(path for path in folder.iterdir() if path.is_dir()):
-        inside = _first_match(LAYOUTS, child)
-        if inside is not None:
-            return child.name, inside[0].name
-    return None
+def _scans_inside(folder: Path) -> list[tuple[str, str]]:
+    """Name the first folders within one that look like scans, and their layouts."""
+    children = sorted(path for path in folder.iterdir() if path.is_dir())
+    matches = ((child.name, _first_match(LAYOUTS, child)) for child in children)
+    return list(islice(((name, match[0].name) for name, match in matches if match is not None), _MOST_NAMED))
 
 
 def _selected(scan: Scan, options: ScanParams) -> Sequence[Frame]:
@@ -320,8 +324,8 @@ def _without_lost(scan: Scan, folder: Path) -> Scan:
     skipped = (*scan.skipped, *lost)
     if not frames:
         reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
-        inside = _scan_inside(folder) if folder.is_dir() else None
-        other = "" if inside is None else f" Its folder {inside[0]}/ looks like a scan of its own."
+        inside = _scans_inside(folder) if folder.is_dir() else []
+        other = f" Its folder {inside[0][0]}/ looks like a scan of its own." if inside else ""
         raise InputError(f"none of its {len(skipped)} frames can be used{reason}.{other}", folder)
     return replace(scan, frames=frames, skipped=skipped)
 

@@ -5,6 +5,7 @@ How the second camera stands to the first, in metres, whatever names and unit th
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +33,13 @@ from stages.scans.poses import inverted, matrix_of, rigid
 from stages.scans.scan import Camera, Pose, StereoRig
 
 # Names of how the cameras stand to each other.
-_ROTATIONS = ("R", "rotation", "rotation_matrix", "Rot", "rot")
-_TRANSLATIONS = ("T", "translation", "t", "translation_vector", "Trns", "trns", "Trans", "trans")
+_ROTATION = re.compile("R|rot(ation)?(_?(mat(rix)?|vec(tor)?))?", re.IGNORECASE)
+_TRANSLATION = re.compile("T|tr(a?ns?|anslation)(_?vec(tor)?)?", re.IGNORECASE)
 _PROJECTIONS = ("projection_matrix", "P", "p")
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
+# Few are wider than this; boards measured in centimetres, or in their own squares, give such numbers.
+_WIDE_METRES = 1.5
 
 
 def read_rig(
@@ -126,7 +129,7 @@ def read_rig(
 
 def states_a_pair(values: dict[str, Any]) -> bool:
     """Say whether a table has the matrices of two cameras, and how one stands to the other."""
-    return matrices_of_pair(values) is not None and _first_key(values, _TRANSLATIONS) is not None
+    return matrices_of_pair(values) is not None and _named(values, _TRANSLATION) is not None
 
 
 def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
@@ -191,6 +194,10 @@ def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
     return next((name for name in names if name in table), None)
 
 
+def _named(values: dict[str, Any], names: re.Pattern[str]) -> str | None:
+    return next((name for name in values if names.fullmatch(str(name))), None)
+
+
 def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
     """Return T_cam_imu of a camera in Kalibr's camchain: takes points of the body (the IMU) to the camera.
 
@@ -231,8 +238,8 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
             raise InputError("the relation of the cameras must be 4x4.", path)
         return inverted(_finite_pose(given, "the relation of the cameras", path))
     matrix = np.eye(4)
-    rotation = _first_key(values, _ROTATIONS)
-    translation = _first_key(values, _TRANSLATIONS)
+    rotation = _named(values, _ROTATION)
+    translation = _named(values, _TRANSLATION)
     if rotation is not None:
         turn = matrix_in(values, rotation, path)
         if turn.size == 3:
@@ -268,8 +275,14 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, l
         unit = "mm" if length > _WIDEST_METRES else "m"
         if unit == "mm":
             warnings.append(
-                f"the baseline of {path.name} is {length:g} without a unit, taken as millimetres; "
-                "say `unit: m` if it is not"
+                f"the baseline of {path.name} is {length:g} without a unit, taken as millimetres; where "
+                f"it is not (in centimetres it were {length / 100:g} m), set scan.baseline=METRES"
+            )
+        elif length > _WIDE_METRES:
+            warnings.append(
+                f"the baseline of {path.name} is {length:g} without a unit, taken as metres, which few rigs "
+                "are wide: where the board was measured in centimetres, or counted in squares, set "
+                "scan.baseline=METRES"
             )
     scale = {"m": 1.0, "cm": 0.01, "mm": 0.001}.get(str(unit))
     if scale is None:

@@ -1,7 +1,7 @@
 """Our own plain layout for stereo rigs: left/, right/, a calibration file and poses of the left camera.
 
     left/000000.png  right/000000.png  …
-    left01.png  right01.png  …                    the same in one folder
+    left01.png  right01.png  …                    the same in one folder; also 01_left.png, cam_L_01.png
     calibration.json | .toml | .yaml | .xml       see stages.scans.formats.rig_calibration.read_rig
     poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
 
@@ -10,6 +10,7 @@ Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, o
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from stages.errors import InputError
@@ -29,6 +30,8 @@ _SIDES = (
     ("cam0", "cam1"),
     ("L", "R"),
 )
+# In the names of images, small letters: the word anywhere, or its first letter by itself.
+_NAMED = tuple(re.compile(rf"{word}|(?<![a-z]){word[0]}(?![a-z])") for word in ("left", "right"))
 _CALIBRATIONS = tuple(
     f"{stem}.{suffix}"
     for stem in ("calibration", "calib", "stereo", "rig", "camchain")
@@ -47,13 +50,24 @@ _TOLERANCE = 20_000_000
 
 
 def _sides(folder: Path) -> tuple[str, str] | None:
-    return next((names for names in _SIDES if has(folder, *names)), None)
+    """Return the folders of both sides: of usual names, or the only two that are one but for `left`."""
+    usual = next((names for names in _SIDES if has(folder, *names)), None)
+    if usual is not None:
+        return usual
+    places = {path.name for path in folder.iterdir() if path.is_dir()}
+    named = [
+        (name, other)
+        for name in sorted(places)
+        for left, right in (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"))
+        if left in name and (other := name.replace(left, right)) in places
+    ]
+    return named[0] if len(named) == 1 and all(images(folder / name) for name in named[0]) else None
 
 
 def _side_by_side(folder: Path) -> list[list[Path]]:
     """Return the left and the right images that lie in one folder, told apart by their names."""
     files = [path for path in images(folder) if numbers(path.stem)]
-    return [[path for path in files if path.stem.lower().startswith(side)] for side in ("left", "right")]
+    return [[path for path in files if side.search(path.stem.lower())] for side in _NAMED]
 
 
 def _matches(folder: Path) -> str | None:

@@ -11,7 +11,7 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
 from stages.files.telling import in_sentences, telling
-from stages.scans.formats import calibration, rig_calibration, trajectories
+from stages.scans.formats import calibration, named_arrays, rig_calibration, trajectories
 from stages.scans.formats.image_size import is_off_centre, was_scaled
 from stages.scans.scan import Camera, StereoRig
 
@@ -31,7 +31,7 @@ _LEAST_POSES = 2
 # Texts of programs, whatever words stand in them.
 _OF_PROGRAMS = ("CMakeLists.txt", "requirements.txt", "package.json", "package-lock.json")
 # What stands in files of cameras, whoever wrote them.
-_OF_CAMERAS = re.compile(r"intrinsic|camera_?matrix|\bf[xy]\b|focal|\bK[12]?\b", re.IGNORECASE)
+_OF_CAMERAS = re.compile(r"intrinsic|camera_?matrix|\bmtx|\bf[xy]\b|focal|\bK[12]?\b", re.IGNORECASE)
 _OFF_CENTRE = "its principal point is far from the middle of these images."
 # Focal lengths of lenses, as shares of an image's longer side: other matrices are none of a camera.
 _FOCAL_LENGTHS = (0.1, 30.0)
@@ -157,16 +157,22 @@ def not_taken(folder: Path, width: int, height: int, read: Callable[[Path, int, 
 
 def _fault(path: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> str | None:
     try:
-        # An array has no words that tell what it is.
-        if path.suffix in (calibration.ARRAY, calibration.ARCHIVE) or not _OF_CAMERAS.search(
-            documents.read_text(path)
-        ):
+        if not _OF_CAMERAS.search(_words_of(path)):
             return None
         with telling():
             found = read(path, width, height)
     except InputError as error:
         return str(error).removeprefix(f"{path}: ")
     return _OFF_CENTRE if isinstance(found, Camera) and is_off_centre(found) else None
+
+
+def _words_of(path: Path) -> str:
+    """Return what tells whether a file is about cameras; an array has no words."""
+    if path.suffix == calibration.ARRAY:
+        return ""
+    if path.suffix == calibration.ARCHIVE:
+        return " ".join(named_arrays.tables(path))
+    return documents.read_text(path)
 
 
 def _of_this_size(found: list[tuple[T, Path, Told]]) -> list[tuple[T, Path, Told]]:

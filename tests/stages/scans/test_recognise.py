@@ -126,7 +126,10 @@ def test_an_unknown_folder_says_what_it_holds_and_what_is_known(tmp_path):
 
 def test_a_folder_above_a_scan_points_to_it(tmp_path):
     touch(tmp_path, "seq-01/frame-000000.depth.png", "readme.txt")
-    with pytest.raises(InputError, match=r"its folder seq-01/ looks like one \(7scenes\)"):
+    with pytest.raises(InputError, match=r"its folder seq-01/ looks like one \(7scenes\); give that\.$"):
+        read_scan(tmp_path)
+    touch(tmp_path, "seq-02/frame-000000.depth.png", "other/notes.txt")
+    with pytest.raises(InputError, match=r"give that, and so do seq-02/\.$"):
         read_scan(tmp_path)
 
 

@@ -1,4 +1,5 @@
 import json
+import re
 
 import numpy as np
 import pytest
@@ -307,3 +308,74 @@ def test_a_damaged_archive_of_arrays_is_told(scan_folder):
             InputError, match=r"stereo\.npz: (the archive|.* cannot be read|.*expected)|no small"
         ):
             read_scan(scan_folder, ScanParams(calibration="stereo.npz"))
+
+
+def test_matrices_as_the_stereovision_package_saves_them(scan_folder):
+    """Its folder also holds turns, projections and maps, which are none of the two cameras."""
+    (scan_folder / "calibration.json").unlink()
+    place = scan_folder / "stereo_calibration_result"
+    place.mkdir()
+    names = {"mtx_l": "cam_mats_left", "mtx_r": "cam_mats_right", "R": "rot_mat", "T": "trans_vec"}
+    names |= {"dist_l": "dist_coefs_left", "dist_r": "dist_coefs_right"}
+    arrays = names_of_a_rig(("mtx_l", "mtx_r"), ("dist_l", "dist_r"))
+    for name, array in arrays.items():
+        np.save(place / f"{names[name]}.npy", array)
+    for side in ("left", "right"):
+        np.save(place / f"rect_trans_{side}.npy", np.eye(3))
+        np.save(place / f"proj_mats_{side}.npy", np.eye(3, 4) * 90)
+        np.save(place / f"undistortion_map_{side}.npy", np.zeros((24, 32, 2), np.int16))
+    rig = read_scan(scan_folder).rig
+    assert (rig.baseline, rig.left.fx, rig.right.distortion[1]) == (0.5, 100, -0.02)
+
+
+@pytest.mark.parametrize(
+    ("baseline", "metres", "said"),
+    [
+        (0.5, 0.5, None),
+        (8.9, 8.9, "taken as metres, which few rigs are wide"),
+        (12.0, 0.012, r"taken as millimetres; .*in centimetres it were 0\.12 m"),
+    ],
+)
+def test_a_baseline_whose_unit_nothing_tells(scan_folder, baseline, metres, said):
+    (scan_folder / "calibration.json").write_text(json.dumps({**CAMERA, "baseline": baseline}))
+    scan = read_scan(scan_folder)
+    assert scan.rig.baseline == pytest.approx(metres)
+    told = [text for text in scan.warnings if "without a unit" in text]
+    assert (said is None and not told) or re.search(said, told[0])
+    assert not any(
+        "without a unit" in text for text in read_scan(scan_folder, ScanParams(baseline=0.1)).warnings
+    )
+
+
+@pytest.mark.parametrize(
+    "sides", [("left_images", "right_images"), ("rig_Left", "rig_Right"), ("calib_left", "calib_right")]
+)
+def test_folders_of_any_names_that_part_both_sides(scan_folder, tiny, sides):
+    for name, side in zip(sides, ("left", "right"), strict=True):
+        (scan_folder / side).rename(scan_folder / name)
+    assert_known_pixels(read_scan(scan_folder), tiny)
+
+
+def test_folders_of_several_rigs_are_not_guessed_at(scan_folder, tiny):
+    for number in (1, 2):
+        for side in ("left", "right"):
+            tiny.color(scan_folder / f"{side}_{number}" / "0.png")
+    assert_known_pixels(read_scan(scan_folder), tiny)
+    for side in ("left", "right"):
+        (scan_folder / side).rename(scan_folder / f"{side}_0")
+    with pytest.raises(InputError, match="unknown layout"):
+        read_scan(scan_folder)
+
+
+@pytest.mark.parametrize(
+    "form", ["img_{side}_{number}.png", "{number}_{letter}.png", "Cam{side}{number}.png"]
+)
+def test_images_whose_names_part_both_sides_anywhere(scan_folder, tiny, form):
+    for side, letter in (("left", "L"), ("right", "R")):
+        for number in (2, 10):
+            name = form.format(
+                side=side.capitalize() if "Cam" in form else side, letter=letter, number=number
+            )
+            (scan_folder / side / f"{side}{number}.png").rename(scan_folder / name)
+        (scan_folder / side).rmdir()
+    assert_known_pixels(read_scan(scan_folder), tiny)
