@@ -9,9 +9,13 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.images import image_size
+from stages.files.telling import tell
 from stages.scans.depth_range import range_of_points
 from stages.scans.reading.phones import seen_in
 from stages.scans.scan import Camera, Frame, Packed, Pose
+
+# Two widths that differ by less are nearly one.
+_NEARLY = 0.1
 
 
 def single_view(
@@ -39,11 +43,22 @@ def single_view(
     """
     size = image_size(color)
     if size != (camera.width, camera.height):
+        _tell_of_nearly(camera, size, color)
         camera = seen_in(camera, size, "the image", color)
     depth_range = None
     if points is not None and pose is not None:
         depth_range = range_of_points((points - pose[:3, 3]) @ pose[:3, 2])
     return Frame(name, camera, color=color, world_from_camera=pose, mask=mask, depth_range=depth_range)
+
+
+def _tell_of_nearly(camera: Camera, size: tuple[int, int], color: Path) -> None:
+    """Tell that an image is of nearly its camera's size: nobody makes images so little smaller."""
+    if abs(size[0] / camera.width - 1) < _NEARLY:
+        tell(
+            f"is {size[0]}×{size[1]} and its camera {camera.width}×{camera.height}: such cameras are of "
+            "images whose lens was straightened, which this may not be; it is scaled",
+            color,
+        )
 
 
 def in_metres(pose: Pose | None, units: float | None) -> Pose | None:

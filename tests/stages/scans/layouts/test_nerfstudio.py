@@ -428,3 +428,19 @@ def test_a_real_toy_whose_paths_are_those_of_its_author(shared_data, tmp_path):
     scan = read_scan(tmp_path)
     assert len(scan.frames) == 24
     assert any("such as '/home/someone/" in text for text in scan.warnings)
+
+
+def test_photos_of_nearly_the_size_of_their_camera_are_told(scan_folder, tiny):
+    """A camera of photos whose lens was straightened, beside those from before."""
+    content = document(tiny)
+    for entry in content["frames"]:
+        del entry["depth_file_path"]
+    write(scan_folder, content)
+    assert not any("straightened" in text for text in read_scan(scan_folder).warnings)
+    write(scan_folder, content | {"w": 124.0, "h": 93.0})
+    (told,) = [text for text in read_scan(scan_folder).warnings if "straightened" in text]
+    assert told.startswith(
+        "2.png (and 1 more files) is 128×96 and its camera 124×93: such cameras are of images"
+    )
+    write(scan_folder, content | {"w": 64 * FACTOR, "h": 48 * FACTOR})
+    assert not any("straightened" in text for text in read_scan(scan_folder).warnings)
