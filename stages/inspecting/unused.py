@@ -38,6 +38,7 @@ _TEXTS = (
     ".traj",
     ".freiburg",
     ".npz",
+    ".conf",
 )
 _SUFFIXES = {
     ".ply": "points or a mesh",

@@ -19,7 +19,7 @@ from stages.files import documents
 from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
-from stages.scans.formats import azure_kinect, named_arrays, named_text, orb_slam, realsense, ros_text
+from stages.scans.formats import azure_kinect, named_arrays, named_text, orb_slam, realsense, ros_text, zed
 from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size, with_rows_first
 from stages.scans.formats.lens_names import distortion_in
@@ -33,7 +33,7 @@ _PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "
 _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
 # Suffixes of files that hold bare numbers, or lines of names and numbers; NumPy's of one array, of more.
 ARRAY, ARCHIVE = ".npy", ".npz"
-TEXTS = (".txt", ".csv", ".ini", ARRAY)
+TEXTS = (".txt", ".csv", ".ini", ".conf", ARRAY)
 MATRIX_AND_BASELINE = 10
 _THREE_BY_FOUR, _MOST_NUMBERS = 12, 16
 # Of a depth map, in a metre.
@@ -72,7 +72,7 @@ def document_of(path: Path) -> dict[str, Any] | None:
     if path.suffix == ARRAY:
         return None
     text = documents.read_text(path)
-    return ros_text.tables(text) or named_text.tables(text)
+    return zed.tables(text) or ros_text.tables(text) or named_text.tables(text)
 
 
 def read_depth_scale(path: Path) -> float | None:
@@ -137,6 +137,8 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     """
     if azure_kinect.is_one(values):
         values = azure_kinect.as_table(values, width, height, path)
+    if zed.is_one(values):
+        values = zed.as_table(values, width, height, path)
     chain = [key for key in values if re.fullmatch(r"cam\d+", str(key))]
     if len(chain) == 1:
         return kalibr_camera(values, chain[0], width, height, path)

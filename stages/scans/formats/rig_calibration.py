@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scans.formats import orb_slam
+from stages.scans.formats import orb_slam, zed
 from stages.scans.formats.calibration import (
     MATRIX_AND_BASELINE,
     camera_from_table,
@@ -74,6 +74,8 @@ def read_rig(
     if document is None:
         document = _numbers_of_pair(path)
     values = orb_slam.as_table(document)
+    if zed.is_one(values):
+        values = zed.as_pair(values, width, height, path)
     infos = _camera_infos(values)
     if "cam0" in values and "cam1" in values:
         left, right, right_from_left = _kalibr(values, width, height, path)

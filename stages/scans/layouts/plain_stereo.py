@@ -2,6 +2,7 @@
 
     left/000000.png  right/000000.png  …
     left01.png  right01.png  …                    the same in one folder; also 01_left.png, cam_L_01.png
+    000000.png  …                                 the same as one image, the left half beside the right
     calibration.json | .toml | .yaml | .xml       see stages.scans.formats.rig_calibration.read_rig
     poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
 
@@ -11,17 +12,19 @@ Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, o
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from stages.errors import InputError
 from stages.scans.formats import trajectories
 from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.files import about_order, common_size, first_existing, has, images, numbers, pair
+from stages.scans.reading.halves import are_pairs, halves_of
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import rig_of
 from stages.scans.reading.timed_poses import poses_at
-from stages.scans.scan import Frame, Pose, Scan
+from stages.scans.scan import Frame, Packed, Pose, Scan, SkippedFrame
 
 _SIDES = (
     ("left", "right"),
@@ -32,6 +35,9 @@ _SIDES = (
 )
 # In the names of images, small letters: the word anywhere, or its first letter by itself.
 _NAMED = tuple(re.compile(rf"{word}|(?<![a-z]){word[0]}(?![a-z])") for word in ("left", "right"))
+# Folders of images that hold both sides.
+_WHOLE = ("images", "image", "frames", "stereo", "sbs")
+_Pair = tuple[Path, Path] | tuple[Packed, Packed]
 _CALIBRATIONS = tuple(
     f"{stem}.{suffix}"
     for stem in ("calibration", "calib", "stereo", "rig", "camchain")
@@ -75,25 +81,15 @@ def _matches(folder: Path) -> str | None:
     if sides is not None:
         return f"{sides[0]}/ and {sides[1]}/"
     left, right = _side_by_side(folder)
-    return f"files named like {left[0].name} and {right[0].name}" if left and right else None
+    if left and right:
+        return f"files named like {left[0].name} and {right[0].name}"
+    whole = _whole(folder)
+    return f"images like {whole[0].name}, two halves of a pair" if whole else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    sides = _sides(folder)
-    if sides is None:
-        left, right = _side_by_side(folder)
-        named = "the images named left", "the images named right"
-    else:
-        left, right = (images(folder / name) for name in sides)
-        named = f"{sides[0]}/", f"{sides[1]}/"
-    if sides is None and not (left and right):
-        raise InputError(
-            "two folders left/ and right/, or images left01.png and right01.png, are needed.", folder
-        )
-    pairs, skipped = pair(left, right, *named, folder)
-    size = common_size([one for one, _ in pairs])
+    names, pairs, size, skipped, said = _pairs(folder)
     rig, warnings, missing = rig_of(folder, options, size, _CALIBRATIONS)
-    names = [one.stem for one, _ in pairs]
     times = trajectories.read_times(folder / "times.txt", names)
     path = options.file("poses", folder) or first_existing(folder, *_TRAJECTORIES)
     if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
@@ -111,9 +107,37 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
         for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
     ]
-    return Scan(
-        LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *about_order(pairs, *named)), missing
-    )
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *said), missing)
+
+
+def _pairs(
+    folder: Path,
+) -> tuple[list[str], Sequence[_Pair], tuple[int, int], list[SkippedFrame], list[str]]:
+    """Return the names of the pairs, these, their size, what is left out, and what is to be said."""
+    sides = _sides(folder)
+    if sides is None:
+        left, right = _side_by_side(folder)
+        named = "the images named left", "the images named right"
+    else:
+        left, right = (images(folder / name) for name in sides)
+        named = f"{sides[0]}/", f"{sides[1]}/"
+    if sides is None and not (left and right):
+        if whole := _whole(folder):
+            width, height = common_size(whole)
+            halves = [halves_of(path) for path in whole]
+            return [path.stem for path in whole], halves, (width // 2, height), [], []
+        raise InputError(
+            "two folders left/ and right/, or images left01.png and right01.png, are needed.", folder
+        )
+    pairs, skipped = pair(left, right, *named, folder)
+    size = common_size([one for one, _ in pairs])
+    return [one.stem for one, _ in pairs], pairs, size, skipped, about_order(pairs, *named)
+
+
+def _whole(folder: Path) -> list[Path]:
+    """Return the images that each hold both sides, of the folder or of one in it; none without such."""
+    places = (folder, *(folder / name for name in _WHOLE if (folder / name).is_dir()))
+    return next((found for place in places if are_pairs(found := images(place))), [])
 
 
 def _poses(

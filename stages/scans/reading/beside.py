@@ -18,7 +18,7 @@ from stages.scans.scan import Camera, StereoRig
 Told = list[tuple[str, Path]]
 T = TypeVar("T")
 
-_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini", ".npy", ".npz")
+_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini", ".conf", ".npy", ".npz")
 # Folders that calibrations are kept in, inside that of a scan.
 _PLACES = re.compile("calib|param|intrinsic", re.IGNORECASE)
 # A calibration is a page or two; a folder with more texts than this holds something else in them.
