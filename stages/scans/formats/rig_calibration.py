@@ -6,6 +6,7 @@ How the second camera stands to the first, in metres, whatever names and unit th
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.telling import tell
 from stages.scans.formats import orb_slam, zed
 from stages.scans.formats.calibration import (
     MATRIX_AND_BASELINE,
     camera_from_table,
     coefficients,
     document_of,
+    is_fisheye,
     kalibr_camera,
     matrix_camera,
     text_matrix,
@@ -36,6 +39,7 @@ from stages.scans.scan import Camera, Pose, StereoRig
 _ROTATION = re.compile("R|rot(ation)?(_?(mat(rix)?|vec(tor)?))?", re.IGNORECASE)
 _TRANSLATION = re.compile("T|tr(a?ns?|anslation)(_?vec(tor)?)?", re.IGNORECASE)
 _PROJECTIONS = ("projection_matrix", "P", "p")
+_FISHEYE = "fisheye"
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
 # Few are wider than this; boards measured in centimetres, or in their own squares, give such numbers.
@@ -89,8 +93,14 @@ def read_rig(
     elif (keys := matrices_of_pair(values)) is not None:
         lenses = distortions_of_pair(values, path)
         size = stated_size(values, width, height, path)
+        fisheye = _is_of_fisheyes(values, path)
         cameras = [
-            matrix_camera(matrix_in(values, key, path), coefficients(lens, path), *size, path)
+            replace(
+                matrix_camera(
+                    matrix_in(values, key, path), coefficients(lens, path, fisheye=fisheye), *size, path
+                ),
+                fisheye=fisheye,
+            )
             for key, lens in zip(keys, lenses, strict=True)
         ]
         left, right = (for_images(camera, width, height, path) for camera in cameras)
@@ -194,6 +204,15 @@ def _rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
 
 def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
     return next((name for name in names if name in table), None)
+
+
+def _is_of_fisheyes(values: dict[str, Any], path: Path) -> bool:
+    """Say whether a table of two cameras is of fisheyes: it says so, or its file's name does."""
+    model = values.get("distortion_model")
+    if model is None and _FISHEYE in path.stem.lower():
+        tell("has a name that says fisheye: its lenses are taken as OpenCV's fisheye model", path)
+        return True
+    return is_fisheye(model, path)
 
 
 def _named(values: dict[str, Any], names: re.Pattern[str]) -> str | None:

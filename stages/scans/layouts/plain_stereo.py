@@ -38,6 +38,9 @@ _NAMED = tuple(re.compile(rf"{word}|(?<![a-z]){word[0]}(?![a-z])") for word in (
 # Folders of images that hold both sides.
 _WHOLE = ("images", "image", "frames", "stereo", "sbs")
 _Pair = tuple[Path, Path] | tuple[Packed, Packed]
+# Other images of both sides, and those that a rig was calibrated with.
+_NO_PHOTOS = re.compile("disp|depth|mask|conf|seg|normal", re.IGNORECASE)
+_OF_BOARDS = re.compile("calib|chess|board", re.IGNORECASE)
 _CALIBRATIONS = tuple(
     f"{stem}.{suffix}"
     for stem in ("calibration", "calib", "stereo", "rig", "camchain")
@@ -65,14 +68,16 @@ def _sides(folder: Path) -> tuple[str, str] | None:
         (name, other)
         for name in sorted(places)
         for left, right in (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"))
-        if left in name and (other := name.replace(left, right)) in places
+        if left in name and (other := name.replace(left, right)) in places and not _NO_PHOTOS.search(name)
     ]
+    if len(named) > 1:
+        named = [names for names in named if not _OF_BOARDS.search(names[0])]
     return named[0] if len(named) == 1 and all(images(folder / name) for name in named[0]) else None
 
 
 def _side_by_side(folder: Path) -> list[list[Path]]:
     """Return the left and the right images that lie in one folder, told apart by their names."""
-    files = [path for path in images(folder) if numbers(path.stem)]
+    files = [path for path in images(folder) if numbers(path.stem) and not _NO_PHOTOS.search(path.stem)]
     return [[path for path in files if side.search(path.stem.lower())] for side in _NAMED]
 
 

@@ -438,6 +438,21 @@ def test_other_names_of_a_pair(tmp_path, matrices, lenses):
     ]
 
 
+@pytest.mark.parametrize(
+    ("name", "model"), [("stereo_fisheye", None), ("stereo", "fisheye"), ("stereo", None)]
+)
+def test_a_rig_of_fisheyes_says_so_or_is_named_so(tmp_path, name, model):
+    file = tmp_path / f"{name}.json"
+    said = {"K1": K, "K2": K, "D1": BENT[:4], "D2": BENT[:4], "R": R, "T": T}
+    file.write_text(json.dumps(said | ({} if model is None else {"distortion_model": model})))
+    with telling() as told:
+        rig = read_rig(file, 32, 24)[0]
+    is_fisheye = name == "stereo_fisheye" or model is not None
+    assert (rig.left.fisheye, rig.right.fisheye) == (is_fisheye, is_fisheye)
+    assert rig.left.distortion == tuple(BENT[:4])
+    assert any("says fisheye" in one for one, _ in told) == (name == "stereo_fisheye")
+
+
 @pytest.mark.parametrize(("said", "units"), [({"cam_K": K}, 10000), ({"K": K}, 10), ({"fx": 100}, 10)])
 def test_in_bop_a_depth_scale_is_in_millimetres(tmp_path, said, units):
     file = tmp_path / "camera.json"

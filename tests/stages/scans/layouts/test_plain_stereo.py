@@ -356,6 +356,23 @@ def test_folders_of_any_names_that_part_both_sides(scan_folder, tiny, sides):
     assert_known_pixels(read_scan(scan_folder), tiny)
 
 
+def test_folders_of_depth_and_of_boards_are_not_those_of_the_pairs(scan_folder, tiny):
+    for side in ("left", "right"):
+        (scan_folder / side).rename(scan_folder / f"{side}_images")
+        tiny.color(scan_folder / f"calib_{side}" / "0.png")
+        tiny.color(scan_folder / f"{side}_disparity" / "0.png")
+    assert_known_pixels(read_scan(scan_folder), tiny)
+
+
+def test_disparities_beside_the_images_are_none_of_a_side(scan_folder, tiny):
+    for side in ("left", "right"):
+        for number in (2, 10):
+            (scan_folder / side / f"{side}{number}.png").rename(scan_folder / f"im_{side}_{number}.png")
+            tiny.color(scan_folder / f"disp_{side}_{number}.png")
+        (scan_folder / side).rmdir()
+    assert_known_pixels(read_scan(scan_folder), tiny)
+
+
 def test_folders_of_several_rigs_are_not_guessed_at(scan_folder, tiny):
     for number in (1, 2):
         for side in ("left", "right"):
