@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from stages.errors import InputError
-from stages.scans.formats.table_values import number_of, table_in
+from stages.scans.formats.image_size import is_of_shape
+from stages.scans.formats.table_values import number_of
 
 _MARK = "[LEFT_CAM_"
 _STEREO = "STEREO"
@@ -67,9 +68,9 @@ def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict
         As `as_table`, and if a number of the relation is missing.
     """
     mode = _mode(values, width, height, path)
-    if not isinstance(values.get(_STEREO), dict):
+    stereo = values.get(_STEREO)
+    if not isinstance(stereo, dict):
         raise InputError(f"[{_STEREO}], how the cameras stand to each other, is missing.", path)
-    stereo = table_in(values, _STEREO, path)
     turn = [_stated(stereo, (f"{name}_{mode}", name), path) for name in ("rx", "cv", "rz")]
     aside = [_stated(stereo, (f"{name}_{mode}", name), path, 0.0) for name in ("ty", "tz")]
     # The maker's own programs align rows with this turn and this line between the cameras.
@@ -87,7 +88,7 @@ def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict
 def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
     """Return the mode of images of this size; of others, which were made smaller, the one they may be of."""
     there = [mode for mode in _SIZES if f"LEFT_CAM_{mode}" in values]
-    shaped = [mode for mode in there if abs(width * _SIZES[mode][1] / (height * _SIZES[mode][0]) - 1) < 0.01]
+    shaped = [mode for mode in there if is_of_shape(_SIZES[mode], (width, height))]
     found = next((mode for mode in there if _SIZES[mode] == (width, height)), shaped[0] if shaped else None)
     if found is None:
         sizes = ", ".join(f"{_SIZES[mode][0]}×{_SIZES[mode][1]}" for mode in there) or "no known size"
@@ -97,9 +98,9 @@ def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
 
 def _camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[str, Any]:
     name = f"{side}_CAM_{mode}"
-    if not isinstance(values.get(name), dict):
+    table = values.get(name)
+    if not isinstance(table, dict):
         raise InputError(f"[{name}] is missing.", path)
-    table = table_in(values, name, path)
     fx, fy, cx, cy, *bent = (
         _stated(table, (key,), path, 0.0 if key[0] in "kp" else None) for key in _NUMBERS
     )

@@ -6,12 +6,12 @@ folder above, and poses of the car in oxts/. Images of one camera alone are sing
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
@@ -43,27 +43,23 @@ def _matches(folder: Path) -> str | None:
     for left, right, _ in _CAMERAS:
         if has(folder, left, right) and (left != "image_l" or has(folder, "calib.txt")):
             return f"{left}/ and {right}/" + (f" with {calib.name}" if calib else "")
-    alone = _alone(folder, calib)
-    return None if alone is None or calib is None else f"{alone[0]}/ with {calib.name}"
-
-
-def _alone(folder: Path, calib: Path | None) -> tuple[str, int] | None:
-    """Return the folder of one camera without the other of its pair, and the number of its projection."""
     if calib is None:
         return None
+    try:
+        alone = _alone(folder, read_projections(calib))
+    except InputError:
+        # Other layouts have files of this name.
+        return None
+    return None if alone is None else f"{alone[0]}/ with {calib.name}"
+
+
+def _alone(folder: Path, projections: Collection[int]) -> tuple[str, int] | None:
+    """Return the folder of one camera whose projection is there, and the number of that."""
     for left, right, at in _CAMERAS:
         for name, number in ((left, at), (right, at + 1)):
-            if has(folder, name) and number in _projections(calib):
+            if has(folder, name) and number in projections:
                 return name, number
     return None
-
-
-def _projections(calib: Path) -> dict[int, NDArray[np.float64]]:
-    """Return the projections of a file; none where it is another layout's of this name."""
-    try:
-        return read_projections(calib)
-    except InputError:
-        return {}
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
@@ -115,7 +111,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
     """Read a sequence of which the images of one camera alone are there: as single views."""
-    alone = _alone(folder, calib)
+    projections = read_projections(calib)
+    alone = _alone(folder, projections)
     if alone is None:
         raise InputError("it states no projection matrix for a folder of images.", calib)
     place, number = alone
@@ -123,7 +120,7 @@ def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
     names = [color.stem for color in colors]
     size = common_size(colors)
     camera, camera_from_cam0 = projected_camera(
-        _projections(calib)[number], size, options, calib, rectified_size(calib, size)
+        projections[number], size, options, calib, rectified_size(calib, size)
     )
     poses, up, lacks = _poses(folder, options, place, names, calib)
     cam0_from_camera = np.linalg.inv(camera_from_cam0)

@@ -76,7 +76,6 @@ def _is_without_depth(folder: Path) -> bool:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     if _is_without_depth(folder):
         return _read_views(folder, options)
-    path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
     color_stream, depth_stream, warnings = _streams(folder)
     colors, depths = color_stream.files, depth_stream.files
     camera, calib, about_camera = camera_of(folder, options, *common_size(depths))
@@ -94,12 +93,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     # The surface is where the depth camera saw it from, so its moment decides.
     moments = [int(depth_stream.times[partners[number]]) for number in paired]
     names = [colors[number].stem for number in paired]
-    poses: list[Pose | None] = [None] * len(paired)
-    if path is not None:
-        poses = poses_at(path, moments, names, _TOLERANCE, options)
-    elif (found := _poses_beside(folder, moments, names, options)) is not None:
-        path, poses, said = found
-        warnings.append(said)
+    path, poses, about_poses = _poses(folder, moments, names, options)
+    warnings += about_poses
     for number, pose in zip(paired, poses, strict=True):
         color, partner, time = colors[number], partners[number], int(color_stream.times[number])
         if pose is None and path is not None:
@@ -127,13 +122,7 @@ def _read_views(folder: Path, options: ReadingParams) -> Scan:
     colors, warnings = _where_they_are(stream.files, folder)
     camera, _, about_camera = camera_of(folder, options, *common_size(colors))
     moments, names = stream.times.tolist(), [color.stem for color in colors]
-    path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
-    poses: list[Pose | None] = [None] * len(names)
-    if path is not None:
-        poses = poses_at(path, moments, names, _TOLERANCE, options)
-    elif (found := _poses_beside(folder, moments, names, options)) is not None:
-        path, poses, said = found
-        warnings.append(said)
+    path, poses, about_poses = _poses(folder, moments, names, options)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for color, time, pose in zip(colors, moments, poses, strict=True):
@@ -146,10 +135,18 @@ def _read_views(folder: Path, options: ReadingParams) -> Scan:
             skipped.append(SkippedFrame(color.stem, str(error)))
     missing = _missing(path)
     up = None if path is None else _up(folder, path)
-    said_of_all = (*warnings, *about_camera)
-    return Scan(
-        LAYOUT.name, frames, None, folder, tuple(skipped), said_of_all, missing, is_metric=True, up=up
-    )
+    said = (*warnings, *about_camera, *about_poses)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), said, missing, is_metric=True, up=up)
+
+
+def _poses(
+    folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
+) -> tuple[Path | None, list[Pose | None], list[str]]:
+    """Return the trajectory's file, the pose at each moment, and what is to be said about them."""
+    path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
+    if path is not None:
+        return path, poses_at(path, moments, names, _TOLERANCE, options), []
+    return _poses_beside(folder, moments, names, options) or (None, [None] * len(names), [])
 
 
 def _missing(poses: Path | None) -> tuple[str, ...]:
@@ -159,7 +156,7 @@ def _missing(poses: Path | None) -> tuple[str, ...]:
 
 def _poses_beside(
     folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
-) -> tuple[Path, list[Pose | None], str] | None:
+) -> tuple[Path, list[Pose | None], list[str]] | None:
     """Return the only file that holds as many poses as frames, the poses, and what is to be said of them.
 
     None without one, and where its times are others than those of the frames, unless these only count them.
@@ -172,7 +169,7 @@ def _poses_beside(
         said = f"{said}; the images' times only count them, so poses are taken in their order"
         options = replace(options, poses_by_order=True)
     try:
-        return path, poses_at(path, moments, names, _TOLERANCE, options), said
+        return path, poses_at(path, moments, names, _TOLERANCE, options), [said]
     except InputError:
         return None
 

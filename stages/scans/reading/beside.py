@@ -151,7 +151,9 @@ def not_taken(folder: Path, width: int, height: int, read: Callable[[Path, int, 
     warnings = []
     for path, fault in doubtful:
         if fault is not None:
-            warnings.append(f"{path.name} seems to state a camera and is not taken: {fault}")
+            warnings.append(
+                f"{path.relative_to(folder).as_posix()} seems to state a camera and is not taken: {fault}"
+            )
     return warnings
 
 

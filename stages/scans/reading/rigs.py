@@ -13,6 +13,7 @@ import numpy as np
 from stages.files import documents
 from stages.files.noting import note, only_looking
 from stages.scans.formats import rig_calibration
+from stages.scans.formats.calibration import document_of
 from stages.scans.reading.beside import not_taken, parts_of_calibration, places_of_calibrations, rigs_beside
 from stages.scans.reading.files import first_existing, has
 from stages.scans.reading.params import ReadingParams
@@ -63,7 +64,8 @@ def rig_of(
             lacking = f"calibration: {names} all state one; name the right one with scan.calibration=FILE"
             return uncalibrated(size), [], (lacking,)
         note(path)
-        warnings = [f"the calibration is read from {path.name}, which lies beside the images", *warnings]
+        name = path.relative_to(folder).as_posix()
+        warnings = [f"the calibration is read from {name}, which lies beside the images", *warnings]
     else:
         half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
         lacking = (
@@ -105,7 +107,7 @@ def _with_other_half(path: Path) -> dict[str, Any] | None:
     for half, other in (("extrinsics", "intrinsics"), ("intrinsics", "extrinsics")):
         beside = path.with_name(path.name.replace(half, other))
         if half in path.name and path.is_file() and beside.is_file():
-            return documents.read_document(beside) | documents.read_document(path)
+            return (document_of(beside) or {}) | (document_of(path) or {}) or None
     return None
 
 

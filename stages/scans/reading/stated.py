@@ -45,11 +45,9 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
     if len({camera for camera, *_ in found}) == 1:
         camera, path, told = found[0]
         note(path)
-        return (
-            camera,
-            path,
-            [f"the camera is read from {path.name}, which lies beside the images", *in_sentences(told)],
-        )
+        name = path.relative_to(folder).as_posix()
+        said = f"the camera is read from {name}, which lies beside the images"
+        return camera, path, [said, *in_sentences(told)]
     if found:
         names = ", ".join(path.name for _, path, _ in found[:5])
         camera, guessed = _guessed_camera(width, height)

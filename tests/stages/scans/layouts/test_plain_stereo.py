@@ -1,5 +1,6 @@
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -259,7 +260,8 @@ def test_arrays_of_a_calibration_in_one_archive(scan_folder, matrices, lenses, p
     scan = read_scan(scan_folder)
     assert (scan.rig.baseline, scan.rig.rectified) == (0.5, False)
     assert scan.rig.left.distortion == (0.1, -0.02, 0, 0, 0.003)
-    assert "the calibration is read from stereo.npz, which lies beside the images" in scan.warnings
+    named = (Path(place) / "stereo.npz").as_posix()
+    assert f"the calibration is read from {named}, which lies beside the images" in scan.warnings
 
 
 @pytest.mark.parametrize("suffix", [".txt", ".npy"])
