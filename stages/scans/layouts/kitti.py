@@ -133,7 +133,7 @@ def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
             skipped.append(SkippedFrame(color.stem, str(error)))
             continue
         frames.append(replace(view, timestamp=time))
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), lacks, is_metric=True, up=up)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), lacks, up=up)
 
 
 def _poses(

@@ -136,7 +136,7 @@ def _read_views(folder: Path, options: ReadingParams) -> Scan:
     missing = _missing(path)
     up = None if path is None else _up(folder, path)
     said = (*warnings, *about_camera, *about_poses)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), said, missing, is_metric=True, up=up)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), said, missing, up=up)
 
 
 def _poses(
