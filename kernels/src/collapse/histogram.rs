@@ -5,15 +5,13 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 /// Sixteen classes for every doubling of a priority.
 pub struct Histogram {
     counts: Vec<AtomicU32>,
-    /// Edges that each one counted stands for.
-    scale: f64,
 }
 
 const CLASS_BITS: u32 = 48;
 
 impl Default for Histogram {
     fn default() -> Self {
-        Self { counts: (0..1 << (63 - CLASS_BITS)).map(|_| AtomicU32::new(0)).collect(), scale: 1.0 }
+        Self { counts: (0..1 << (63 - CLASS_BITS)).map(|_| AtomicU32::new(0)).collect() }
     }
 }
 
@@ -25,24 +23,29 @@ impl Histogram {
         }
     }
 
-    /// The same, where each edge that was counted stands for several.
-    pub fn scaled(self, scale: f64) -> Self {
-        Self { scale, ..self }
-    }
-
-    /// The priority up to which about `collapses` take place on a mesh where `most` can.
-    pub fn priority_for(&self, collapses: usize, most: usize) -> f64 {
+    /// Estimate the priority up to which `collapses` take place, of at most `most` on the mesh.
+    ///
+    /// The edges counted are a sample of the `open` edges: edges on the rims of regions were not tried, and their
+    /// priorities are not known. Without the scaling, the sample seems to run out of edges although the mesh does
+    /// not, the priority is unlimited, and a region is collapsed down to nothing while its neighbours wait.
+    /// Infinite only if no edge was counted.
+    pub fn priority_for(&self, collapses: usize, most: usize, open: usize) -> f64 {
+        let counts = || self.counts.iter().map(|count| f64::from(count.load(Relaxed)));
+        let counted: f64 = counts().sum();
+        let scale = (open as f64 / counted.max(1.0)).max(1.0);
         // Of three edges one collapses and two merge with others when all go, while the first few are all
         // collapses.
         let share = collapses as f64 / most.max(1) as f64;
         let wanted = collapses as f64 * (1.0 + 2.0 * share);
         let mut below = 0.0;
-        for (class, count) in self.counts.iter().enumerate() {
-            below += self.scale * f64::from(count.load(Relaxed));
+        let mut priority = f64::INFINITY;
+        for (class, count) in counts().enumerate().filter(|(_, count)| *count > 0.0) {
+            below += scale * count;
+            priority = f64::from_bits((class as u64 + 1) << CLASS_BITS);
             if below >= wanted {
-                return f64::from_bits((class as u64 + 1) << CLASS_BITS);
+                break;
             }
         }
-        f64::INFINITY
+        priority
     }
 }

@@ -98,6 +98,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
         if is_unlimited && (collapsed as f64) < goal.least * rounds.mesh.triangles.len() as f64 {
             break Stop::Few;
         }
+        rounds.is_stalled = collapsed == 0;
         rounds.idle = if collapsed == 0 && is_unlimited { rounds.idle + 1 } else { 0 };
     };
     let Rounds { mesh, records, collapses, logs, attempts, .. } = rounds;
@@ -114,6 +115,8 @@ struct Rounds<'a, const D: usize, R: Records<D>> {
     round: usize,
     /// Rounds in a row in which nothing happened.
     idle: u32,
+    /// Whether the last round collapsed no edge.
+    is_stalled: bool,
     /// Priorities of the edges that were left to wait by the last round.
     waiting: Option<Histogram>,
     collapses: usize,
@@ -147,6 +150,7 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
             goal,
             round: 0,
             idle: 0,
+            is_stalled: false,
             waiting: None,
             collapses: 0,
             logs: vec![],
@@ -166,6 +170,14 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
 
     fn has_open_edges(&self) -> bool {
         self.mesh.refused.iter().any(|refused| refused.iter().any(Option::is_none))
+    }
+
+    /// Estimate the number of edges that no refusal holds back; boundary edges count half.
+    fn open_edges(&self) -> usize {
+        if self.mesh.refused.is_empty() {
+            return 3 * self.mesh.triangles.len() / 2;
+        }
+        self.mesh.refused.as_flattened().iter().filter(|refused| refused.is_none()).count() / 2
     }
 
     /// Cut the mesh, elsewhere than before.
@@ -192,12 +204,12 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         let run = Run { rounds: self, cut, gone, total: self.total() as u64 };
         let is_one = cut.partition.len() == 1;
         let priority = match &self.waiting {
-            _ if is_one => f64::INFINITY,
-            Some(waiting) => waiting.priority_for(wanted(count, goal.triangles), count / 2),
+            _ if is_one || self.is_stalled => f64::INFINITY,
+            Some(waiting) => waiting.priority_for(wanted(count, goal.triangles), count / 2, self.open_edges()),
             None if run.has_few_open(wanted(count, goal.triangles)) => f64::INFINITY,
             None => {
                 let sample = run.sample(progress).map_err(|error| explained(mesh, error))?;
-                sample.priority_for(wanted(count, goal.triangles), count / 2)
+                sample.priority_for(wanted(count, goal.triangles), count / 2, self.open_edges())
             }
         };
         let until =
@@ -276,9 +288,8 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
 
     /// Whether fewer edges are open than `wanted` collapses, even if all of them were in the regions of a sample.
     fn has_few_open(&self, wanted: usize) -> bool {
-        let refused = &self.rounds.mesh.refused;
-        let open = refused.as_flattened().iter().filter(|refused| refused.is_none()).count();
-        !refused.is_empty() && open.saturating_mul(2 * self.step()) < wanted
+        let open = 2 * self.rounds.open_edges();
+        !self.rounds.mesh.refused.is_empty() && open.saturating_mul(2 * self.step()) < wanted
     }
 
     /// Of so many regions one is looked at before the first round.
@@ -294,10 +305,10 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         let one = |scratch: &mut Scratch, i: usize| {
             progress.check()?;
             waiting.add(self.engine(scratch, i * step)?.waiting());
-            Ok(partition.region(i * step).len())
+            Ok(())
         };
-        let sampled: usize = self.each(partition.len().div_ceil(step), one)?.iter().sum();
-        Ok(waiting.scaled(self.rounds.mesh.triangles.len() as f64 / sampled as f64))
+        self.each(partition.len().div_ceil(step), one)?;
+        Ok(waiting)
     }
 
     /// Work for each number below `count`, on all threads.
