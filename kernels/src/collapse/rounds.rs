@@ -205,7 +205,9 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
         let is_one = cut.partition.len() == 1;
         let priority = match &self.waiting {
             _ if is_one || self.is_stalled => f64::INFINITY,
-            Some(waiting) => waiting.priority_for(wanted(count, goal.triangles), count / 2, self.open_edges()),
+            Some(waiting) => {
+                waiting.priority_for(wanted(count, goal.triangles), count / 2, self.open_edges())
+            }
             None if run.has_few_open(wanted(count, goal.triangles)) => f64::INFINITY,
             None => {
                 let sample = run.sample(progress).map_err(|error| explained(mesh, error))?;

@@ -73,6 +73,8 @@ pub(super) struct Plan<const K: usize> {
     /// Wedges of the two sides of the edge, at its first and second end; none on a boundary.
     pub sides: [Option<[u32; 2]>; 2],
     pub is_plain: bool,
+    /// The shape quadrics of both ends together; only set where `is_plain` is not.
+    pub shape: Quadric<0>,
     pub runs: [Option<Run>; 2],
 }
 
@@ -92,6 +94,7 @@ impl<const K: usize> Default for Plan<K> {
             candidates: vec![],
             sides: [None; 2],
             is_plain: true,
+            shape: Quadric::default(),
             runs: [None; 2],
         }
     }

@@ -3,7 +3,7 @@
 //! Two quadrics (Feng, Ni and Luo 2012): one of shape alone for each vertex, from the triangles of all its copies
 //! and from the walls that stand on seams and boundaries; one of shape and attributes for each wedge, from the
 //! wedge's own triangles. Away from seams the second says all. Where a seam is near, the place comes from the first,
-//! the attributes of each wedge from its own second, and the cost is the weighted sum of both.
+//! the attributes of each wedge from its own second, and the cost is the weighted sum of both. See [`super::quadrics`].
 //!
 //! A seam is a curve of edges. What lies beside it collapses into it, and an edge of it shrinks along it, to the
 //! texture coordinates that one of its ends has on each side: so they remain on the chart's border. Where that end
@@ -20,6 +20,7 @@ use crate::mesh::connectivity::Connectivity;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::quadrics::placement::{best_place, shorter_first};
+use crate::quadrics::quadric::Quadric;
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// The cheapest place for a star that is legal, and that someone else `allows`, too.
@@ -102,7 +103,8 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         let end = usize::from(star.ends[1] == survivor);
         for class in &plan.classes {
             let wedge = class.kept(end);
-            self.quadrics[wedge as usize] = class.quadric;
+            // Filled from the triangles that are left.
+            self.quadrics[wedge as usize] = Quadric::default();
             if self.wedges.put(wedge, class.at_end, class.value, class.home)
                 && let Some(changes) = &mut self.changes
             {
@@ -174,7 +176,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
     type Bound = Rule;
     type Change = ();
 
-    const REACH: Reach = Reach::Spokes;
+    const REACH: Reach = Reach::Ring;
 
     fn priority(&self, mesh: &Mesh<3>, edge: EdgeId) -> Result<f64, Rule> {
         let ends = mesh.connectivity.ends(edge);
@@ -205,7 +207,10 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
         let survivor = collapsed.survivor;
         let plan = self.plan.take();
         let moves_seam = self.is_seam[star.edge.index()] || star.ends.into_iter().any(|v| self.is_tip(v));
+        self.remove_vanished(connectivity, star);
+        self.note_moved(connectivity, star, survivor);
         self.merge_wedges(connectivity, star, survivor, &plan);
+        self.update_quadrics(mesh);
         for run in plan.runs.into_iter().flatten() {
             self.drifts.raise(run.next, run.drift);
         }
@@ -216,8 +221,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
         if moves_seam {
             self.look_again(connectivity, survivor);
         }
-        let [a, b] = star.ends.map(|v| v.index());
-        self.shape[survivor.index()] = self.shape[a].sum(&self.shape[b]);
+        self.forget_shape(connectivity, survivor);
         self.merge_spots(connectivity, star, survivor, plan.is_plain);
         self.plan.replace(plan);
     }

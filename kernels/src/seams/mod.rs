@@ -16,6 +16,7 @@ mod joined;
 mod legal;
 mod measure;
 mod plan;
+mod quadrics;
 pub mod record;
 pub mod records;
 mod simplify;

@@ -58,12 +58,12 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             [0, 1].map(|end| may_go(1 - end) && plan.classes.iter().all(|class| !class.is_torn[end]));
 
         let places = ends.map(|v| *mesh.point(v));
-        let shape = self.shape[ends[0].index()].sum(&self.shape[ends[1].index()]);
+        plan.shape = self.shape_of(mesh, ends[0]).sum(&self.shape_of(mesh, ends[1]));
         plan.candidates.clear();
         let has_image = plan.sides.iter().flatten().any(|&[wedge, _]| self.is_textured(wedge));
         let mut wanted = [None; 4];
         if goes_to_first && goes_to_second {
-            let best = best_place(&shape, places.each_ref()).0;
+            let best = best_place(&plan.shape, places.each_ref()).0;
             if on_seam && has_image {
                 wanted[..2].copy_from_slice(&[Some((best, Some(0))), Some((best, Some(1)))]);
             } else {
@@ -91,13 +91,13 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         let ends = mesh.connectivity.ends(edge);
         let places = ends.map(|v| mesh.point(v));
         let exact = keep.filter(|&end| place == *places[end]);
-        let [a, b] = ends.map(|v| &self.shape[v.index()]);
-        let mut cost = shorter_first(a.area + b.area, places);
+        let area = if plan.is_plain { plan.classes[0].quadric.area } else { plan.shape.area };
+        let mut cost = shorter_first(area, places);
         for class in plan.classes.iter().filter(|class| !class.is_only_at(exact)) {
             cost += class.quadric.error_with(&place, &self.value(plan, class, &place, keep));
         }
         if !plan.is_plain {
-            cost += self.knobs.shape * (a.error(&place) + b.error(&place));
+            cost += self.knobs.shape * plan.shape.error(&place);
         }
         let mut drift: f64 = 0.0;
         let mut add = |run: Run| {

@@ -1,7 +1,6 @@
-//! What is known of the whole surface from round to round: wedges, quadrics, and how far seams have come.
+//! State of the whole surface between rounds: wedges, and how far seams have drifted.
 //!
-//! Quadrics are sums over the triangles of the input, and each triangle is in one region of the first round. So they
-//! are made there, by the thread that needs them next; for vertices on the rim the regions' shares are added up.
+//! Quadrics are those of the current triangles, so each region computes its own when it is loaded.
 
 use std::cell::RefCell;
 
@@ -12,7 +11,6 @@ use super::surface::Surface;
 use super::texture::{Charts, Drifts};
 use super::wedges::{NONE, Wedge, Wedges};
 use super::weld::TOUCHES_NONE;
-use crate::base::geometry::position;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::collapse::records::Records;
 use crate::collapse::region::SHARED;
@@ -20,13 +18,10 @@ use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::quadrics::quadric::Quadric;
 
-/// Weight of the walls on seams and boundaries, against the area of the square over the edge.
-const WALL: f64 = 1.0;
-
 /// Marks the wedge of a vertex on the rim, named by its number on the whole surface.
 const ON_RIM: u32 = 1 << 31;
 
-/// What is kept of a vertex beside its quadric.
+/// State of a vertex between rounds.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
     /// The set it must stay with; see [`super::weld`].
@@ -45,18 +40,13 @@ pub struct Given<'a, const K: usize> {
     /// Triangle of the input that each triangle is.
     pub triangle_source: &'a [u32],
     pub charts: &'a Charts,
-    /// Which corners of a triangle start an edge that a wall stands on, a bit each.
-    pub walls: &'a [u8],
 }
 
 pub struct SeamRecords<'a, const D: usize, const K: usize> {
     knobs: Knobs,
     given: Given<'a, K>,
     places: Joined<Place>,
-    /// Empty before the first round, as the other quadrics.
-    shape: Joined<Quadric<0>>,
     pub wedges: Joined<Wedge<K>>,
-    quadrics: Joined<Quadric<K>>,
     /// Wedges of the corners of each triangle.
     pub corners: Joined<[u32; 3]>,
     /// Of each part of the triangles, by its own numbers.
@@ -70,16 +60,11 @@ pub struct SeamRecords<'a, const D: usize, const K: usize> {
 /// What is left of a region.
 pub struct Remains<const K: usize> {
     places: Vec<Place>,
-    shape: Vec<Quadric<0>>,
     wedges: Vec<Wedge<K>>,
-    quadrics: Vec<Quadric<K>>,
     corners: Vec<[u32; 3]>,
     drifts: Vec<Drift>,
     largest_drift: f64,
     changes: Option<Changes<K>>,
-    /// This region's shares of quadrics on the rim, in the first round: vertices and wedges by their numbers.
-    rim_shape: Vec<(u32, Quadric<0>)>,
-    rim_quadrics: Vec<(u32, Quadric<K>)>,
 }
 
 impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
@@ -97,9 +82,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
             knobs,
             given,
             places: Joined::default(),
-            shape: Joined::default(),
             wedges: Joined::default(),
-            quadrics: Joined::default(),
             corners: Joined::default(),
             drifts: vec![vec![]],
             largest_drift: 0.0,
@@ -112,15 +95,15 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
         records
     }
 
-    /// The wedges of a region, their numbers on the whole surface and the vertices they are at.
-    fn load_wedges(&self, region: &Mesh<3>) -> (Wedges<K>, Vec<u32>, Vec<VertexId>) {
+    /// The wedges of a region, and their numbers on the whole surface.
+    fn load_wedges(&self, region: &Mesh<3>) -> (Wedges<K>, Vec<u32>) {
         let connectivity = &region.connectivity;
         let some = connectivity.vertex_slots() + connectivity.vertex_slots() / 4;
         let mut wedges = Wedges {
             of_corner: Vec::with_capacity(3 * connectivity.triangle_slots()),
             all: Vec::with_capacity(some),
         };
-        let (mut numbers, mut owners) = (Vec::with_capacity(some), Vec::with_capacity(some));
+        let mut numbers = Vec::with_capacity(some);
         // The last wedge met of each vertex, and of each wedge the one before at the same vertex.
         let mut last = vec![NONE; connectivity.vertex_slots()];
         let mut before: Vec<u32> = Vec::with_capacity(some);
@@ -135,48 +118,25 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
                     wedge = numbers.len() as u32;
                     wedges.all.push(*self.wedges.at(number));
                     numbers.push(number);
-                    owners.push(v);
                     before.push(std::mem::replace(&mut last[v.index()], wedge));
                 }
                 wedges.of_corner.push(wedge);
             }
         }
-        (wedges, numbers, owners)
+        (wedges, numbers)
     }
 
-    /// Quadrics of vertices and wedges, from the triangles of the input.
-    fn fresh_quadrics(&self, region: &Mesh<3>, wedges: &Wedges<K>) -> (Vec<Quadric<0>>, Vec<Quadric<K>>) {
-        let connectivity = &region.connectivity;
-        let Given { surface, triangle_source, walls, .. } = self.given;
-        let mut shape = vec![Quadric::default(); connectivity.vertex_slots()];
-        let mut quadrics = vec![Quadric::default(); wedges.all.len()];
-        for (local, &t) in region.triangle_source.iter().enumerate() {
-            let halfedges = [0, 1, 2].map(|i| HalfedgeId((3 * local + i) as u32));
-            let places = halfedges.map(|h| region.point(connectivity.origin(h)));
-            let points: [[f64; D]; 3] = std::array::from_fn(|corner| {
-                let attributes = &wedges.at(wedges.of(halfedges[corner])).attributes;
-                std::array::from_fn(|i| if i < 3 { places[corner][i] } else { attributes[i - 3] })
-            });
-            let mut quadric = Quadric::<K>::of_triangle(points.each_ref(), 1.0);
-            let mut plane = Quadric::<0>::of_triangle(points.map(|p| position(&p)).each_ref(), 0.0);
-            let importance = surface.importance.get(triangle_source[t as usize] as usize).copied();
-            if let Some(importance) = importance {
-                quadric.scale(importance);
-                plane.scale(importance);
-            }
-            for h in halfedges {
-                quadrics[wedges.of(h) as usize].add(&quadric);
-                shape[connectivity.origin(h).index()].add(&plane);
-            }
-            for corner in (0..3).filter(|corner| walls[t as usize] >> corner & 1 == 1) {
-                let [a, b, across] = [0, 1, 2].map(|i| places[(corner + i) % 3]);
-                for h in [corner, (corner + 1) % 3] {
-                    let v = connectivity.origin(halfedges[h]);
-                    shape[v.index()].add_wall(WALL * importance.unwrap_or(1.0), [a, b, across]);
-                }
-            }
+    /// The importance of each triangle of a region; empty for 1.
+    fn load_importance(&self, region: &Mesh<3>) -> Vec<f64> {
+        let Given { surface, triangle_source, .. } = self.given;
+        if surface.importance.is_empty() {
+            return vec![];
         }
-        (shape, quadrics)
+        region
+            .triangle_source
+            .iter()
+            .map(|&t| surface.importance[triangle_source[t as usize] as usize])
+            .collect()
     }
 
     fn load_spots(&self, region: &Mesh<3>, wedges: &Wedges<K>, is_seam: &[bool]) -> Vec<Spot> {
@@ -252,18 +212,10 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
 
     fn load(&self, region: &Mesh<3>) -> Seams<'a, D, K> {
         let connectivity = &region.connectivity;
-        let (wedges, numbers, owners) = self.load_wedges(region);
+        let (wedges, numbers) = self.load_wedges(region);
         let is_seam: Vec<bool> = (0..connectivity.edge_slots())
             .map(|e| wedges.is_seam(connectivity, EdgeId::from_index(e)))
             .collect();
-        let (shape, quadrics) = if self.shape.is_empty() {
-            self.fresh_quadrics(region, &wedges)
-        } else {
-            (
-                region.vertex_source.iter().map(|&v| *self.shape.at(v)).collect(),
-                numbers.iter().map(|&wedge| *self.quadrics.at(wedge)).collect(),
-            )
-        };
         let touching: Vec<u32> = if self.has_touching {
             region.vertex_source.iter().map(|&v| self.places.at(v).touching).collect()
         } else {
@@ -277,22 +229,25 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             .filter(|(touching, _)| *touching != TOUCHES_NONE)
             .collect();
         sheets.sort_unstable();
-        Seams {
+        let mut seams = Seams {
             knobs: self.knobs,
             charts: self.given.charts,
             spots: self.load_spots(region, &wedges, &is_seam),
             drifts: self.load_drifts(region),
             plan: RefCell::default(),
             changes: self.changes.is_some().then(Changes::default),
+            importance: self.load_importance(region),
+            shape: RefCell::new(vec![None; connectivity.vertex_slots()]),
+            quadrics: vec![Quadric::default(); wedges.all.len()],
+            moved: vec![],
             wedges,
-            shape,
-            quadrics,
             is_seam,
             touching,
             sheets,
             numbers,
-            owners,
-        }
+        };
+        seams.compute_quadrics(region);
+        seams
     }
 
     fn unload(measure: Seams<'a, D, K>, region: &Mesh<3>) -> Remains<K> {
@@ -301,15 +256,11 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
         let inside = connectivity.vertices().filter(|&v| !is_rim(v)).count();
         let mut remains = Remains {
             places: Vec::with_capacity(inside),
-            shape: Vec::with_capacity(inside),
             wedges: Vec::with_capacity(inside),
-            quadrics: Vec::with_capacity(inside),
             corners: Vec::with_capacity(connectivity.triangle_count()),
             drifts: drifts_left(connectivity, &measure.drifts),
             largest_drift: measure.drifts.largest,
             changes: None,
-            rim_shape: vec![],
-            rim_quadrics: vec![],
         };
         let mut number: Vec<u32> = measure.numbers.iter().map(|wedge| wedge | ON_RIM).collect();
         for v in connectivity.vertices().filter(|&v| !is_rim(v)) {
@@ -319,12 +270,10 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
                 material: spot.material,
                 part: spot.part,
             });
-            remains.shape.push(measure.shape[v.index()]);
             for wedge in connectivity.fan(v).map(|h| measure.wedges.of(h)) {
                 if number[wedge as usize] & ON_RIM != 0 {
                     number[wedge as usize] = remains.wedges.len() as u32;
                     remains.wedges.push(*measure.wedges.at(wedge));
-                    remains.quadrics.push(measure.quadrics[wedge as usize]);
                 }
             }
         }
@@ -332,20 +281,11 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             let wedges = [0, 1, 2].map(|corner| measure.wedges.of(HalfedgeId(3 * t.0 + corner)));
             remains.corners.push(wedges.map(|wedge| number[wedge as usize]));
         }
-        for (v, &source) in region.vertex_source.iter().enumerate() {
-            if is_rim(VertexId::from_index(v)) {
-                remains.rim_shape.push((source, measure.shape[v]));
-            }
-        }
-        for (wedge, _) in measure.owners.iter().enumerate().filter(|(_, v)| is_rim(**v)) {
-            remains.rim_quadrics.push((measure.numbers[wedge], measure.quadrics[wedge]));
-        }
         remains.changes = measure.changes;
         remains
     }
 
     fn join(self, rim: &[u32], mut pieces: Vec<Remains<K>>) -> Self {
-        let is_first = self.shape.is_empty();
         // Wedges of the rim that any corner still has, in their order.
         let mut new_number = vec![NONE; self.wedges.len()];
         for &wedge in pieces.iter().flat_map(|piece| &piece.corners).flatten().filter(|w| *w & ON_RIM != 0) {
@@ -355,40 +295,15 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             (0..).zip(&new_number).filter(|(_, n)| **n == 0).map(|(wedge, _)| wedge).collect();
         kept.iter().zip(0..).for_each(|(&wedge, new)| new_number[wedge as usize] = new);
 
-        let (shape, quadrics) = if is_first {
-            let mut rim_number = vec![NONE; self.places.len()];
-            rim.iter().zip(0..).for_each(|(&v, new)| rim_number[v as usize] = new);
-            let mut shape = vec![Quadric::default(); rim.len()];
-            let mut quadrics = vec![Quadric::default(); kept.len()];
-            for piece in &pieces {
-                for (v, share) in &piece.rim_shape {
-                    shape[rim_number[*v as usize] as usize].add(share);
-                }
-                for (wedge, share) in &piece.rim_quadrics {
-                    if let Some(sum) = quadrics.get_mut(new_number[*wedge as usize] as usize) {
-                        sum.add(share);
-                    }
-                }
-            }
-            (shape, quadrics)
-        } else {
-            let shape = rim.iter().map(|&v| *self.shape.at(v)).collect();
-            (shape, kept.iter().map(|&wedge| *self.quadrics.at(wedge)).collect())
-        };
-
         let mut next = Self {
             places: Joined::default(),
-            shape: Joined::default(),
             wedges: Joined::default(),
-            quadrics: Joined::default(),
             corners: Joined::default(),
             drifts: vec![],
             ..self
         };
         next.places.push(rim.iter().map(|&v| *self.places.at(v)).collect());
-        next.shape.push(shape);
         next.wedges.push(kept.iter().map(|&wedge| *self.wedges.at(wedge)).collect());
-        next.quadrics.push(quadrics);
         for piece in &mut pieces {
             let first = next.wedges.len() as u32;
             let number =
@@ -396,9 +311,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             piece.corners.iter_mut().for_each(|corners| *corners = corners.map(number));
             next.largest_drift = next.largest_drift.max(piece.largest_drift);
             next.places.push(std::mem::take(&mut piece.places));
-            next.shape.push(std::mem::take(&mut piece.shape));
             next.wedges.push(std::mem::take(&mut piece.wedges));
-            next.quadrics.push(std::mem::take(&mut piece.quadrics));
             next.corners.push(std::mem::take(&mut piece.corners));
             next.drifts.push(std::mem::take(&mut piece.drifts));
             if let Some((all, changes)) = next.changes.as_mut().zip(piece.changes.take()) {

@@ -16,7 +16,6 @@ use crate::collapse::logs;
 use crate::collapse::rounds::{self, collapse};
 use crate::collapse::whole::Whole;
 use crate::fitting::fit::{Input, fit};
-use crate::mesh::connectivity::Connectivity;
 use crate::mesh::legality::Illegal;
 use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, check_points};
 
@@ -132,12 +131,11 @@ pub fn simplify_by<const D: usize, const K: usize>(
     progress.check()?;
     let charts = Charts::new(&mesh, surface, &is_seam, goal.rounds.threads);
     let places = places(&mesh, surface, &touching);
-    let walls = wall_corners(&mesh, &is_seam, &of_corner);
     let corners = of_corner.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
     let numbered = goal.rounds.record.then(|| numbered(&mesh, surface, &of_corner));
     let input = mesh.triangle_source.clone();
     let (whole, sources) = Whole::from_mesh(mesh);
-    let given = Given { surface, triangle_source: &input, charts: &charts, walls: &walls };
+    let given = Given { surface, triangle_source: &input, charts: &charts };
     let records = SeamRecords::<D, K>::new(knobs, given, places, wedges, corners, goal.rounds.record);
     let before = goal.fit.then(|| Before::new(&whole));
     let done = collapse(whole, records, &sources.vertices, progress)?;
@@ -187,21 +185,6 @@ fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
     }
     let (connectivity, triangle_source) = (welded.connectivity, welded.triangle_source);
     Mesh { connectivity, points, vertex_source, triangle_source, locks }
-}
-
-/// Which corners of each triangle start an edge that a wall stands on, a bit each: a seam whose sides differ at both ends.
-/// Where a seam ends, there is nothing to hold it.
-fn wall_corners(mesh: &Mesh<3>, is_seam: &[bool], of_corner: &[u32]) -> Vec<u8> {
-    let connectivity = &mesh.connectivity;
-    let wedge = |h: HalfedgeId| of_corner[h.index()];
-    let is_wall = |h: HalfedgeId| {
-        let twin = connectivity.twin(h);
-        is_seam[connectivity.edge(h).index()]
-            && (twin.is_none()
-                || wedge(h) != wedge(Connectivity::next(twin)) && wedge(Connectivity::next(h)) != wedge(twin))
-    };
-    let bits = |t: usize| (0..3).map(|i| u8::from(is_wall(HalfedgeId::from_index(3 * t + i))) << i).sum();
-    (0..connectivity.triangle_slots()).map(bits).collect()
 }
 
 /// Wedge and vertex of each corner of the input; none in triangles that were left out.

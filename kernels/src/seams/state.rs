@@ -7,7 +7,7 @@ use super::record::Changes;
 use super::texture::{Charts, Drifts};
 use super::wedges::{NONE, Wedges};
 use super::weld::TOUCHES_NONE;
-use crate::base::ids::VertexId;
+use crate::base::ids::{HalfedgeId, VertexId};
 use crate::quadrics::quadric::Quadric;
 
 /// A penalty for valence counts from here.
@@ -76,8 +76,14 @@ pub struct Seams<'a, const D: usize, const K: usize> {
     pub(super) knobs: Knobs,
     pub(super) charts: &'a Charts,
     pub(super) wedges: Wedges<K>,
-    pub(super) shape: Vec<Quadric<0>>,
+    /// Shape quadrics of vertices beside seams, computed when first asked for after a change.
+    pub(super) shape: RefCell<Vec<Option<Quadric<0>>>>,
+    /// Quadrics of shape and attributes, by wedge.
     pub(super) quadrics: Vec<Quadric<K>>,
+    /// Factor of the error of each triangle; empty for 1.
+    pub(super) importance: Vec<f64>,
+    /// Corners that a collapse moves, as they were before it; used again for the next.
+    pub(super) moved: Vec<Moved<D>>,
     pub(super) spots: Vec<Spot>,
     pub(super) is_seam: Vec<bool>,
     /// The set of each vertex that must stay with others; see [`super::weld`]. Empty if no vertex must.
@@ -87,9 +93,15 @@ pub struct Seams<'a, const D: usize, const K: usize> {
     pub(super) drifts: Drifts,
     pub(super) plan: RefCell<Plan<K>>,
     pub(super) changes: Option<Changes<K>>,
-    /// The numbers of the region's wedges on the whole surface, and the vertices they were at.
+    /// The numbers of the region's wedges on the whole surface.
     pub(super) numbers: Vec<u32>,
-    pub(super) owners: Vec<VertexId>,
+}
+
+/// A corner that a collapse moves: its halfedge, and where it was before, attributes included.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moved<const D: usize> {
+    pub corner: HalfedgeId,
+    pub before: [f64; D],
 }
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
