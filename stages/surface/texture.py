@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import MeshError
-from stages.files.image_bytes import decoded_image, encoded_png, kind_of
+from stages.files.image_bytes import decoded_image, encoded_png, kind_of, promised_size
 from stages.printing import counted, line
 
 Pixels = NDArray[np.uint8]
@@ -54,6 +54,13 @@ class Image:
         if pixels is None:
             raise MeshError(f"the texture image {self.name or 'without a name'} cannot be decoded.")
         return pixels
+
+    @cached_property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height in texels as the file states them, or None; the image is not decoded."""
+        if self.given is not None:
+            return self.given.shape[1], self.given.shape[0]
+        return None if self.encoded is None else promised_size(self.encoded)
 
     @cached_property
     def file_bytes(self) -> bytes:

@@ -117,7 +117,8 @@ pub fn nearest_on_triangle(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> ([f64; 3], f64) {
         return finish([0.0, 1.0, 0.0]);
     }
     let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+    // A side without length is no side: the other two tell.
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
         let t = d1 / (d1 - d3);
         return finish([1.0 - t, t, 0.0]);
     }
@@ -127,12 +128,12 @@ pub fn nearest_on_triangle(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> ([f64; 3], f64) {
         return finish([0.0, 0.0, 1.0]);
     }
     let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6 {
         let t = d2 / (d2 - d6);
         return finish([1.0 - t, 0.0, t]);
     }
     let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 && (d4 - d3) + (d5 - d6) > 0.0 {
         let t = (d4 - d3) / ((d4 - d3) + (d5 - d6));
         return finish([0.0, 1.0 - t, t]);
     }
@@ -159,6 +160,18 @@ mod tests {
         assert_eq!(d([1.0, -1.0, 0.0]), 1.0);
         assert!((d([2.0, 2.0, 0.0]) - 2f64.sqrt()).abs() < 1e-15);
         assert_eq!(d([-3.0, -4.0, 0.0]), 5.0);
+    }
+
+    /// Two corners of a triangle may be one, as after vertices were joined.
+    #[test]
+    fn nearest_on_a_triangle_with_equal_corners_is_on_its_side() {
+        for (corners, expected) in
+            [([&A, &A, &B], 4.0), ([&A, &B, &B], 4.0), ([&A, &B, &A], 4.0), ([&A, &A, &A], 5.0)]
+        {
+            let (at, found) = nearest_on_triangle(&[1.0, 2.0, 0.0], corners);
+            assert!(at.iter().all(|x| (0.0..=1.0).contains(x)), "{at:?}");
+            assert_eq!(found, expected);
+        }
     }
 
     #[test]

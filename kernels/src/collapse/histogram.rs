@@ -49,3 +49,31 @@ impl Histogram {
         priority
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn counted(priorities: impl Iterator<Item = u32>) -> Histogram {
+        let histogram = Histogram::default();
+        histogram.add(priorities.map(f64::from));
+        histogram
+    }
+
+    #[test]
+    fn a_sample_stands_for_all_open_edges() {
+        let all = counted((1..=1000).flat_map(|priority| [priority; 4]));
+        let sample = counted(1..=1000);
+        assert_eq!(all.priority_for(500, 10_000, 4000), sample.priority_for(500, 10_000, 4000));
+        assert!(sample.priority_for(500, 10_000, 4000) < sample.priority_for(500, 10_000, 1000));
+    }
+
+    /// Without a limit, a region would be collapsed down to nothing while others wait.
+    #[test]
+    fn only_without_edges_is_there_no_limit() {
+        let few = counted(1..=10);
+        let priority = few.priority_for(5000, 6000, 12_000);
+        assert!((10.0..12.0).contains(&priority), "{priority}");
+        assert_eq!(counted(0..0).priority_for(1, 10, 10), f64::INFINITY);
+    }
+}

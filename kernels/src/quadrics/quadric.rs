@@ -47,7 +47,8 @@ fn solve(m: &Symmetric, r: &Vec3) -> Option<Vec3> {
     let c3 = m[0] * m[5] - m[2] * m[2];
     let c4 = m[1] * m[2] - m[0] * m[4];
     let c5 = m[0] * m[3] - m[1] * m[1];
-    let solvable = determinant > 0.0;
+    // Beyond the range of numbers there is no determinant.
+    let solvable = determinant > 0.0 && determinant.is_finite();
     solvable.then(|| times(&[c0, c1, c2, c3, c4, c5], r).map(|x| x / determinant))
 }
 

@@ -22,8 +22,6 @@ pub(super) struct Run {
     pub next: EdgeId,
     /// How far its image is then from what it was in the input, at the most.
     pub drift: f64,
-    /// The square of its length in space.
-    pub length2: f64,
 }
 
 /// A wedge at an end of the edge, and what it becomes part of.

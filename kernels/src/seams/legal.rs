@@ -6,6 +6,7 @@ use super::state::{Rule, Seams};
 use super::texture::keeps_side;
 use super::wedges::{NONE, uv_of};
 use super::weld::TOUCHES_NONE;
+use crate::base::geometry::{Vec3, distance2};
 use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::legality::keeps_triangles;
@@ -22,6 +23,9 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         plan: &mut Plan<K>,
         candidate: Candidate,
     ) -> Result<(), Rule> {
+        if !is_within_reach(star, &candidate.place) {
+            return Err(Rule::Fold);
+        }
         keeps_triangles(star, &candidate.place).map_err(|_| Rule::Fold)?;
         let exact = candidate.keep.filter(|&end| candidate.place == star.end_points[end]);
         for i in 0..plan.classes.len() {
@@ -153,4 +157,13 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             },
         )
     }
+}
+
+/// Whether a place is no farther from the middle of the star than its spokes reach.
+///
+/// Planes that are nearly parallel meet far away, where their quadric is small and the surface is not.
+fn is_within_reach(star: &Star<3>, place: &Vec3) -> bool {
+    let ends = star.end_points.iter().chain(star.spokes.iter().map(|(_, point)| point));
+    let reach2 = ends.map(|point| distance2(point, &star.middle)).fold(0.0, f64::max);
+    distance2(place, &star.middle) <= reach2
 }

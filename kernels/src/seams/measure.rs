@@ -185,8 +185,8 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
             let [a, b] = ends.map(|v| &self.quadrics[self.spots[v.index()].only as usize]);
             let together = a.sum(b);
             let places = ends.map(|v| mesh.point(v));
-            let (_, error) = best_place(&together, places);
-            let cost = error + shorter_first(together.area, places);
+            let (place, error) = best_place(&together, places);
+            let cost = error + self.input_error(ends, &place) + shorter_first(together.area, places);
             return Ok(self.penalty(ends, 2) * cost);
         }
         let mut plan = self.plan.borrow_mut();
@@ -222,6 +222,8 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
             self.look_again(connectivity, survivor);
         }
         self.forget_shape(connectivity, survivor);
+        let [a, b] = star.ends.map(|v| self.history[v.index()]);
+        self.history[survivor.index()] = a.sum(&b);
         self.merge_spots(connectivity, star, survivor, plan.is_plain);
         self.plan.replace(plan);
     }

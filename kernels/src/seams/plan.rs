@@ -2,9 +2,9 @@
 
 use super::classes::{Candidate, Class, Member, Plan, Run};
 use super::state::{HIGH_VALENCE, Rule, SEVERAL, Seams, common};
-use super::texture::{from_segment, seam_after, seam_before};
+use super::texture::{distance, from_segment, seam_after, seam_before};
 use super::wedges::{NONE, Wedge, uv_of};
-use crate::base::geometry::{Vec3, distance2};
+use crate::base::geometry::Vec3;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
@@ -99,15 +99,16 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         if !plan.is_plain {
             cost += self.knobs.shape * plan.shape.error(&place);
         }
+        cost += self.input_error(ends, &place);
+        // How far the seam would move in the image is bounded, but costs nothing: what is visible of it, the shift of the
+        // texture beside the seam, is in the quadrics.
         let mut drift: f64 = 0.0;
-        let mut add = |run: Run| {
-            drift = drift.max(run.drift);
-            cost += run.drift * run.drift * run.length2;
-        };
         if !self.is_seam[edge.index()] {
-            self.follow_tips(mesh, edge, plan, &place, keep).into_iter().flatten().for_each(&mut add);
+            let runs = self.follow_tips(mesh, edge, plan, &place, keep);
+            drift = runs.iter().flatten().fold(0.0, |drift, run| drift.max(run.drift));
         } else if let Some(end) = keep {
-            self.follow_seam(mesh, edge, plan.sides, end).for_each(&mut add);
+            drift =
+                self.follow_seam(mesh, edge, plan.sides, end).fold(0.0, |drift, run| drift.max(run.drift));
         }
         Candidate { place, keep, cost: self.penalty(ends, plan.members.len()) * cost, drift }
     }
@@ -279,13 +280,13 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             }
             let wedge = self.spots[v.index()].only;
             let class = plan.class_of(end, wedge)?;
-            let (next, far) = connectivity.spokes(v).find(|(edge, _)| self.is_seam[edge.index()])?;
+            let (next, _) = connectivity.spokes(v).find(|(edge, _)| self.is_seam[edge.index()])?;
             let mut drift = self.drifts.of(next);
             if self.is_textured(wedge) {
                 let [to, from] = [uv_of(&self.value(plan, class, place, keep)), self.wedges.uv(wedge)];
-                drift += (to[0] - from[0]).hypot(to[1] - from[1]);
+                drift += distance(to, from);
             }
-            Some(Run { next, drift, length2: distance2(mesh.point(v), mesh.point(far)) })
+            Some(Run { next, drift })
         })
     }
 
@@ -314,9 +315,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             let wedge = self.wedges.of(beyond);
             let far = if self.is_textured(wedge) { self.wedges.uv(wedge) } else { kept };
             let before = self.drifts.of(edge).max(self.drifts.of(next));
-            let length2 =
-                distance2(mesh.point(connectivity.origin(beyond)), mesh.point(connectivity.ends(edge)[keep]));
-            Some(Run { next, drift: before + from_segment(gone, kept, far), length2 })
+            Some(Run { next, drift: before + from_segment(gone, kept, far) })
         })
     }
 }

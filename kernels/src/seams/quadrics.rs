@@ -1,9 +1,9 @@
 //! Quadrics of a surface with seams, kept up to date as edges collapse.
 //!
 //! They are those of the current triangles, not of the input's: "memoryless" (Lindstrom and Turk, "Fast and memory
-//! efficient polygonal simplification", 1998), as in [`crate::quadric`]. Sums over the input's triangles were tried
-//! before: shape errors are a quarter larger, and the walls on a boundary, as many as the input has edges there, keep
-//! the weight of edges that are long gone, so that areas outweigh them late in the run.
+//! efficient polygonal simplification", 1998), as in [`crate::quadric`]. With quadrics summed over the input's triangles,
+//! shape errors are a quarter larger, and the walls on a boundary keep the weight of edges that are long gone, so that
+//! areas outweigh them late in the run. The input's triangles have a say in the cost all the same: see `MEMORY`.
 
 use super::state::{Moved, Seams};
 use crate::base::geometry::{Vec3, position};
@@ -13,8 +13,11 @@ use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 use crate::quadrics::quadric::Quadric;
 
-/// Weight of the walls on seams and boundaries, against the area of the square over the edge.
-const WALL: f64 = 1.0;
+/// Weight of the wall on a boundary, against the area of the square over the edge.
+const BOUNDARY: f64 = 1.0;
+
+/// The same for each of the two walls on a seam: it may move on the surface as long as the image moves with it.
+const SEAM: f64 = 0.25;
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// Compute the quadrics of all wedges.
@@ -120,7 +123,8 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             let t = Connectivity::triangle(h);
             let points =
                 [h, Connectivity::next(h), Connectivity::prev(h)].map(|h| mesh.point(connectivity.origin(h)));
-            quadric.add_wall(WALL * self.importance.get(t.index()).copied().unwrap_or(1.0), points);
+            let weight = if second.is_none() { BOUNDARY } else { SEAM };
+            quadric.add_wall(weight * self.importance.get(t.index()).copied().unwrap_or(1.0), points);
         }
     }
 

@@ -29,6 +29,8 @@ pub struct Place {
     /// Of all triangles it stands for, or [`SEVERAL`].
     pub material: i32,
     pub part: i32,
+    /// Shape quadric of the triangles of the input that the vertex stands for.
+    pub history: Quadric<0>,
 }
 
 /// A seam's drift at a corner: triangle, corner and drift.
@@ -239,6 +241,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             importance: self.load_importance(region),
             shape: RefCell::new(vec![None; connectivity.vertex_slots()]),
             quadrics: vec![Quadric::default(); wedges.all.len()],
+            history: region.vertex_source.iter().map(|&v| self.places.at(v).history).collect(),
             moved: vec![],
             wedges,
             is_seam,
@@ -269,6 +272,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
                 touching: measure.touching(v),
                 material: spot.material,
                 part: spot.part,
+                history: measure.history[v.index()],
             });
             for wedge in connectivity.fan(v).map(|h| measure.wedges.of(h)) {
                 if number[wedge as usize] & ON_RIM != 0 {
@@ -324,8 +328,17 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
 
 /// What is kept of each vertex at the start. `touching` is the set of each, or [`TOUCHES_NONE`].
 pub fn places<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, touching: &[u32]) -> Vec<Place> {
-    let place = |&touching: &u32| Place { touching, material: SEVERAL, part: SEVERAL };
+    let history = Quadric::default();
+    let place = |&touching: &u32| Place { touching, material: SEVERAL, part: SEVERAL, history };
     let mut places: Vec<Place> = touching.iter().map(place).collect();
+    for t in mesh.connectivity.triangles() {
+        let corners = mesh.connectivity.corners(t);
+        let mut quadric = Quadric::of_triangle(corners.map(|v| mesh.point(v)), 1.0);
+        if let Some(&importance) = surface.importance.get(mesh.triangle_source[t.index()] as usize) {
+            quadric.scale(importance);
+        }
+        corners.iter().for_each(|v| places[v.index()].history.add(&quadric));
+    }
     for (v, place) in places.iter_mut().enumerate() {
         let triangles = mesh.connectivity.fan(VertexId::from_index(v));
         let source = |h: HalfedgeId| mesh.triangle_source[h.index() / 3] as usize;

@@ -104,6 +104,11 @@ impl Charts {
     }
 }
 
+/// Distance of two points in the image. Lengths of images are far from the limits that `hypot` guards against.
+pub fn distance(a: Uv, b: Uv) -> f64 {
+    ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sqrt()
+}
+
 /// The next seam edge beyond the target of `h`, in the same chart: the halfedge on it that starts there.
 pub fn seam_after(mesh: &Mesh<3>, is_seam: &[bool], h: HalfedgeId) -> HalfedgeId {
     let connectivity = &mesh.connectivity;
@@ -132,7 +137,7 @@ pub fn from_segment(p: Uv, a: Uv, b: Uv) -> f64 {
     let length2 = along[0] * along[0] + along[1] * along[1];
     let dot = along[0] * to_p[0] + along[1] * to_p[1];
     let t = if length2 > 0.0 { (dot / length2).clamp(0.0, 1.0) } else { 0.0 };
-    (to_p[0] - t * along[0]).hypot(to_p[1] - t * along[1])
+    distance(to_p, along.map(|x| t * x))
 }
 
 /// What is recorded of seams: how far each edge's image is from what it was in the input, at the most.

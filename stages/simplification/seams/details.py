@@ -8,7 +8,9 @@ from typing import Any, ClassVar
 from stages.printing import by_fields, table
 from stages.simplification.crowding import crowded_by_locks, crowded_by_topology
 from stages.simplification.result import Details, Simplified
-from stages.simplification.seams.params import MAX_SEAM_DRIFT
+
+# A texture that is shifted by more texels than this beside a seam is noticed.
+_VISIBLE_DRIFT_TEXELS = 16
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,8 +24,9 @@ class SeamsDetails(Details):
     similar_distance_m : vertices closer than this were taken for one.
     joined_vertices : how many vertices of the input were copies of others.
     texture_scale_m : metres that a shift by the image's side counted as.
-    seam_drift : proven: no point of a seam is farther, in the image, from where it was; as a share of the
-        image's side.
+    seam_drift : proven bound on the distance in the image between a seam and its position in the input, as a
+        share of the image's side.
+    seam_drift_texels : the same in texels of the largest image; None without images.
     """
 
     __repr__ = by_fields
@@ -31,7 +34,7 @@ class SeamsDetails(Details):
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; {joined_vertices:,} copies of vertices joined, "
-        "seams no more than {seam_drift:.3g} of the image's side off"
+        "seams moved by up to {seam_drift:.2%} of the image's side"
     )
 
     attribute_scale_m_per_level: float
@@ -40,21 +43,22 @@ class SeamsDetails(Details):
     joined_vertices: int
     texture_scale_m: float
     seam_drift: float
+    seam_drift_texels: float | None
 
     def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
-        """Return what left too little to choose from, and whether seams went far in the image."""
-        return (*crowded_by_topology(result), *crowded_by_locks(result), *_drifted(result, self.seam_drift))
+        """Return warnings about edges that could not collapse, and about seams that moved in the image."""
+        return (*crowded_by_topology(result), *crowded_by_locks(result), *self._drift_warnings(result))
 
+    def _drift_warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
+        if result.stopped_by == "bounds" and result.refused.get("drift", 0):
+            return (
+                "there are more triangles than were asked for, since texture seams would move too far in the "
+                "image; give a larger max_seam_drift to go on.",
+            )
+        if self.seam_drift_texels is not None and self.seam_drift_texels > _VISIBLE_DRIFT_TEXELS:
+            return (
+                f"texture seams moved by up to {self.seam_drift_texels:.0f} texels in the image, so the texture "
+                "may be shifted beside them; give a smaller max_seam_drift, or keep more triangles.",
+            )
+        return ()
 
-def _drifted(result: Simplified[Any], drift: float) -> tuple[str, ...]:
-    if drift > MAX_SEAM_DRIFT:
-        return (
-            f"texture seams went up to {drift:.2g} of the image's side from where they were, so that "
-            "the image is warped beside them; give a smaller max_seam_drift, or keep more triangles.",
-        )
-    if result.stopped_by == "bounds" and result.refused.get("drift", 0):
-        return (
-            "there are more triangles than were asked for, since texture seams would go too far in the "
-            "image; give a larger max_seam_drift to go on.",
-        )
-    return ()

@@ -17,15 +17,20 @@ from stages.simplification.records.wedges import Wedges
 from stages.simplification.reordered import run_reordered
 from stages.simplification.result import Simplified
 from stages.simplification.seams.details import SeamsDetails
-from stages.simplification.seams.params import SIMILAR_DISTANCE, SeamsParams
-from stages.simplification.seams.similar import joinable_sets, similar_sets
+from stages.simplification.seams.params import (
+    ASSUMED_SIDE,
+    SEAM_DRIFT_RATIO,
+    SIMILAR_DISTANCE,
+    SeamsParams,
+)
+from stages.simplification.seams.similar import joinable_sets
 from stages.simplification.task import Task
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
-from stages.surface.texture import signed_areas
+from stages.surface.texture import Texture, signed_areas
 from stages.surface.topology import areas
 
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 # Triangles worked on at a time: with all that is known of them they fit into the caches.
 REGION_TRIANGLES = 2048
@@ -67,12 +72,11 @@ def simplified(
     distance = params.similar_distance
     if distance is None:
         distance = _similar_distance(mesh, float(np.linalg.norm(high - low)))
-        sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
-        lock = lock | apart
-    else:
-        sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
+    sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
+    lock = lock | apart
     attributes = _attributes(task, positions, origin, expected)
     texture = mesh.texture
+    side = _largest_side(texture)
     count = len(mesh.triangles)
     has_uvs = np.zeros(count, bool) if texture is None else texture.has_uvs()
     found = _kernels.simplify_seams(
@@ -85,7 +89,7 @@ def simplified(
         np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
         task.importance[mesh.triangles].mean(axis=1) if len(task.importance) else task.importance,
         lock,
-        knobs=_knobs(params, attributes.uv_scale),
+        knobs=_knobs(params, attributes.uv_scale, side),
         fit=params.fit and within is None,
         within=within,
         running=task.running(REGION_TRIANGLES),
@@ -101,6 +105,7 @@ def simplified(
     )
     light, vertex_source = attributes.as_mesh(mesh, left)
     record = None if found.log is None else _record(mesh, attributes, lock, found.log)
+    drift = found.seam_drift / attributes.uv_scale if attributes.uv_scale else 0.0
     result = Simplified(
         mesh=light,
         vertex_source=vertex_source,
@@ -117,7 +122,8 @@ def simplified(
             similar_distance_m=distance,
             joined_vertices=len(sets) - int(sets.max(initial=-1)) - 1,
             texture_scale_m=attributes.uv_scale,
-            seam_drift=found.seam_drift / attributes.uv_scale if attributes.uv_scale else 0.0,
+            seam_drift=drift,
+            seam_drift_texels=None if side is None else drift * side,
         ),
         record=record,
     )
@@ -219,12 +225,20 @@ def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
     return float(np.sqrt(area / max(target, 1) * 4 / np.sqrt(3))) / 8
 
 
-def _knobs(params: SeamsParams, uv_scale: float) -> _kernels.SeamKnobs:
+def _largest_side(texture: Texture | None) -> int | None:
+    """Return the largest side of a texture's images in texels, without decoding them; None without images."""
+    images = () if texture is None else texture.images
+    sizes = [image.size for image in images]
+    return max((max(size) for size in sizes if size is not None), default=None)
+
+
+def _knobs(params: SeamsParams, uv_scale: float, side: int | None) -> _kernels.SeamKnobs:
+    drift = SEAM_DRIFT_RATIO if params.max_seam_drift is None else params.max_seam_drift / (side or ASSUMED_SIDE)
     return _kernels.SeamKnobs(
         across_materials=params.across_textures,
         across_parts=params.across_parts,
         valence=params.valence_penalty,
         wedges=params.set_penalty,
         shape=params.shape_weight,
-        seam_drift=params.max_seam_drift * uv_scale,
+        seam_drift=drift * uv_scale,
     )

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from seamed_meshes import edge_counts, outside_charts, welded
 
 from stages.comparing.compare import compare
 from stages.simplification.simplify import simplify
-from stages.surface.mesh import Material, Mesh, Texture
+from stages.surface.mesh import Image, Material, Mesh, Texture
 
 
 def globe(rings: int, segments: int, bumps: float) -> Mesh:
@@ -53,12 +55,15 @@ def test_poles_of_a_globe_cost_little(bumps: float, ratio: float) -> None:
 
 def test_seams_go_no_farther_than_they_may_and_a_larger_bound_is_told() -> None:
     mesh = globe(32, 64, 0.1)
-    for bound in (0.02, 0.05):
-        light = simplify(mesh, ratio=0.03, max_seam_drift=bound)
-        assert light.details.seam_drift <= bound
-    far = simplify(mesh, ratio=0.02, max_seam_drift=1.0)
-    assert far.details.seam_drift > 0.1
-    assert any("texture seams went up to" in warning for warning in far.warnings)
+    assert mesh.texture is not None
+    image = Image(given=np.full((512, 512, 3), 128, np.uint8))
+    mesh = mesh.with_(texture=replace(mesh.texture, materials=(Material("globe", image),)))
+    for bound in (10.0, 25.0):
+        light = simplify(mesh, ratio=0.03, method="seams", max_seam_drift=bound)
+        assert light.details.seam_drift_texels <= bound
+    far = simplify(mesh, ratio=0.02, method="seams", max_seam_drift=512)
+    assert far.details.seam_drift_texels > 50
+    assert any("texture seams moved by up to" in warning for warning in far.warnings)
 
 
 def test_boxes_that_share_an_edge_are_two_surfaces() -> None:

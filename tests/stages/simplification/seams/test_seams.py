@@ -244,7 +244,10 @@ def test_a_straight_seam_stays_straight_in_the_image() -> None:
 @pytest.mark.parametrize("bound", [0.0, 0.002, 0.02])
 def test_seams_stay_within_the_bound_on_their_image(bound: float) -> None:
     mesh = textured("Duck.glb")
-    result = simplify(mesh, ratio=0.05, max_seam_drift=bound)
+    assert mesh.texture is not None
+    side = max(mesh.texture.images[0].size or ())
+    result = simplify(mesh, ratio=0.05, method="seams", max_seam_drift=bound * side)
+    assert result.details.seam_drift_texels == pytest.approx(result.details.seam_drift * side)
     assert result.details.seam_drift is not None
     assert result.details.seam_drift <= bound
     assert result.mesh.texture is not None
