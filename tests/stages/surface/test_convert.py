@@ -7,13 +7,13 @@ import warnings
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from varied_meshes import varied_meshes
 
 from stages.errors import MeshError
 from stages.surface import convert
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
-from tests.made.varied_meshes import varied_meshes
 
 
 def random_mesh(seed: int = 0, *, normals: bool = True) -> Mesh:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coloured_meshes import ball, sheet
 
 from stages.errors import MeshError
 from stages.exporting.export import SUFFIXES, export
@@ -20,7 +21,6 @@ from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Image, Material, Mesh, Texture, validated
 from stages.surface.mesh_files import EXTENSIONS, read_mesh, write_mesh
 from stages.surface.pieces import Written, write_by_pieces
-from tests.made.coloured_meshes import ball, sheet
 
 Writer = Callable[[Path, Mesh], object]
 
