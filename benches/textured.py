@@ -4,7 +4,7 @@
 
 DATA holds `meshes/` and `real/`. `--models` adds every textured GLB, glTF and OBJ file of a folder, at any
 depth. A Markdown table is printed for each model and ratio, then a summary: scanloom with texture coordinates
-kept against the best peer. A missing peer is skipped with a line that gives the reason.
+kept against the best peer in each column, and against each peer by itself ("better in both"). A missing peer is skipped with a line that gives the reason.
 
 All simplifiers get the same mesh, cleaned, with texture coordinates per corner and a material per triangle.
 Those that take one texture coordinate per vertex get vertices on seams once for each side.
@@ -80,6 +80,7 @@ SUMMARY = (
     "PSNR, ours",
     "PSNR, best peer",
     "at least as good",
+    "better in both",
 )
 OURS = "scanloom --keep-uv"
 # A result with more triangles than this multiple of the target cannot be compared.
@@ -229,7 +230,7 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
     print("\n### Summary: texture coordinates kept, against the best peer in each column\n")
     print_head(SUMMARY)
     good = {"RMS": 0, "PSNR": 0, "both": 0}
-    compared = 0
+    compared = unbeaten = 0
     for name, ratio, target, rows in summary:
         ours = next((row for row in rows if row.tool == OURS), None)
         peers = [row for row in rows if not row.tool.startswith("scanloom") and is_comparable(row, target)]
@@ -246,6 +247,8 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
         compared += 1
         for key, value in is_good.items():
             good[key] += value
+        better = [row.tool for row in peers if is_better_in_both(row, ours)]
+        unbeaten += not better
         verdict = "both" if is_good["both"] else ", ".join(key for key in ("RMS", "PSNR") if is_good[key])
         print_row(
             [
@@ -257,12 +260,18 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
                 f"{ours.psnr:.1f}",
                 f"{best_psnr.psnr:.1f} ({best_psnr.tool})",
                 verdict or "–",
+                better[0] if better else "–",
             ]
         )
     print(
         f"\nOf {compared} cases, {OURS} is at least as good as the best peer in RMS in {good['RMS']}, "
-        f"in PSNR in {good['PSNR']}, in both in {good['both']}."
+        f"in PSNR in {good['PSNR']}, in both in {good['both']}. In {unbeaten}, no single peer is better in both."
     )
+
+
+def is_better_in_both(peer: Row, ours: Row) -> bool:
+    """Return whether one peer is better than ours in shape and in colour, as printed."""
+    return round(peer.rms, 1) < round(ours.rms, 1) and round(peer.psnr or 0.0, 1) > round(ours.psnr or 0.0, 1)
 
 
 def is_comparable(row: Row, target: int) -> bool:
