@@ -3,8 +3,9 @@
     python benches/textured.py DATA [--models FOLDER] [--ratios 0.1 0.03] [--mesh duck] [--only PyMeshLab]
 
 DATA holds `meshes/` and `real/`. `--models` adds every textured GLB, glTF and OBJ file of a folder, at any
-depth. A Markdown table is printed for each model and ratio, then a summary: scanloom with texture coordinates
-kept against the best peer in each column, and against each peer by itself ("better in both"). A missing peer is skipped with a line that gives the reason.
+depth. A Markdown table is printed for each model and ratio. The summary compares scanloom with texture
+coordinates kept to the best peer in each column, and names a peer that is better in both. A missing peer is
+skipped with a line that gives the reason.
 
 All simplifiers get the same mesh, cleaned, with texture coordinates per corner and a material per triangle.
 Those that take one texture coordinate per vertex get vertices on seams once for each side.
@@ -265,7 +266,8 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
         )
     print(
         f"\nOf {compared} cases, {OURS} is at least as good as the best peer in RMS in {good['RMS']}, "
-        f"in PSNR in {good['PSNR']}, in both in {good['both']}. In {unbeaten}, no single peer is better in both."
+        f"in PSNR in {good['PSNR']}, in both in {good['both']}. "
+        f"In {unbeaten}, no single peer is better in both."
     )
 
 

@@ -37,30 +37,30 @@ def from_open3d(data: Open3DMesh) -> Mesh:
 
     vertices, triangles = array(data.vertex, "positions"), array(data.triangle, "indices")
     colors, uvs = array(data.vertex, "colors"), array(data.triangle, "texture_uvs")
-    materials, notes = _tensor_materials(data)
+    materials, notes = _read_materials(data)
     texture = None
     if uvs is not None:
-        texture = _texture(uvs, array(data.triangle, "material_ids"), materials)
+        texture = _build_texture(uvs, array(data.triangle, "material_ids"), materials)
     part_ids = array(data.triangle, "part_ids")
     return Mesh(
         vertices=np.zeros((0, 3)) if vertices is None else vertices,
         triangles=np.zeros((0, 3), np.int32) if triangles is None else triangles,
-        colors=None if colors is None else _from_unit(colors),
+        colors=None if colors is None else _to_levels(colors),
         normals=array(data.vertex, "normals"),
         texture=texture,
         corner_normals=array(data.triangle, "corner_normals"),
         part_ids=part_ids,
-        part_names=() if part_ids is None else _numbered_parts(part_ids),
+        part_names=() if part_ids is None else _name_parts(part_ids),
         notes=notes,
     )
 
 
-def _numbered_parts(part_ids: NDArray[Any]) -> tuple[str, ...]:
+def _name_parts(part_ids: NDArray[Any]) -> tuple[str, ...]:
     count = int(part_ids.max(initial=-1)) + 1
     return tuple(f"part {index}" for index in range(count))
 
 
-def _tensor_materials(data: Open3DMesh) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+def _read_materials(data: Open3DMesh) -> tuple[tuple[Material, ...], tuple[str, ...]]:
     """Return the materials of a tensor mesh, and notes on maps that are left out."""
     if not data.has_valid_material():
         return (), ()
@@ -73,10 +73,10 @@ def _tensor_materials(data: Open3DMesh) -> tuple[tuple[Material, ...], tuple[str
     count = int(numbers[_COUNT]) if _COUNT in numbers else 1
     materials = []
     for index in range(count):
-        image_name, color_name = _numbered(_IMAGE, index), _numbered(_COLOR, index)
+        image_name, color_name = _indexed_name(_IMAGE, index), _indexed_name(_COLOR, index)
         image = None
         if image_name in maps:
-            image = Image(given=_rgb(maps[image_name].cpu().as_tensor().numpy().copy()))
+            image = Image(given=_to_rgb(maps[image_name].cpu().as_tensor().numpy().copy()))
         color = None
         if color_name in colors and (index > 0 or _NO_COLOR not in numbers):
             color = tuple(float(value) for value in colors[color_name])
@@ -90,7 +90,7 @@ def _tensor_materials(data: Open3DMesh) -> tuple[tuple[Material, ...], tuple[str
     return (tuple(materials) if has_own or _COUNT in numbers else ()), notes
 
 
-def _numbered(name: str, index: int) -> str:
+def _indexed_name(name: str, index: int) -> str:
     return name if index == 0 else f"{name}_{index}"
 
 
@@ -101,41 +101,41 @@ def from_open3d_legacy(data: Open3DLegacyMesh) -> Mesh:
         uvs = np.array(data.triangle_uvs).reshape(-1, 3, 2)
         material_ids = np.array(data.triangle_material_ids)
         # Empty images stand for materials without one, so that indices stay right.
-        materials = tuple(_legacy_material(image) for image in data.textures)
-        texture = _texture(uvs, material_ids if len(material_ids) == len(uvs) else None, materials)
+        materials = tuple(_read_legacy_material(image) for image in data.textures)
+        texture = _build_texture(uvs, material_ids if len(material_ids) == len(uvs) else None, materials)
     return Mesh(
         vertices=np.array(data.vertices),
         triangles=np.array(data.triangles),
-        colors=_from_unit(np.asarray(data.vertex_colors)) if data.has_vertex_colors() else None,
+        colors=_to_levels(np.asarray(data.vertex_colors)) if data.has_vertex_colors() else None,
         normals=np.array(data.vertex_normals) if data.has_vertex_normals() else None,
         texture=texture,
     )
 
 
-def _legacy_material(image: Any) -> Material:
+def _read_legacy_material(image: Any) -> Material:
     if image.is_empty():
         return Material()
     # This class keeps images bottom row first.
-    pixels = _rgb(np.asarray(image)[::-1])
+    pixels = _to_rgb(np.asarray(image)[::-1])
     if pixels.shape[:2] == (1, 1):
         red, green, blue, *alpha = (pixels[0, 0] / 255).tolist()
         return Material(base_color=(red, green, blue, alpha[0] if alpha else 1.0))
     return Material(image=Image(given=pixels))
 
 
-def _texture(
+def _build_texture(
     uvs: NDArray[Any], material_ids: NDArray[Any] | None, materials: tuple[Material, ...]
 ) -> Texture:
     ids = np.zeros(len(uvs), np.int32) if material_ids is None else material_ids.reshape(-1).astype(np.int32)
     return Texture(uvs.astype(np.float64), np.where((ids >= 0) & (ids < len(materials)), ids, -1), materials)
 
 
-def _from_unit(colors: NDArray[Any]) -> NDArray[np.uint8]:
+def _to_levels(colors: NDArray[Any]) -> NDArray[np.uint8]:
     # Clipped first: a colour a rounding error above 1 must not pass for one of 0..255.
     return to_uint8(np.clip(colors, 0, 1) if colors.dtype.kind == "f" else colors)
 
 
-def _rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
+def _to_rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
     image = to_uint8(image)
     if image.ndim == 2 or image.shape[2] == 1:
         image = np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
@@ -184,9 +184,9 @@ def _set_tensor_materials(o3d: Any, target: Any, materials: tuple[Material, ...]
     for index, material in enumerate(materials):
         if material.image is not None:
             pixels = np.ascontiguousarray(material.image.pixels)
-            target.texture_maps[_numbered(_IMAGE, index)] = o3d.t.geometry.Image(o3d.core.Tensor(pixels))
+            target.texture_maps[_indexed_name(_IMAGE, index)] = o3d.t.geometry.Image(o3d.core.Tensor(pixels))
         if material.base_color is not None:
-            target.vector_properties[_numbered(_COLOR, index)] = np.array(material.base_color, np.float32)
+            target.vector_properties[_indexed_name(_COLOR, index)] = np.array(material.base_color, np.float32)
 
 
 def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
@@ -207,7 +207,7 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
     if mesh.texture is not None:
         result.triangle_uvs = o3d.utility.Vector2dVector(mesh.texture.uvs.reshape(-1, 2))
         result.triangle_material_ids = o3d.utility.IntVector(mesh.texture.material_ids)
-        result.textures = [_legacy_image(o3d, material) for material in mesh.texture.materials]
+        result.textures = [_build_legacy_image(o3d, material) for material in mesh.texture.materials]
     has = (
         ("normals of corners", mesh.corner_normals is not None),
         ("parts", mesh.part_ids is not None),
@@ -218,12 +218,10 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
     return cast("geometry.TriangleMesh", result)
 
 
-def _legacy_image(o3d: Any, material: Material) -> Any:
+def _build_legacy_image(o3d: Any, material: Material) -> Any:
     """Return the image of a material as the legacy class has it: bottom row first, empty for none."""
     if material.image is not None:
-        return o3d.geometry.Image(
-            np.ascontiguousarray(_colored_pixels(material.image.pixels, material)[::-1])
-        )
+        return o3d.geometry.Image(np.ascontiguousarray(_tint_pixels(material.image.pixels, material)[::-1]))
     if material.base_color is None:
         return o3d.geometry.Image()
     channels = 3 if material.base_color[3] >= 1 else 4
@@ -231,7 +229,7 @@ def _legacy_image(o3d: Any, material: Material) -> Any:
     return o3d.geometry.Image(levels.reshape(1, 1, channels))
 
 
-def _colored_pixels(pixels: Pixels, material: Material) -> Pixels:
+def _tint_pixels(pixels: Pixels, material: Material) -> Pixels:
     """Multiply an image by the base colour of its material."""
     if material.base_color is None or min(material.base_color[:3]) >= 1:
         return pixels

@@ -39,20 +39,20 @@ def from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
     mesh = Mesh(
         vertices=np.array(data.vertices),
         triangles=np.array(data.faces),
-        colors=_vertex_colors(visual, len(data.vertices), notes),
+        colors=_read_vertex_colors(visual, len(data.vertices), notes),
         # Reading the property would compute normals that were never given.
         normals=np.array(data.vertex_normals) if "vertex_normals" in data._cache else None,
-        corner_normals=_rows(other.face_attributes, "corner_normals", (len(data.faces), 3, 3)),
+        corner_normals=_read_attribute(other.face_attributes, "corner_normals", (len(data.faces), 3, 3)),
     )
-    part_ids, part_names = _parts(other)
-    mesh = mesh.with_(part_ids=part_ids, part_names=part_names, up=_up(other.metadata.get("up")))
+    part_ids, part_names = _read_parts(other)
+    mesh = mesh.with_(part_ids=part_ids, part_names=part_names, up=_read_up(other.metadata.get("up")))
     mesh = validated(mesh, where)
     if len(mesh.triangles) > 0 and visual.kind == "texture":
-        mesh = _with_texture(mesh, visual, notes, where)
+        mesh = _add_texture(mesh, visual, notes, where)
     return mesh.with_(notes=(*mesh.notes, *notes))
 
 
-def _vertex_colors(visual: Any, count: int, notes: list[str]) -> NDArray[np.uint8] | None:
+def _read_vertex_colors(visual: Any, count: int, notes: list[str]) -> NDArray[np.uint8] | None:
     if visual.kind == "face":
         notes.append("colours of faces are left out; only colours of vertices are used")
     if visual.kind == "vertex":
@@ -69,15 +69,15 @@ def _vertex_colors(visual: Any, count: int, notes: list[str]) -> NDArray[np.uint
     return np.ascontiguousarray(levels[:, :3])
 
 
-def _rows(attributes: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any] | None:
+def _read_attribute(attributes: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any] | None:
     """Return an attribute if it is numbers of this shape, else None."""
     array = np.array(attributes[name]) if name in attributes else np.zeros(0)
     return array if array.shape == shape and array.dtype.kind in "iuf" else None
 
 
-def _parts(data: Any) -> tuple[_Ids | None, tuple[str, ...]]:
+def _read_parts(data: Any) -> tuple[_Ids | None, tuple[str, ...]]:
     names = data.metadata.get("part_names")
-    ids = _rows(data.face_attributes, "part_index", (len(data.faces),))
+    ids = _read_attribute(data.face_attributes, "part_index", (len(data.faces),))
     if ids is None or not isinstance(names, (list, tuple)) or ids.dtype.kind not in "iu":
         return None, ()
     if ((ids < -1) | (ids >= len(names))).any():
@@ -85,18 +85,18 @@ def _parts(data: Any) -> tuple[_Ids | None, tuple[str, ...]]:
     return ids.astype(np.int32), tuple(str(name) for name in names)
 
 
-def _up(given: Any) -> tuple[float, float, float] | None:
+def _read_up(given: Any) -> tuple[float, float, float] | None:
     is_direction = isinstance(given, list) and len(given) == 3 and all(isinstance(x, float) for x in given)
     return cast("Any", tuple(given)) if is_direction else None
 
 
-def _with_texture(mesh: Mesh, visual: Any, notes: list[str], where: str) -> Mesh:
+def _add_texture(mesh: Mesh, visual: Any, notes: list[str], where: str) -> Mesh:
     held = visual.material
     several = list(held.materials) if hasattr(held, "materials") else [held]
     images: dict[int, Image] = {}
-    materials = tuple(_material(each, images, notes) for each in several)
+    materials = tuple(_read_material(each, images, notes) for each in several)
     count = len(mesh.triangles)
-    ids = _material_ids(visual.face_materials, count, len(materials))
+    ids = _read_material_ids(visual.face_materials, count, len(materials))
     uvs = visual.uv
     has_uvs = uvs is not None and len(uvs) == len(mesh.vertices)
     if not has_uvs and not any(material.base_color is not None for material in materials):
@@ -109,21 +109,21 @@ def _with_texture(mesh: Mesh, visual: Any, notes: list[str], where: str) -> Mesh
     mesh = validated(mesh.with_(texture=Texture(corner_uvs, ids, materials)), where)
     attributes = visual.vertex_attributes
     source = np.asarray(attributes["vertex_index"]) if "vertex_index" in attributes else None
-    return mesh if source is None else _rejoined(mesh, source)
+    return mesh if source is None else _join_copies(mesh, source)
 
 
-def _material_ids(given: Any, count: int, materials: int) -> _Ids:
+def _read_material_ids(given: Any, count: int, materials: int) -> _Ids:
     ids = np.zeros(count, np.int32) if given is None else np.asarray(given)
     if ids.shape != (count,) or ids.dtype.kind not in "iu":
         ids = np.zeros(count, np.int32)
     return np.where((ids >= 0) & (ids < materials), ids, -1).astype(np.int32)
 
 
-def _material(data: Any, images: dict[int, Image], notes: list[str]) -> Material:
+def _read_material(data: Any, images: dict[int, Image], notes: list[str]) -> Material:
     """Convert a SimpleMaterial or a PBRMaterial; materials that share an image share the object."""
     name = str(getattr(data, "name", None) or "")
     if hasattr(data, "baseColorTexture"):
-        image = _image(data.baseColorTexture, images)
+        image = _read_image(data.baseColorTexture, images)
         factor = data.baseColorFactor
         color = None if factor is None else tuple((np.asarray(factor, np.float64) / 255).tolist())
         if color is not None:
@@ -133,20 +133,20 @@ def _material(data: Any, images: dict[int, Image], notes: list[str]) -> Material
         if lost and note not in notes:
             notes.append(note)
         return Material(name, image, None if image is not None and color == (1, 1, 1, 1) else color)
-    image = _image(getattr(data, "image", None), images)
+    image = _read_image(getattr(data, "image", None), images)
     said = getattr(data, "kwargs", None) or {}
     wrap = said.get("wrap")
     is_wrap = isinstance(wrap, tuple) and len(wrap) == 2 and set(wrap) <= set(WRAPS)
     return Material(
         name=name,
         image=image,
-        base_color=_simple_color(data, image, said.get("base_color")),
+        base_color=_read_color(data, image, said.get("base_color")),
         wrap=cast("Any", wrap) if is_wrap else ("repeat", "repeat"),
         kept=said.get("kept"),
     )
 
 
-def _simple_color(data: Any, image: Image | None, exact: Any) -> tuple[float, float, float, float] | None:
+def _read_color(data: Any, image: Image | None, exact: Any) -> tuple[float, float, float, float] | None:
     """Return the colour of a SimpleMaterial: exact if trimesh's 8-bit copy was not changed since."""
     diffuse = tuple(np.asarray(data.diffuse).tolist())
     if exact is not None and _to_levels(exact) == diffuse:
@@ -163,7 +163,7 @@ def _to_levels(color: Any) -> tuple[int, ...]:
     return tuple(np.rint(255 * np.clip(color, 0, 1)).astype(int).tolist())
 
 
-def _image(data: Any, images: dict[int, Image]) -> Image | None:
+def _read_image(data: Any, images: dict[int, Image]) -> Image | None:
     if data is None:
         return None
     if id(data) not in images:
@@ -172,11 +172,11 @@ def _image(data: Any, images: dict[int, Image]) -> Image | None:
         if pixels.shape[:2] == (1, 1) and tuple(pixels[0, 0, :3]) == _UNSET[:3]:
             # The image of a material that was given none.
             return None
-        images[id(data)] = _file_of(data, pixels) or Image(given=pixels)
+        images[id(data)] = _recover_file(data, pixels) or Image(given=pixels)
     return images[id(data)]
 
 
-def _file_of(data: Any, pixels: NDArray[np.uint8]) -> Image | None:
+def _recover_file(data: Any, pixels: NDArray[np.uint8]) -> Image | None:
     """Return the file that an image came from, if its pixels are still the same."""
     held = data.info.get(_FILE)
     if held is None:
@@ -188,7 +188,7 @@ def _file_of(data: Any, pixels: NDArray[np.uint8]) -> Image | None:
         return None
 
 
-def _rejoined(mesh: Mesh, source: NDArray[Any]) -> Mesh:
+def _join_copies(mesh: Mesh, source: NDArray[Any]) -> Mesh:
     """Join the copies of vertices on texture seams again, unless one of them was changed since."""
     if source.shape != (len(mesh.vertices),) or source.dtype.kind not in "iu" or len(source) == 0:
         return mesh
@@ -220,7 +220,7 @@ def to_trimesh(mesh: Mesh) -> Trimesh:
     looks: dict[str, Any] = {"vertex_colors": mesh.colors}
     if mesh.texture is not None and len(mesh.triangles) > 0:
         source, triangles, uvs = _split_seams(mesh, mesh.texture)
-        looks = {"visual": _visual(mesh, mesh.texture, source, uvs)}
+        looks = {"visual": _build_visual(mesh, mesh.texture, source, uvs)}
     attributes: dict[str, Any] = {}
     if mesh.corner_normals is not None:
         attributes["corner_normals"] = mesh.corner_normals
@@ -264,11 +264,11 @@ def _split_seams(
     return source, wedge_of_corner.reshape(-1, 3), uvs
 
 
-def _visual(mesh: Mesh, texture: Texture, source: NDArray[np.int64], uvs: NDArray[np.float64]) -> Any:
+def _build_visual(mesh: Mesh, texture: Texture, source: NDArray[np.int64], uvs: NDArray[np.float64]) -> Any:
     import trimesh
 
     images: dict[int, Any] = {}
-    materials = [_simple_material(material, images) for material in texture.materials]
+    materials = [_build_material(material, images) for material in texture.materials]
     types: Any = trimesh.visual.material
     is_plain = len(materials) == 1
     visual: Any = cast("Any", trimesh.visual).TextureVisuals(
@@ -284,7 +284,7 @@ def _visual(mesh: Mesh, texture: Texture, source: NDArray[np.int64], uvs: NDArra
     return visual
 
 
-def _simple_material(material: Material, images: dict[int, Any]) -> Any:
+def _build_material(material: Material, images: dict[int, Any]) -> Any:
     import trimesh
     from PIL.Image import fromarray
 
