@@ -64,7 +64,14 @@ if TYPE_CHECKING:
     from stages.stereo.disparity import Disparity, stereo_disparity
     from stages.stereo.views_depth import views_depth
     from stages.surface.cloud_files import read_cloud
-    from stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
+    from stages.surface.convert import (
+        ConversionWarning,
+        MeshLike,
+        as_mesh,
+        to_open3d,
+        to_open3d_legacy,
+        to_trimesh,
+    )
     from stages.surface.mesh import Mesh
     from stages.surface.mesh_files import read_mesh, write_mesh
     from stages.surface.texture import Image, Material, Texture
@@ -123,7 +130,14 @@ _NAMES_OF = {
     "stereo.disparity": ("Disparity", "stereo_disparity"),
     "stereo.views_depth": ("views_depth",),
     "surface.cloud_files": ("read_cloud",),
-    "surface.convert": ("MeshLike", "as_mesh", "to_open3d", "to_open3d_legacy", "to_trimesh"),
+    "surface.convert": (
+        "ConversionWarning",
+        "MeshLike",
+        "as_mesh",
+        "to_open3d",
+        "to_open3d_legacy",
+        "to_trimesh",
+    ),
     "surface.mesh": ("Mesh",),
     "surface.mesh_files": ("read_mesh", "write_mesh"),
     "surface.texture": ("Image", "Material", "Texture"),
@@ -154,6 +168,7 @@ __all__ = [
     "CollapseRecord",
     "CompareParams",
     "Comparison",
+    "ConversionWarning",
     "Coverage",
     "CoverageParams",
     "DepthMap",

@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 
 from stages.cleaning.check import CheckParams
 from stages.cleaning.degenerate import without_degenerate
-from stages.cleaning.holes import fill_holes
 from stages.cleaning.manifold import make_manifold
 from stages.cleaning.repair import Repaired, repair
 from stages.cleaning.stitch import stitch, weld
-from stages.cleaning.traced import Traced
 from stages.errors import MeshError, StageError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_fields, by_figures, table
 from stages.progress import Progress, silent
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.edges import Ids, components, edges_of
+from stages.surface.holes import fill_holes
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas, is_duplicate, require_manifold, require_measurable
+from stages.surface.traced import Traced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

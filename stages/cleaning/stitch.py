@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.cleaning.traced import Traced
 from stages.surface.edges import Ids, components, edges_of, next_corner
 from stages.surface.mesh import Vertices
 from stages.surface.topology import repeats_vertex
+from stages.surface.traced import Traced
 from stages.surface.welding import same_rows
 
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from stages.errors import StageError, UsageError
 from stages.files.image_bytes import encoded_png
 from stages.files.replacing import replacing
+from stages.surface.finite import LARGEST_SINGLE
 from stages.surface.formats.colors import linear_from_srgb
-from stages.surface.mesh import Mesh
+from stages.surface.mesh import Mesh, require_writable
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.upright import turn_along_y
 
@@ -50,10 +51,13 @@ def write_usd(path: Path, mesh: Mesh) -> list[str]:
     ------
     UsageError
         If `usd-core` is not installed, or the extension is neither.
+    MeshError
+        For coordinates that are not finite or beyond single precision.
     StageError
         If the file cannot be written.
     """
     require_usd()
+    require_writable(mesh, path, single_precision=True)
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: USD is written as {', '.join(SUFFIXES)}.")
     with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
@@ -138,8 +142,9 @@ def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path, notes: 
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
     primvars = UsdGeom.PrimvarsAPI(shape)
+    uvs = texture.uvs.reshape(-1, 2).clip(-LARGEST_SINGLE, LARGEST_SINGLE)
     primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying).Set(
-        Vt.Vec2fArray.FromNumpy(texture.uvs.reshape(-1, 2).astype(np.float32))
+        Vt.Vec2fArray.FromNumpy(uvs.astype(np.float32))
     )
     names: dict[int, str] = {}
     for number, material in enumerate(texture.materials):

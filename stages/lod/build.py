@@ -13,7 +13,6 @@ from stages import _kernels
 from stages.errors import InputError
 from stages.lod.first_error import first_error
 from stages.lod.hierarchy import Hierarchy
-from stages.lod.islands import is_island
 from stages.lod.model import packed
 from stages.params import check as check_params
 from stages.params import param, resolve
@@ -26,6 +25,7 @@ from stages.simplification.simplify import simplify
 from stages.surface.color import color_at, is_textured
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
+from stages.surface.small_components import find_small_components
 from stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
     """Return a mesh without the pieces that are smaller than a size, and how many were dropped."""
     if size == 0:
         return mesh, 0
-    small, islands = is_island(mesh, size)
+    small, islands = find_small_components(mesh, size)
     if small.all():
         raise InputError(f"every piece of the mesh is smaller than {size:g} m; nothing is left of it.")
     if not islands:

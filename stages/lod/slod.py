@@ -22,6 +22,8 @@ from stages.errors import InputError
 from stages.files.opening import content_of, said_of
 from stages.files.replacing import replacing
 from stages.lod.hierarchy import Hierarchy
+from stages.surface.finite import require_finite
+from stages.surface.mesh import NOT_WRITTEN
 
 _MAGIC = b"SLOD"
 # 2 tells what was dropped; where nothing was, 1 says the same.
@@ -48,6 +50,7 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         If the file cannot be written.
     """
     h = hierarchy
+    require_finite([("vertex", h.vertices)], path, NOT_WRITTEN)
     single = bool((h.vertices == h.vertices.astype(np.float32)).all())
     tree = {
         "coordinates": "float32" if single else "float64",

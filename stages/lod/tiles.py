@@ -33,7 +33,8 @@ from stages.printing.rounding import rounded_up
 from stages.progress import Progress, silent
 from stages.surface.color import is_transparent
 from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
+from stages.surface.finite import require_finite
+from stages.surface.mesh import NOT_WRITTEN, Mesh
 from stages.surface.upright import direction_of, turn_along_z
 
 if TYPE_CHECKING:
@@ -190,6 +191,7 @@ def write_tiles(
     params = resolve(TilesParams, params, changes)
     _require_whole(hierarchy)
     outdir = Path(outdir)
+    require_finite([("vertex", hierarchy.vertices)], outdir, NOT_WRITTEN)
     model = hierarchy.model if texture is None else as_mesh(texture, "model")
     with replacing_folder(outdir, is_tileset, WHAT) as draft:
         placed, grid = on_grid(hierarchy)

@@ -19,7 +19,7 @@ from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.printing import by_fields, by_figures, table
 from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
+from stages.surface.mesh import Mesh, require_writable
 from stages.surface.mesh_files import write_mesh
 
 # What stands for a new vertex: a number along the normal; a vector, since no number leads to the surface; a
@@ -176,6 +176,8 @@ class NormalMesh:
             If the system refuses to write.
         """
         end = self.level_ends[-1 if level is None else self._require_level(level)]
+        for coarse in self.levels:
+            require_writable(coarse, path)
         with replacing(Path(path)) as part:
             part.write_bytes(self.data[:end])
 

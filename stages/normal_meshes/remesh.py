@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages import _kernels
-from stages.cleaning.traced import Traced
 from stages.errors import MeshError
 from stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
 from stages.normal_meshes.unmet import too_far
@@ -24,6 +23,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.sheets import Sheets
 from stages.surface.topology import require_area
+from stages.surface.traced import Traced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

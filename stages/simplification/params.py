@@ -50,6 +50,15 @@ class _Goal:
         high=1,
         low_open=True,
     )
+    drop_below: float | None = param(
+        None,
+        "Before simplification, remove connected components and fill holes whose bounding box has a shorter "
+        "diagonal than this. The result reports their number and area; no bound covers them.",
+        unit="m",
+        group=HOW_FAR,
+        low=0,
+        low_open=True,
+    )
     method: str = param(
         AUTO, _method_text(METHODS), group=_HOW, choices=(AUTO, *(method.name for method in METHODS))
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.printing import by_figures, table
+from stages.simplification.dropping import Dropped
 from stages.simplification.records.record import CollapseRecord
 from stages.surface.mesh import Mesh
 
@@ -68,6 +69,7 @@ class Simplified(Generic[D_co]):
     triangles_before : triangles of the input.
     details : what only this method has to tell.
     record : all collapses, if that was asked for.
+    dropped : small components and holes removed before simplification, with `drop_below`; else None.
     """
 
     __repr__ = by_figures
@@ -84,6 +86,7 @@ class Simplified(Generic[D_co]):
     triangles_before: int
     details: D_co
     record: CollapseRecord | None = None
+    dropped: Dropped | None = None
 
     def follow(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
@@ -92,7 +95,8 @@ class Simplified(Generic[D_co]):
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a person should know of the result, in plain sentences."""
-        return self.details.warnings(self)
+        dropped = () if self.dropped is None else self.dropped.warnings()
+        return (*dropped, *self.details.warnings(self))
 
     def figures(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; what the method alone has to tell is under "details"."""
@@ -107,6 +111,7 @@ class Simplified(Generic[D_co]):
             "refused_edges": dict(self.refused),
             "collapses": self.collapses,
             "attempts": self.attempts,
+            **({} if self.dropped is None else {"dropped": self.dropped.figures()}),
             "details": self.details.figures(),
             "warnings": list(self.warnings),
         }

@@ -16,6 +16,7 @@ class GoalKeywords(TypedDict, total=False):
 
     triangles: int | None
     ratio: float | None
+    drop_below: float | None
     threads: int | None
 
 

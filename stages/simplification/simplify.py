@@ -14,6 +14,7 @@ from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.simplification.auto import chosen, require_taken
 from stages.simplification.corner_attributes import is_in_pieces
+from stages.simplification.dropping import drop_small
 from stages.simplification.lines import lines_left_out
 from stages.simplification.params import SimplifyParams
 from stages.simplification.regions import Region, resolve_control
@@ -117,7 +118,9 @@ def simplify(
         where they touch, and a note says so. Vertices without triangles and triangles that name a vertex
         twice are left out.
     params : SimplifyParams; single fields can be given by name instead. `triangles` or `ratio`, and bounds,
-        `max_shape` (metres) and `max_color` (8-bit levels), say how far: whichever comes first.
+        `max_shape` (metres) and `max_color` (8-bit levels), say how far: whichever comes first. `drop_below`
+        (metres) removes small components and holes first, and `dropped` of the result says which; a record
+        begins with the mesh after that.
     lock : (n,) bool or vertex indices: these vertices stay to the bit. Others may collapse into them.
     importance : (n,) float above 0, factor of the squared error around each vertex; or, where bounds are
         proven, at least 1, which they are divided by.
@@ -145,12 +148,17 @@ def simplify(
     require_measurable(mesh, "mesh")
     method = chosen(params, in_pieces=is_in_pieces(mesh))
     locked, factors = resolve_control(mesh, lock, importance, regions)
+    remainder = None if params.drop_below is None else drop_small(mesh, params.drop_below, locked)
+    given, before = mesh, len(mesh.triangles)
+    if remainder is not None:
+        mesh, locked = remainder.mesh, locked[remainder.vertex_source]
+        factors = factors[remainder.vertex_source] if len(factors) else factors
     has_lock, has_importance = bool(locked.any()), len(factors) > 0
     require_taken(method, lock=has_lock, importance=has_importance, record=record, partial=partial)
     task = Task(
         mesh=mesh,
         params=method.own(params),
-        triangles=params.target(len(mesh.triangles)),
+        triangles=params.target(before),
         lock=locked,
         importance=factors,
         threads=params.threads or 0,
@@ -159,7 +167,7 @@ def simplify(
         progress=_contented(progress) if partial else progress,
     )
     try:
-        return _with_notes(method.run(task), lines_left_out(mesh))
+        found = _with_notes(method.run(task), lines_left_out(given))
     except _kernels.InvalidMeshError as error:
         if method.takes.texture:
             raise MeshError(
@@ -168,6 +176,15 @@ def simplify(
                 "mesh",
             ) from error
         raise MeshError(f"{error}.", "mesh") from error
+    if remainder is None:
+        return found
+    return replace(
+        found,
+        vertex_source=remainder.vertex_source[found.vertex_source],
+        triangle_source=remainder.triangle_source[found.triangle_source],
+        triangles_before=before,
+        dropped=remainder.dropped,
+    )
 
 
 def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:

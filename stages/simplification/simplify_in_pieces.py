@@ -159,9 +159,14 @@ def simplify_in_pieces(
 
     goal = _of_whole(params, total)
     notes: tuple[str, ...] = ()
+    if params.drop_below is not None:
+        notes = (
+            f"drop_below has no effect on this mesh: it has {total:,} triangles, which are simplified in "
+            "parts; remove small components with clean.min_island_area.",
+        )
     if left > MOST_AT_ONCE and goal.triangles is None and not _asked_bounds(params):
         goal = replace(goal, triangles=MOST_AT_ONCE)
-        notes = (
+        notes += (
             f"within the default bounds {left:,} triangles would be left, more than what follows takes at "
             f"once; {MOST_AT_ONCE:,} are. Give simplify.triangles, ratio or max_shape for another number.",
         )
@@ -231,11 +236,14 @@ def _light(
 def _of_parts(params: SimplifyParams, total: int) -> SimplifyParams:
     target = params.target(total)
     ratio = None if target is None else min(_SPARE * target / max(total, 1), 1.0)
-    return replace(params, triangles=None, ratio=ratio, **_shares(params, _FOR_PARTS))
+    return replace(params, triangles=None, ratio=ratio, drop_below=None, **_shares(params, _FOR_PARTS))
 
 
 def _of_whole(params: SimplifyParams, total: int) -> SimplifyParams:
-    return replace(params, triangles=params.target(total), ratio=None, **_shares(params, 1 - _FOR_PARTS))
+    triangles = params.target(total)
+    return replace(
+        params, triangles=triangles, ratio=None, drop_below=None, **_shares(params, 1 - _FOR_PARTS)
+    )
 
 
 def _shares(params: SimplifyParams, share: float) -> dict[str, Any]:

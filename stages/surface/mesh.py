@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
@@ -11,18 +12,32 @@ from numpy.typing import NDArray
 from stages.errors import MeshError
 from stages.files.image_bytes import encoded_png
 from stages.printing import counted, extent_in_words, line, table
+from stages.surface.finite import LARGEST_SINGLE, require_finite
 from stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
 from stages.surface.thumbnail import thumbnail
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["Colors", "Image", "Material", "Mesh", "Texture", "Triangles", "Vertices", "validated"]
+__all__ = [
+    "Colors",
+    "Image",
+    "Material",
+    "Mesh",
+    "Texture",
+    "Triangles",
+    "Vertices",
+    "require_writable",
+    "validated",
+]
 
 Vertices = NDArray[np.float64]
 Triangles = NDArray[np.int32]
 Colors = NDArray[np.uint8]
 
+_BEFORE_PROCESSING = "remove or repair these before processing."
+# Also of writers that have no Mesh, such as those of levels of detail.
+NOT_WRITTEN = "nothing is written. Remove or repair these first."
 # A direction is as long as this share about 1, or is made so.
 _UNIT = 1e-12
 
@@ -147,7 +162,6 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
     """
     vertices = _array(mesh.vertices, np.float64, (3,), "vertices", where)
     triangles = _indices(mesh.triangles, len(vertices), where)
-    _require_finite(vertices, "vertex", where)
     colors = mesh.colors
     if colors is not None:
         colors = _array(colors, np.uint8, (3,), "colors", where)
@@ -157,11 +171,15 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
         normals = _array(normals, np.float64, (3,), "normals", where)
         _require_count(normals, len(vertices), "normals", where)
     texture, corner_normals, part_ids = mesh.texture, mesh.corner_normals, mesh.part_ids
+    require_finite([("vertex", vertices)], where, _BEFORE_PROCESSING)
     if texture is not None:
         texture = validated_texture(texture, len(triangles), where)
     if corner_normals is not None:
         corner_normals = _array(corner_normals, np.float64, (3, 3), "corner normals", where)
         _require_count(corner_normals, len(triangles), "corner normals", where, "triangles")
+    require_finite(
+        [("normal", normals), ("corner normals of triangle", corner_normals)], where, _BEFORE_PROCESSING
+    )
     if part_ids is not None:
         part_ids = _part_ids(part_ids, len(triangles), len(mesh.part_names), where)
     return mesh.with_(
@@ -174,6 +192,33 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
         part_ids=part_ids,
         up=None if mesh.up is None else _direction(mesh.up, where),
     )
+
+
+def require_writable(mesh: Mesh, path: Path | str, *, single_precision: bool = False) -> None:
+    """Refuse to write a mesh whose coordinates are not finite; every mesh writer calls this before it writes.
+
+    Parameters
+    ----------
+    path : the file that is about to be written; it starts the message.
+    single_precision : whether positions and normals have to fit into single precision. Writers clip texture
+        coordinates themselves.
+
+    Raises
+    ------
+    MeshError
+        Naming the first vertex, normal or triangle with such a value.
+    """
+    uvs = None if mesh.texture is None else mesh.texture.uvs
+    require_finite([("texture coordinates of triangle", uvs)], path, NOT_WRITTEN)
+    arrays = (
+        ("vertex", mesh.vertices),
+        ("normal", mesh.normals),
+        ("corner normals of triangle", mesh.corner_normals),
+    )
+    if single_precision:
+        require_finite(arrays, path, f"{NOT_WRITTEN} PLY and OBJ hold larger numbers.", LARGEST_SINGLE)
+    else:
+        require_finite(arrays, path, NOT_WRITTEN)
 
 
 def _direction(up: Any, where: str) -> tuple[float, float, float]:
@@ -226,16 +271,6 @@ def _indices(data: Any, vertex_count: int, where: str) -> Triangles:
             where,
         )
     return np.ascontiguousarray(array, dtype=np.int32)
-
-
-def _require_finite(vertices: Vertices, name: str, where: str) -> None:
-    if not np.isfinite(vertices).all():
-        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-        raise MeshError(
-            f"{name} {bad[0]} is {vertices[bad[0]].tolist()}, not finite ({len(bad)} such); "
-            "remove or repair these before processing.",
-            where,
-        )
 
 
 def _require_count(array: NDArray[Any], count: int, name: str, where: str, of: str = "vertices") -> None:

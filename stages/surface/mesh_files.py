@@ -25,7 +25,7 @@ from stages.surface.formats.gltf import read_gltf
 from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.formats.obj import read_obj, write_obj
 from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.mesh import Mesh
+from stages.surface.mesh import Mesh, require_writable
 from stages.surface.welding import merge_vertices
 
 EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
@@ -89,6 +89,8 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     ------
     UsageError
         If the extension is none of EXTENSIONS.
+    MeshError
+        For positions, normals or texture coordinates that are not finite, or beyond the format's precision.
     StageError
         If the system refuses to write.
     """
@@ -106,6 +108,7 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     elif extension in (".glb", ".gltf"):
         write_gltf(path, mesh)
     else:
+        require_writable(mesh, path, single_precision=extension == ".stl")
         data = to_trimesh(mesh.with_(texture=None))
         with _quiet():
             written = cast("str | bytes", data.export(file_type=extension[1:]))

@@ -22,8 +22,9 @@ from stages.errors import InputError
 from stages.files.documents import read_document
 from stages.files.opening import opened
 from stages.files.replacing import replacing
+from stages.surface.finite import require_finite
 from stages.surface.memory import give_back
-from stages.surface.mesh import Mesh
+from stages.surface.mesh import NOT_WRITTEN, Mesh
 
 Point = tuple[float, float, float]
 
@@ -256,6 +257,7 @@ def write_by_pieces(
         file.write(header)
         ends = [len(header), len(header) + vertex_count * row.itemsize]
         for piece in pieces:
+            require_finite([("vertex", piece.vertices)], path, NOT_WRITTEN)
             rows = np.empty(len(piece.vertices), row)
             for axis, name in enumerate("xyz"):
                 rows[name] = piece.vertices[:, axis]

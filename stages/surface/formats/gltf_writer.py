@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stages.errors import MeshError, StageError
 from stages.files.replacing import replacing
+from stages.surface.finite import LARGEST_SINGLE
 from stages.surface.formats.colors import linear_from_srgb
 from stages.surface.formats.gltf_buffer import Buffer
 from stages.surface.formats.gltf_container import SCAN_FROM_WORLD, Tree
@@ -35,7 +36,7 @@ from stages.surface.formats.gltf_packing import (
     strips,
 )
 from stages.surface.formats.textures import write_images
-from stages.surface.mesh import Mesh
+from stages.surface.mesh import Mesh, require_writable
 from stages.surface.texture import Image, Material
 from stages.surface.upright import turn_along_y
 from stages.surface.welding import same_rows
@@ -43,7 +44,6 @@ from stages.surface.welding import same_rows
 _FLOAT, _SHORT, _INT, _BYTE, _SIGNED_BYTE = 5126, 5123, 5125, 5121, 5120
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _LARGEST = 1 << 32
-_LARGEST_FLOAT = float(np.finfo(np.float32).max)
 # A mesh this many times its size away from the origin loses digits that a move saves.
 _FAR = 4.0
 # Normals this close to unit length are written as they are.
@@ -89,9 +89,10 @@ def write_gltf(
     StageError
         If the system refuses to write, or the mesh is larger than a GLB file can be (4 GiB).
     MeshError
-        If a vertex lies beyond what single precision holds.
+        For coordinates that are not finite or beyond single precision.
     """
     path = Path(path)
+    require_writable(mesh, path, single_precision=True)
     tree: Tree = {"asset": {"version": "2.0", "generator": "scanloom"}, "scene": 0, "scenes": [{}]}
     if shading == "unlit":
         is_colored = mesh.colors is not None or mesh.texture is not None
@@ -117,8 +118,6 @@ def _add_nodes(
 ) -> None:
     if len(mesh.triangles) == 0:
         return
-    if abs(mesh.vertices).max() > _LARGEST_FLOAT:
-        raise MeshError("vertices lie farther out than single precision can tell; write PLY.", "mesh")
     lattice = buffer.lattice
     place: Tree = {}
     if lattice is not None:
@@ -297,7 +296,7 @@ def _coordinates(
             return buffer.accessor(places, "VEC2", _SHORT, VERTICES), steps
         if (places := quantized_uvs(uvs)) is not None:
             return buffer.accessor(places, "VEC2", _SHORT, VERTICES, normalized=True), None
-    held = uvs.clip(-_LARGEST_FLOAT, _LARGEST_FLOAT).astype(np.float32)
+    held = uvs.clip(-LARGEST_SINGLE, LARGEST_SINGLE).astype(np.float32)
     return buffer.accessor(held, "VEC2", _FLOAT, VERTICES), None
 
 

@@ -22,7 +22,7 @@ from stages.surface.formats.colors import to_uint8
 from stages.surface.formats.mtl import read_libraries, write_library
 from stages.surface.formats.obj_statements import NO_PART, Statements, sorted_statements, words_of_lines
 from stages.surface.formats.polygons import split_polygons
-from stages.surface.mesh import Mesh, validated
+from stages.surface.mesh import Mesh, require_writable, validated
 from stages.surface.texture import Material, Texture
 from stages.surface.welding import same_rows
 
@@ -232,6 +232,7 @@ def write_obj(path: Path | str, mesh: Mesh) -> None:
         If the system refuses to write.
     """
     path = Path(path)
+    require_writable(mesh, path)
     texture = mesh.texture
     columns: list[NDArray[Any]] = [mesh.vertices]
     if mesh.colors is not None:

@@ -24,7 +24,7 @@ from stages.surface.formats.ply_texture import (
     texture_comments,
 )
 from stages.surface.formats.polygons import split_polygons
-from stages.surface.mesh import Mesh, validated
+from stages.surface.mesh import Mesh, require_writable, validated
 
 # Told of a file that has it, where a command does not read it with `read_vertex_values`.
 CONFIDENCE_LOST = "the confidence of its vertices is left out: remesh carries it"
@@ -213,6 +213,7 @@ def write_ply(
         If the system refuses to write.
     """
     path = Path(path)
+    require_writable(mesh, path)
     comments: list[str] = []
     face: list[tuple[str, NDArray[Any]]] = [("vertex_indices", mesh.triangles.astype("<i4"))]
     if mesh.texture is not None:

@@ -13,7 +13,7 @@ import trimesh
 
 from stages import InputError, Mesh, UsageError, lod, topology
 from stages.lod import Hierarchy
-from stages.lod.islands import is_island
+from stages.surface.small_components import find_small_components
 from tests.made.coloured_meshes import ball
 from tests.stages.lod.test_build import base_of, distance, leaves_of, sampled, triangles_in_space
 
@@ -103,10 +103,10 @@ def test_the_size_is_the_diagonal_of_the_box_and_copies_in_one_place_hang_togeth
     corners = np.array([(0, 0, 0), (3, 0, 0), (0, 4, 0), (3, 4, 0)], float)
     # Two triangles that share an edge in space, each with vertices of its own: a square of diagonal 5.
     mesh = Mesh(corners[[0, 1, 2, 2, 1, 3]], np.arange(6, dtype=np.int32).reshape(2, 3))
-    assert [is_island(mesh, size)[1] for size in (5.0, 5.001)] == [0, 1]
+    assert [find_small_components(mesh, size)[1] for size in (5.0, 5.001)] == [0, 1]
     apart = Mesh(np.concatenate([mesh.vertices[:3], mesh.vertices[3:] + 10]), mesh.triangles)
-    np.testing.assert_array_equal(is_island(apart, 5.001)[0], (True, True))
-    assert is_island(apart, 5.001)[1] == 2
+    np.testing.assert_array_equal(find_small_components(apart, 5.001)[0], (True, True))
+    assert find_small_components(apart, 5.001)[1] == 2
 
 
 def test_a_mesh_of_islands_alone_and_sizes_that_are_none_are_one_sentence() -> None:

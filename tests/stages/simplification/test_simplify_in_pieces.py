@@ -139,3 +139,11 @@ def test_equal_input_gives_equal_bytes(path: Path) -> None:
     one, other = (simplify_in_pieces(path, SimplifyParams(ratio=0.2, threads=n)).mesh for n in (1, 2))
     assert (one.vertices == other.vertices).all()
     assert (one.triangles == other.triangles).all()
+
+
+def test_small_components_stay_and_that_is_reported(path: Path) -> None:
+    found = simplify_in_pieces(path, SimplifyParams(ratio=0.1, drop_below=0.5))
+    assert any(note.startswith("drop_below has no effect") for note in found.notes)
+    np.testing.assert_array_equal(
+        found.mesh.vertices, simplify_in_pieces(path, SimplifyParams(ratio=0.1)).mesh.vertices
+    )

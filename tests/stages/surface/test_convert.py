@@ -2,12 +2,16 @@
 
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from varied_meshes import varied_meshes
 
 from stages.errors import MeshError
 from stages.surface import convert
+from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
 
@@ -183,3 +187,186 @@ def test_colors_of_faces_are_told():
     converted = convert.as_mesh(mesh)
     assert converted.colors is None
     assert "faces" in converted.notes[0]
+
+
+def converted(way, mesh: Mesh) -> tuple[Mesh, str]:
+    """Return a mesh after a round trip, and the text of the warning about losses."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", convert.ConversionWarning)
+        back = convert.as_mesh(way(mesh))
+    losses = [str(one.message) for one in caught if one.category is convert.ConversionWarning]
+    assert len(losses) <= 1
+    return back, "".join(losses)
+
+
+def assert_same_texture(back: Texture | None, given: Texture | None, *, exact: bool) -> None:
+    """Assert that each triangle has its coordinates, image and colour again; `exact`: also tints."""
+    if given is None:
+        assert back is None
+        return
+    assert back is not None
+    np.testing.assert_array_equal(back.uvs, given.uvs)
+    no_material = Material()
+    for row, (was, now) in enumerate(zip(given.material_ids, back.material_ids, strict=True)):
+        before = given.materials[was] if was >= 0 else no_material
+        after = back.materials[now] if now >= 0 else no_material
+        assert (before.image is None) == (after.image is None), row
+        if before.image is not None and (exact or before.base_color is None):
+            np.testing.assert_array_equal(after.image.pixels, before.image.pixels)
+        if exact or before.image is None:
+            assert (before.base_color is None) == (after.base_color is None), row
+            if before.base_color is not None:
+                np.testing.assert_allclose(after.base_color, before.base_color, atol=1e-7)
+
+
+@given(varied_meshes())
+@settings(max_examples=150, deadline=None)
+def test_trimesh_holds_all_of_any_mesh(mesh):
+    back, loss = converted(convert.to_trimesh, mesh)
+    assert loss == ""
+    for name in ("vertices", "triangles", "colors", "normals", "corner_normals", "part_ids"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name), err_msg=name)
+    assert back.part_names == mesh.part_names
+    assert back.up == mesh.up
+    assert_same_texture(back.texture, mesh.texture, exact=True)
+    if mesh.texture is not None:
+        held = [image.encoded for image in mesh.texture.images]
+        assert [image.encoded for image in back.texture.images] == held
+
+
+@given(varied_meshes())
+@settings(max_examples=100, deadline=None)
+def test_open3d_holds_all_but_names_and_the_up_direction(mesh):
+    back, loss = converted(convert.to_open3d, mesh)
+    assert_same(back.with_(texture=None), mesh.with_(texture=None))
+    np.testing.assert_array_equal(back.corner_normals, mesh.corner_normals)
+    np.testing.assert_array_equal(back.part_ids, mesh.part_ids)
+    assert ("names of parts" in loss) == bool(mesh.part_names)
+    assert ("the up direction" in loss) == (mesh.up is not None)
+    assert_same_texture(back.texture, mesh.texture, exact=True)
+
+
+@given(varied_meshes())
+@settings(max_examples=100, deadline=None)
+def test_open3d_legacy_holds_shape_colours_and_images(mesh):
+    back, loss = converted(convert.to_open3d_legacy, mesh)
+    assert_same(back.with_(texture=None), mesh.with_(texture=None))
+    assert ("normals of corners" in loss) == (mesh.corner_normals is not None)
+    assert ("parts" in loss) == (mesh.part_ids is not None)
+    assert ("the up direction" in loss) == (mesh.up is not None)
+    assert_same_texture(back.texture, mesh.texture, exact=False)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_colours_seen_through_materials_survive(way):
+    # An image times a base colour, a colour alone, an untextured part, as any viewer would show them.
+    rng = np.random.default_rng(3)
+    mesh = textured(random_mesh(normals=False), images=2)
+    image = mesh.texture.images[0]
+    materials = (
+        Material(image=image, base_color=(0.2, 0.6, 1.0, 1.0)),
+        Material(base_color=(1.0, 0.4, 0.2, 1.0)),
+    )
+    ids = rng.integers(-1, 2, len(mesh.triangles)).astype(np.int32)
+    mesh = mesh.with_(colors=None, texture=Texture(mesh.texture.uvs, ids, materials))
+    triangles = np.arange(len(mesh.triangles))
+    weights = rng.dirichlet((1, 1, 1), len(triangles))
+    back, _ = converted(way, mesh)
+    # The legacy class multiplies before it interpolates between the pixels.
+    tolerance = 6.0 if way is convert.to_open3d_legacy else 0.01
+    expected = color_at(mesh, triangles, weights)
+    np.testing.assert_allclose(color_at(back, triangles, weights), expected, atol=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("way", "lost"),
+    [
+        (convert.to_open3d, ("names of materials", "wrap modes", "shading properties")),
+        (convert.to_open3d_legacy, ("names of materials", "wrap modes", "shading properties")),
+        (convert.to_trimesh, ()),
+    ],
+)
+def test_what_else_materials_say_is_kept_or_reported(way, lost):
+    mesh = textured(random_mesh())
+    image = mesh.texture.images[0]
+    told = Material("wood", image, wrap=("clamp", "mirror"), kept={"metallic": 0.5})
+    mesh = mesh.with_(texture=Texture(mesh.texture.uvs, mesh.texture.material_ids, (told,)))
+    back, loss = converted(way, mesh)
+    assert all(name in loss for name in lost)
+    if not lost:
+        assert loss == ""
+        (material,) = back.texture.materials
+        assert (material.name, material.wrap, material.kept) == (told.name, told.wrap, told.kept)
+
+
+def test_legacy_images_keep_their_material_behind_an_empty_one():
+    # Open3D's OBJ reader gives an empty image to a material without one.
+    mesh = textured(random_mesh(), images=2)
+    bare = (Material(), mesh.texture.materials[1])
+    mesh = mesh.with_(texture=Texture(mesh.texture.uvs, mesh.texture.material_ids, bare))
+    back = convert.as_mesh(convert.to_open3d_legacy(mesh))
+    is_second = mesh.texture.material_ids == 1
+    assert is_second.any()
+    assert {
+        back.texture.materials[index].image is None for index in back.texture.material_ids[is_second]
+    } == {False}
+    assert all(back.texture.materials[index].image is None for index in back.texture.material_ids[~is_second])
+
+
+def test_trimesh_seams_stay_open_where_a_copy_was_moved():
+    mesh = textured(random_mesh(normals=False)).with_(colors=None)
+    other = convert.to_trimesh(mesh)
+    moved = np.array(other.vertices)
+    moved[0] += 1
+    other.vertices = moved
+    back = convert.as_mesh(other)
+    np.testing.assert_array_equal(back.vertices, moved)
+
+
+def test_trimesh_attributes_of_others_are_no_parts():
+    import trimesh
+
+    box = trimesh.creation.box()
+    box.face_attributes["part_index"] = np.arange(12)
+    box.metadata["up"] = "y"
+    back = convert.as_mesh(box)
+    assert back.part_ids is None
+    assert back.up is None
+
+
+def test_colours_and_materials_that_trimesh_reads_come_along(tmp_path):
+    import trimesh
+
+    # A GLB file of trimesh's own: a colour for each vertex beside a texture, and a material without an image.
+    mesh = textured(random_mesh(normals=False))
+    convert.to_trimesh(mesh).export(tmp_path / "both.glb")
+    (read,) = trimesh.load_scene(tmp_path / "both.glb", process=False).geometry.values()
+    assert convert.as_mesh(read).colors is not None
+    flat = trimesh.creation.box()
+    flat.visual = trimesh.visual.TextureVisuals(
+        material=trimesh.visual.material.PBRMaterial(baseColorFactor=[255, 0, 0, 255])
+    )
+    texture = convert.as_mesh(flat).texture
+    assert texture.materials[0].base_color == (1.0, 0.0, 0.0, 1.0)
+    assert (texture.material_ids == 0).all()
+
+
+def test_trimesh_images_beside_the_base_colour_are_reported():
+    import trimesh
+    from PIL.Image import fromarray
+
+    image = fromarray(np.full((4, 4, 3), 9, np.uint8))
+    box = trimesh.creation.box()
+    box.visual = trimesh.visual.TextureVisuals(
+        uv=np.random.default_rng(0).random((len(box.vertices), 2)),
+        material=trimesh.visual.material.PBRMaterial(baseColorTexture=image, normalTexture=image),
+    )
+    assert any("normalTexture" in note for note in convert.as_mesh(box).notes)
+
+
+def test_transparent_vertex_colours_are_reported():
+    import trimesh
+
+    box = trimesh.creation.box()
+    box.visual.vertex_colors = np.full((len(box.vertices), 4), 100, np.uint8)
+    assert any("transparency" in note for note in convert.as_mesh(box).notes)

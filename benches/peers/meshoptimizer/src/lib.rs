@@ -1,4 +1,4 @@
-//! meshoptimizer's simplifier behind one C function, for `benches/simplify.py`.
+//! meshoptimizer's simplifier behind C functions, for `benches/simplify.py` and `benches/textured.py`.
 //!
 //! The crate links the C++ library and declares the function that also updates positions and attributes;
 //! it has no safe wrapper for that one yet.
@@ -22,6 +22,41 @@ pub unsafe extern "C" fn simplify(
     attribute_count: usize,
     target: usize,
 ) -> usize {
+    let null = std::ptr::null();
+    unsafe {
+        simplify_with_options(
+            indices,
+            triangles,
+            positions,
+            attributes,
+            vertices,
+            weights,
+            attribute_count,
+            target,
+            null,
+            0,
+        )
+    }
+}
+
+/// Simplifies like `simplify`, with the library's `meshopt_Simplify…` options and vertex flags.
+///
+/// # Safety
+///
+/// As for `simplify`; `flags` holds one byte a vertex, or is null.
+#[no_mangle]
+pub unsafe extern "C" fn simplify_with_options(
+    indices: *mut u32,
+    triangles: usize,
+    positions: *mut f32,
+    attributes: *mut f32,
+    vertices: usize,
+    weights: *const f32,
+    attribute_count: usize,
+    target: usize,
+    flags: *const u8,
+    options: u32,
+) -> usize {
     let float = std::mem::size_of::<f32>();
     let left = unsafe {
         meshopt_simplifyWithUpdate(
@@ -34,10 +69,10 @@ pub unsafe extern "C" fn simplify(
             attribute_count * float,
             weights,
             attribute_count,
-            std::ptr::null(),
+            flags,
             3 * target,
             f32::MAX,
-            0,
+            options,
             std::ptr::null_mut(),
         )
     };

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.cleaning.traced import Traced
 from stages.surface.edges import Edges, Ids, edges_of, next_corner
 from stages.surface.mesh import Mesh, Triangles, Vertices
 from stages.surface.topology import FLAT
+from stages.surface.traced import Traced
 
 # The work grows with the cube of the number of edges: at this many, about a second.
 _MOST_EDGES = 500
@@ -21,11 +21,16 @@ _MOST_EDGES = 500
 _FACING = -0.5
 
 
-def fill_holes(traced: Traced, max_length: float) -> tuple[Traced, int]:
-    """Fill the border loops no longer than `max_length` metres of an oriented manifold; return their number.
+def fill_holes(traced: Traced, max_length: float = np.inf, max_extent: float = np.inf) -> tuple[Traced, int]:
+    """Fill small holes; return the mesh and the number of holes filled.
 
-    Outlines of pieces, loops of more than 500 edges and those that cannot be closed without breaking the
-    manifold stay open.
+    Outlines of components, loops of more than 500 edges and those that cannot be closed without breaking the
+    manifold stay open. So do loops through a vertex where several border loops meet.
+
+    Parameters
+    ----------
+    max_length : metres along the border loop.
+    max_extent : metres, diagonal of the bounding box of the border loop; holes have to be smaller.
     """
     mesh = traced.mesh
     edges = edges_of(mesh.triangles, len(mesh.vertices))
@@ -33,8 +38,9 @@ def fill_holes(traced: Traced, max_length: float) -> tuple[Traced, int]:
     caps = []
     for loop, beside in _loops(mesh, edges):
         rim = mesh.vertices[loop]
-        length = np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1).sum()
-        if length > max_length or len(loop) > _MOST_EDGES:
+        if np.linalg.norm(np.ptp(rim, axis=0)) >= max_extent or len(loop) > _MOST_EDGES:
+            continue
+        if np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1).sum() > max_length:
             continue
         cap = _least_area(rim, _allowed(loop, existing))
         if cap is not None and _faces_with(mesh, mesh.triangles[beside], loop[cap]):
@@ -53,8 +59,11 @@ def _loops(mesh: Mesh, edges: Edges) -> list[tuple[Ids, Ids]]:
     corners = mesh.triangles.reshape(-1)
     border = edges.halfedges[edges.start[edges.count == 1]]
     # A cap runs against the halfedges that are there.
-    steps = zip(corners[next_corner(border)].tolist(), corners[border].tolist(), border.tolist(), strict=True)
-    follower = {head: (tail, halfedge // 3) for head, tail, halfedge in steps}
+    heads, tails = corners[next_corner(border)], corners[border]
+    # Where several loops meet, nothing says which way each goes on.
+    _, position, times = np.unique(heads, return_inverse=True, return_counts=True)
+    steps = zip(heads.tolist(), tails.tolist(), border.tolist(), times[position] == 1, strict=True)
+    follower = {head: (tail, halfedge // 3) for head, tail, halfedge, is_clear in steps if is_clear}
     loops = []
     for first in sorted(follower):
         loop, beside = [], []
@@ -63,7 +72,7 @@ def _loops(mesh: Mesh, edges: Edges) -> list[tuple[Ids, Ids]]:
             loop.append(vertex)
             vertex, triangle = follower.pop(vertex)
             beside.append(triangle)
-        if loop:
+        if loop and vertex == first:
             loops.append((np.array(loop), np.array(beside)))
     return loops
 

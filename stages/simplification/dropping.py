@@ -1,0 +1,137 @@
+"""Removal of small components and holes before simplification, with counts of everything removed.
+
+A method keeps the topology of its input. At 1 % of the triangles, hundreds of small components and holes take
+triangles that the large surfaces need. Removal is an option, because no bound covers what is removed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import UsageError
+from stages.printing import by_fields
+from stages.surface.edges import Ids
+from stages.surface.holes import fill_holes
+from stages.surface.mesh import Mesh
+from stages.surface.small_components import find_small_components
+from stages.surface.topology import areas, repeats_vertex
+from stages.surface.traced import Traced
+from stages.surface.welding import same_rows
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Components and holes that were removed before simplification.
+
+    Attributes
+    ----------
+    size_m : limit, the diagonal of a bounding box.
+    components, component_triangles, component_area_m2 : connected components removed.
+    holes, hole_triangles, hole_area_m2 : holes filled, and the triangles added for it.
+    """
+
+    size_m: float
+    components: int
+    component_triangles: int
+    component_area_m2: float
+    holes: int
+    hole_triangles: int
+    hole_area_m2: float
+
+    __repr__ = by_fields
+
+    def figures(self) -> dict[str, Any]:
+        """Return all counts and areas, ready for JSON."""
+        return asdict(self)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return a sentence for the user if anything was removed."""
+        if not self.components and not self.holes:
+            return ()
+        return (
+            f"drop_below removed {self.components:,} connected components smaller than {self.size_m:g} m "
+            f"({self.component_triangles:,} triangles, {self.component_area_m2:.3g} m²) and filled "
+            f"{self.holes:,} holes ({self.hole_area_m2:.3g} m²); no bound covers these.",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """A mesh without its small components and holes.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    vertex_source, triangle_source : indices into the mesh that was given; for triangles that fill a hole, a
+        triangle beside the hole.
+    dropped : what was removed.
+    """
+
+    mesh: Mesh
+    vertex_source: NDArray[np.int32]
+    triangle_source: NDArray[np.int32]
+    dropped: Dropped
+
+
+def drop_small(mesh: Mesh, size: float, lock: NDArray[np.bool_]) -> Remainder:
+    """Remove connected components smaller than a size and fill holes smaller than a size.
+
+    Parameters
+    ----------
+    size : metres, diagonal of the bounding box of a component or of the border of a hole.
+    lock : (n,) vertices whose components stay.
+
+    Raises
+    ------
+    UsageError
+        If every component is smaller.
+    """
+    is_small, components = find_small_components(mesh, size, lock)
+    if len(is_small) and is_small.all():
+        raise UsageError(
+            f"drop_below is {size:g} m, and every connected component is smaller: nothing would be left."
+        )
+    component_area = float(areas(mesh.vertices, mesh.triangles[is_small]).sum())
+    kept = Traced.start(mesh).keep(~is_small).compact()
+    filled, beside, holes = _fill_small_holes(kept, size)
+    added = len(filled.mesh.triangles) - len(kept.mesh.triangles)
+    caps = filled.mesh.triangles[len(kept.mesh.triangles) :]
+    triangle_source = filled.triangle_source.copy()
+    triangle_source[len(triangle_source) - added :] = kept.triangle_source[beside]
+    return Remainder(
+        mesh=filled.mesh,
+        vertex_source=filled.vertex_source.astype(np.int32),
+        triangle_source=triangle_source.astype(np.int32),
+        dropped=Dropped(
+            size_m=size,
+            components=components,
+            component_triangles=int(is_small.sum()),
+            component_area_m2=component_area,
+            holes=holes,
+            hole_triangles=added,
+            hole_area_m2=float(areas(filled.mesh.vertices, caps).sum()),
+        ),
+    )
+
+
+def _fill_small_holes(kept: Traced, size: float) -> tuple[Traced, Ids, int]:
+    """Fill holes; return the mesh, a triangle beside each added triangle, and the number of holes.
+
+    Vertices at one position count as one, or each texture seam would be a border.
+    """
+    mesh = kept.mesh
+    position = same_rows(list(mesh.vertices.T))
+    corners = position[mesh.triangles].astype(np.int32)
+    is_proper = ~repeats_vertex(corners)
+    welded = Traced.start(Mesh(mesh.vertices, corners[is_proper]))
+    found, holes = fill_holes(welded, max_extent=size)
+    caps = found.mesh.triangles[np.count_nonzero(is_proper) :]
+    if not holes:
+        return kept, np.zeros(0, np.int64), 0
+    owner = np.zeros(len(mesh.vertices), np.int64)
+    owner[corners.reshape(-1)] = np.repeat(np.arange(len(corners)), 3)
+    return kept.extend(caps), owner[caps[:, 0]], holes

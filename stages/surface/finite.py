@@ -1,0 +1,49 @@
+"""Check that coordinates are finite, where meshes enter and where they are written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import MeshError
+
+# Largest number of the formats that hold single precision alone: glTF, STL, USD.
+LARGEST_SINGLE = float(np.finfo(np.float32).max)
+
+Named = tuple[str, NDArray[Any] | None]
+
+
+def _has_finite_sum(array: NDArray[Any]) -> bool:
+    # Quicker than a mask, and finite only if all terms are.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(array.sum()))
+
+
+def require_finite(arrays: Iterable[Named], where: Path | str, remedy: str, limit: float = np.inf) -> None:
+    """Raise MeshError for the first row with a value that is not finite, or beyond a limit.
+
+    Parameters
+    ----------
+    arrays : name of one row ("vertex") and the rows (n, …), or None for data the mesh does not have.
+    where : file or argument that messages begin with.
+    remedy : end of the message: consequence and what to do.
+    limit : largest absolute value.
+    """
+    for name, array in arrays:
+        if array is None or (limit == np.inf and _has_finite_sum(array)):
+            continue
+        is_good = np.isfinite(array) & (np.abs(array) <= limit)
+        if is_good.all():
+            continue
+        bad = np.flatnonzero(~is_good.reshape(len(array), -1).all(axis=1))
+        row = array[bad[0]]
+        values = row.tolist()
+        if not np.isfinite(row).all():
+            raise MeshError(f"{name} {bad[0]} is {values}, not finite ({len(bad):,} such); {remedy}", where)
+        raise MeshError(
+            f"{name} {bad[0]} is {values}, beyond single precision ({len(bad):,} such); {remedy}", where
+        )

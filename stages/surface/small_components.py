@@ -1,0 +1,42 @@
+"""Connected components of a mesh that are smaller than a size."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.surface.edges import components
+from stages.surface.mesh import Mesh
+from stages.surface.welding import same_rows
+
+
+def find_small_components(
+    mesh: Mesh, size: float, keep: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.bool_], int]:
+    """Find the triangles of connected components that are smaller than a size.
+
+    Triangles are connected if they share a vertex position. The size of a component is the diagonal of its
+    bounding box.
+
+    Parameters
+    ----------
+    size : metres.
+    keep : (n,) vertices whose components count as large.
+
+    Returns
+    -------
+    (m,) mask of triangles, and the number of small components.
+    """
+    position = same_rows(list(mesh.vertices.T))
+    corners = position[mesh.triangles]
+    _, label = components(len(position), corners[:, :2].reshape(-1), corners[:, 1:].reshape(-1))
+    _, component = np.unique(label[corners[:, 0]], return_inverse=True)
+    count = int(component.max(initial=-1)) + 1
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    for corner in range(3):
+        np.minimum.at(low, component, mesh.vertices[mesh.triangles[:, corner]])
+        np.maximum.at(high, component, mesh.vertices[mesh.triangles[:, corner]])
+    is_small = np.linalg.norm(high - low, axis=1) < size
+    if keep is not None:
+        is_small[component[keep[mesh.triangles].any(axis=1)]] = False
+    return np.asarray(is_small[component]), int(is_small.sum())

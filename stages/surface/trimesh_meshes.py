@@ -1,0 +1,309 @@
+"""Conversion to and from trimesh.Trimesh.
+
+The class has one texture coordinate per vertex, so vertices on texture seams are duplicated on the way out
+and joined again on the way back. Materials become a SimpleMaterial, or a MultiMaterial with `face_materials`.
+Normals of corners and parts are `face_attributes`; names of parts and the up direction are `metadata`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import MeshError
+from stages.surface.foreign_meshes import TrimeshMesh
+from stages.surface.formats.colors import srgb_from_linear, to_uint8
+from stages.surface.mesh import Mesh, validated
+from stages.surface.texture import WRAPS, Image, Material, Texture
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+_Ids = NDArray[np.int32]
+
+# Colour of a trimesh material that was given none.
+_UNSET = (102, 102, 102, 255)
+_WHITE = (255, 255, 255, 255)
+# Where a PIL image carries the file that its pixels came from.
+_FILE = "scanloom_file"
+_OTHER_MAPS = ("normalTexture", "emissiveTexture", "occlusionTexture", "metallicRoughnessTexture")
+
+
+def from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
+    """Convert and validate a trimesh.Trimesh."""
+    visual: Any = data.visual
+    notes: list[str] = []
+    other: Any = data
+    mesh = Mesh(
+        vertices=np.array(data.vertices),
+        triangles=np.array(data.faces),
+        colors=_read_vertex_colors(visual, len(data.vertices), notes),
+        # Reading the property would compute normals that were never given.
+        normals=np.array(data.vertex_normals) if "vertex_normals" in data._cache else None,
+        corner_normals=_read_attribute(other.face_attributes, "corner_normals", (len(data.faces), 3, 3)),
+    )
+    part_ids, part_names = _read_parts(other)
+    mesh = mesh.with_(part_ids=part_ids, part_names=part_names, up=_read_up(other.metadata.get("up")))
+    mesh = validated(mesh, where)
+    if len(mesh.triangles) > 0 and visual.kind == "texture":
+        mesh = _add_texture(mesh, visual, notes, where)
+    return mesh.with_(notes=(*mesh.notes, *notes))
+
+
+def _read_vertex_colors(visual: Any, count: int, notes: list[str]) -> NDArray[np.uint8] | None:
+    if visual.kind == "face":
+        notes.append("colours of faces are left out; only colours of vertices are used")
+    if visual.kind == "vertex":
+        colors = np.array(visual.vertex_colors)
+    elif visual.kind == "texture" and "color" in visual.vertex_attributes:
+        colors = np.array(visual.vertex_attributes["color"])
+    else:
+        return None
+    if colors.ndim != 2 or len(colors) != count or colors.shape[1] not in (3, 4):
+        return None
+    levels = to_uint8(colors)
+    if levels.shape[1] == 4 and levels[:, 3].min(initial=255) < 255:
+        notes.append("the transparency of vertex colours is left out")
+    return np.ascontiguousarray(levels[:, :3])
+
+
+def _read_attribute(attributes: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any] | None:
+    """Return an attribute if it is numbers of this shape, else None."""
+    array = np.array(attributes[name]) if name in attributes else np.zeros(0)
+    return array if array.shape == shape and array.dtype.kind in "iuf" else None
+
+
+def _read_parts(data: Any) -> tuple[_Ids | None, tuple[str, ...]]:
+    names = data.metadata.get("part_names")
+    ids = _read_attribute(data.face_attributes, "part_index", (len(data.faces),))
+    if ids is None or not isinstance(names, (list, tuple)) or ids.dtype.kind not in "iu":
+        return None, ()
+    if ((ids < -1) | (ids >= len(names))).any():
+        return None, ()
+    return ids.astype(np.int32), tuple(str(name) for name in names)
+
+
+def _read_up(given: Any) -> tuple[float, float, float] | None:
+    is_direction = isinstance(given, list) and len(given) == 3 and all(isinstance(x, float) for x in given)
+    return cast("Any", tuple(given)) if is_direction else None
+
+
+def _add_texture(mesh: Mesh, visual: Any, notes: list[str], where: str) -> Mesh:
+    held = visual.material
+    several = list(held.materials) if hasattr(held, "materials") else [held]
+    images: dict[int, Image] = {}
+    materials = tuple(_read_material(each, images, notes) for each in several)
+    count = len(mesh.triangles)
+    ids = _read_material_ids(visual.face_materials, count, len(materials))
+    uvs = visual.uv
+    has_uvs = uvs is not None and len(uvs) == len(mesh.vertices)
+    if not has_uvs and not any(material.base_color is not None for material in materials):
+        if any(material.image is not None for material in materials):
+            notes.append("texture images are left out: the mesh has no texture coordinates")
+        return mesh
+    corner_uvs = np.array(uvs, np.float64)[:, :2][mesh.triangles] if has_uvs else np.zeros((count, 3, 2))
+    if not any(material.image or material.base_color or material.name for material in materials):
+        ids, materials = np.full(count, -1, np.int32), ()
+    mesh = validated(mesh.with_(texture=Texture(corner_uvs, ids, materials)), where)
+    attributes = visual.vertex_attributes
+    source = np.asarray(attributes["vertex_index"]) if "vertex_index" in attributes else None
+    return mesh if source is None else _join_copies(mesh, source)
+
+
+def _read_material_ids(given: Any, count: int, materials: int) -> _Ids:
+    ids = np.zeros(count, np.int32) if given is None else np.asarray(given)
+    if ids.shape != (count,) or ids.dtype.kind not in "iu":
+        ids = np.zeros(count, np.int32)
+    return np.where((ids >= 0) & (ids < materials), ids, -1).astype(np.int32)
+
+
+def _read_material(data: Any, images: dict[int, Image], notes: list[str]) -> Material:
+    """Convert a SimpleMaterial or a PBRMaterial; materials that share an image share the object."""
+    name = str(getattr(data, "name", None) or "")
+    if hasattr(data, "baseColorTexture"):
+        image = _read_image(data.baseColorTexture, images)
+        factor = data.baseColorFactor
+        color = None if factor is None else tuple((np.asarray(factor, np.float64) / 255).tolist())
+        if color is not None:
+            color = (*srgb_from_linear(np.array(color[:3])).tolist(), color[3])
+        lost = sorted(name for name in _OTHER_MAPS if getattr(data, name, None) is not None)
+        note = f"material images other than the base colour are left out: {', '.join(lost)}"
+        if lost and note not in notes:
+            notes.append(note)
+        return Material(name, image, None if image is not None and color == (1, 1, 1, 1) else color)
+    image = _read_image(getattr(data, "image", None), images)
+    said = getattr(data, "kwargs", None) or {}
+    wrap = said.get("wrap")
+    is_wrap = isinstance(wrap, tuple) and len(wrap) == 2 and set(wrap) <= set(WRAPS)
+    return Material(
+        name=name,
+        image=image,
+        base_color=_read_color(data, image, said.get("base_color")),
+        wrap=cast("Any", wrap) if is_wrap else ("repeat", "repeat"),
+        kept=said.get("kept"),
+    )
+
+
+def _read_color(data: Any, image: Image | None, exact: Any) -> tuple[float, float, float, float] | None:
+    """Return the colour of a SimpleMaterial: exact if trimesh's 8-bit copy was not changed since."""
+    diffuse = tuple(np.asarray(data.diffuse).tolist())
+    if exact is not None and _to_levels(exact) == diffuse:
+        red, green, blue, alpha = exact
+        return red, green, blue, alpha
+    # As of MTL files: beside an image, programs disagree on what a diffuse colour means.
+    if image is not None or diffuse == _UNSET or len(diffuse) != 4:
+        return None
+    red, green, blue, alpha = (level / 255 for level in diffuse)
+    return red, green, blue, alpha
+
+
+def _to_levels(color: Any) -> tuple[int, ...]:
+    return tuple(np.rint(255 * np.clip(color, 0, 1)).astype(int).tolist())
+
+
+def _read_image(data: Any, images: dict[int, Image]) -> Image | None:
+    if data is None:
+        return None
+    if id(data) not in images:
+        has_alpha = data.mode in ("RGBA", "LA", "PA")
+        pixels = np.asarray(data.convert("RGBA" if has_alpha else "RGB"), np.uint8)
+        if pixels.shape[:2] == (1, 1) and tuple(pixels[0, 0, :3]) == _UNSET[:3]:
+            # The image of a material that was given none.
+            return None
+        images[id(data)] = _recover_file(data, pixels) or Image(given=pixels)
+    return images[id(data)]
+
+
+def _recover_file(data: Any, pixels: NDArray[np.uint8]) -> Image | None:
+    """Return the file that an image came from, if its pixels are still the same."""
+    held = data.info.get(_FILE)
+    if held is None:
+        return None
+    image = Image(*held)
+    try:
+        return image if np.array_equal(image.pixels, pixels) else None
+    except MeshError:
+        return None
+
+
+def _join_copies(mesh: Mesh, source: NDArray[Any]) -> Mesh:
+    """Join the copies of vertices on texture seams again, unless one of them was changed since."""
+    if source.shape != (len(mesh.vertices),) or source.dtype.kind not in "iu" or len(source) == 0:
+        return mesh
+    _, first, place = np.unique(source, return_index=True, return_inverse=True)
+    place = place.reshape(-1)
+    for values in (mesh.vertices, mesh.colors, mesh.normals):
+        if values is not None and (values != values[first][place]).any():
+            return mesh
+    return mesh.with_(
+        vertices=mesh.vertices[first],
+        triangles=place[mesh.triangles].astype(np.int32),
+        colors=None if mesh.colors is None else mesh.colors[first],
+        normals=None if mesh.normals is None else mesh.normals[first],
+    )
+
+
+def to_trimesh(mesh: Mesh) -> Trimesh:
+    """Return a trimesh.Trimesh that `as_mesh` turns back into the same mesh.
+
+    Vertices on texture seams are duplicated, because the class has one texture coordinate per vertex. Several
+    materials become a MultiMaterial with `face_materials`. The viewer and the exporters of trimesh ignore
+    these: write such meshes with `write_mesh`. Colours beside a texture are in
+    `visual.vertex_attributes["color"]`.
+    """
+    from trimesh import Trimesh
+
+    source = np.arange(len(mesh.vertices))
+    triangles: NDArray[np.integer] = mesh.triangles
+    looks: dict[str, Any] = {"vertex_colors": mesh.colors}
+    if mesh.texture is not None and len(mesh.triangles) > 0:
+        source, triangles, uvs = _split_seams(mesh, mesh.texture)
+        looks = {"visual": _build_visual(mesh, mesh.texture, source, uvs)}
+    attributes: dict[str, Any] = {}
+    if mesh.corner_normals is not None:
+        attributes["corner_normals"] = mesh.corner_normals
+    metadata: dict[str, Any] = {}
+    if mesh.part_ids is not None:
+        attributes["part_index"] = mesh.part_ids
+        metadata["part_names"] = list(mesh.part_names)
+    if mesh.up is not None:
+        metadata["up"] = list(mesh.up)
+    return Trimesh(
+        mesh.vertices[source],
+        triangles,
+        # It asks how long they are at most, which none has an answer to.
+        vertex_normals=mesh.normals[source] if mesh.normals is not None and len(source) else None,
+        face_attributes=attributes,
+        metadata=metadata,
+        process=False,
+        **looks,
+    )
+
+
+def _split_seams(
+    mesh: Mesh, texture: Texture
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Give each vertex a copy per texture coordinate.
+
+    Returns
+    -------
+    (k,) the vertex that each copy is of, (m, 3) triangles of the copies, (k, 2) coordinates. Vertices without
+    triangles come last.
+    """
+    corners = mesh.triangles.reshape(-1)
+    wedges, first, wedge_of_corner = np.unique(
+        np.column_stack((corners, texture.uvs.reshape(-1, 2))), axis=0, return_index=True, return_inverse=True
+    )
+    is_used = np.zeros(len(mesh.vertices), bool)
+    is_used[corners] = True
+    unused = np.flatnonzero(~is_used)
+    source = np.concatenate([corners[first].astype(np.int64), unused])
+    uvs = np.concatenate([wedges[:, 1:], np.zeros((len(unused), 2))])
+    return source, wedge_of_corner.reshape(-1, 3), uvs
+
+
+def _build_visual(mesh: Mesh, texture: Texture, source: NDArray[np.int64], uvs: NDArray[np.float64]) -> Any:
+    import trimesh
+
+    images: dict[int, Any] = {}
+    materials = [_build_material(material, images) for material in texture.materials]
+    types: Any = trimesh.visual.material
+    is_plain = len(materials) == 1
+    visual: Any = cast("Any", trimesh.visual).TextureVisuals(
+        uv=uvs,
+        material=materials[0] if is_plain else types.MultiMaterial(materials=materials),
+        face_materials=None if is_plain and not texture.material_ids.any() else texture.material_ids.copy(),
+    )
+    visual.vertex_attributes["vertex_index"] = source
+    if mesh.colors is not None:
+        visual.vertex_attributes["color"] = np.column_stack(
+            (mesh.colors[source], np.full(len(source), 255, np.uint8))
+        )
+    return visual
+
+
+def _build_material(material: Material, images: dict[int, Any]) -> Any:
+    import trimesh
+    from PIL.Image import fromarray
+
+    types: Any = trimesh.visual.material
+    image = None
+    if material.image is not None:
+        key = id(material.image)
+        if key not in images:
+            images[key] = fromarray(np.ascontiguousarray(material.image.pixels))
+            if material.image.encoded is not None:
+                images[key].info[_FILE] = (material.image.name, material.image.encoded)
+        image = images[key]
+    color = material.base_color
+    # Without a colour of their own, images are to be shown as they are.
+    diffuse = _to_levels(color) if color is not None else _WHITE if image is not None else None
+    said = {"base_color": color, "wrap": material.wrap, "kept": material.kept}
+    return types.SimpleMaterial(
+        image=image,
+        diffuse=None if diffuse is None else np.array(diffuse, np.uint8),
+        name=material.name or None,
+        **said,
+    )
