@@ -57,8 +57,7 @@ class SeamsDetails(Details):
             )
         if self.seam_drift_texels is not None and self.seam_drift_texels > _VISIBLE_DRIFT_TEXELS:
             return (
-                f"texture seams moved by up to {self.seam_drift_texels:.0f} texels in the image, so the texture "
-                "may be shifted beside them; give a smaller max_seam_drift, or keep more triangles.",
+                f"texture seams moved by up to {self.seam_drift_texels:.0f} texels in the image, so the "
+                "texture may be shifted beside them; give a smaller max_seam_drift, or keep more triangles.",
             )
         return ()
-

@@ -10,9 +10,11 @@ from stages.simplification.shared_params import FitKeywords, ScaleKeywords, requ
 # Share of the bounding box's diagonal within which vertices are one: what single precision leaves of it.
 SIMILAR_DISTANCE = 1e-6
 
-# Default bound on seam drift, as a share of the image's side. A half of it costs shape on models with many
-# small charts (a foot in 2,000 charts at 3 %: 353e-5 RMS against 213e-5); twice as much gains nothing.
-SEAM_DRIFT_RATIO = 0.04
+# Default bound on seam drift, in edges of the simplified mesh (their mean length in the image), and as a share of
+# the image's side. A third of it costs shape where charts are small (a foot in 2,000 charts at 3 %: 353e-5 RMS
+# against 216e-5); twice as much gains nothing.
+SEAM_DRIFT_EDGES = 1.5
+MAX_SEAM_DRIFT_RATIO = 0.1
 
 # Side in texels of the image of a mesh that has texture coordinates but no image.
 ASSUMED_SIDE = 1024
@@ -35,8 +37,7 @@ class SeamsParams:
     )
     similar_distance: float | None = param(
         None,
-        "Vertices closer than this are one, where that leaves a surface. A larger one joins parts that only "
-        "touch. Default: "
+        "Vertices closer than this are one. A larger one joins parts that only touch. Default: "
         f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal, at most a hundredth of the median side of "
         "triangles.",
         unit="m",
@@ -73,7 +74,8 @@ class SeamsParams:
     max_seam_drift: float | None = param(
         None,
         "Largest distance in the image between a texture seam and its position in the input. Default: "
-        f"{SEAM_DRIFT_RATIO:g} of the image's side.",
+        f"{SEAM_DRIFT_EDGES:g} edges of the simplified mesh, at most {MAX_SEAM_DRIFT_RATIO:g} of the image's "
+        "side.",
         unit="texels",
         low=0,
     )

@@ -19,11 +19,12 @@ from stages.simplification.result import Simplified
 from stages.simplification.seams.details import SeamsDetails
 from stages.simplification.seams.params import (
     ASSUMED_SIDE,
-    SEAM_DRIFT_RATIO,
+    MAX_SEAM_DRIFT_RATIO,
+    SEAM_DRIFT_EDGES,
     SIMILAR_DISTANCE,
     SeamsParams,
 )
-from stages.simplification.seams.similar import joinable_sets
+from stages.simplification.seams.similar import joinable_sets, similar_sets
 from stages.simplification.task import Task
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
@@ -72,8 +73,10 @@ def simplified(
     distance = params.similar_distance
     if distance is None:
         distance = _similar_distance(mesh, float(np.linalg.norm(high - low)))
-    sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
-    lock = lock | apart
+        sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
+        lock = lock | apart
+    else:
+        sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
     attributes = _attributes(task, positions, origin, expected)
     texture = mesh.texture
     side = _largest_side(texture)
@@ -89,7 +92,7 @@ def simplified(
         np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
         task.importance[mesh.triangles].mean(axis=1) if len(task.importance) else task.importance,
         lock,
-        knobs=_knobs(params, attributes.uv_scale, side),
+        knobs=_knobs(params, attributes.uv_scale, side, expected),
         fit=params.fit and within is None,
         within=within,
         running=task.running(REGION_TRIANGLES),
@@ -221,8 +224,13 @@ def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
     On a round surface of radius r, an edge of length e is e² / 8r off in its middle, and the normals of its
     ends are e / r apart: an eighth of the length of the edges that will be left balances the two.
     """
-    area = areas(positions, mesh.triangles).sum()
-    return float(np.sqrt(area / max(target, 1) * 4 / np.sqrt(3))) / 8
+    area = float(areas(positions, mesh.triangles).sum())
+    return _edge_of_triangle(area / max(target, 1)) / 8
+
+
+def _edge_of_triangle(area: float) -> float:
+    """Return the edge length of an equilateral triangle."""
+    return float(np.sqrt(area * 4 / np.sqrt(3)))
 
 
 def _largest_side(texture: Texture | None) -> int | None:
@@ -232,8 +240,11 @@ def _largest_side(texture: Texture | None) -> int | None:
     return max((max(size) for size in sizes if size is not None), default=None)
 
 
-def _knobs(params: SeamsParams, uv_scale: float, side: int | None) -> _kernels.SeamKnobs:
-    drift = SEAM_DRIFT_RATIO if params.max_seam_drift is None else params.max_seam_drift / (side or ASSUMED_SIDE)
+def _knobs(params: SeamsParams, uv_scale: float, side: int | None, target: int) -> _kernels.SeamKnobs:
+    if params.max_seam_drift is None:
+        drift = min(SEAM_DRIFT_EDGES * _edge_of_triangle(1 / max(target, 1)), MAX_SEAM_DRIFT_RATIO)
+    else:
+        drift = params.max_seam_drift / (side or ASSUMED_SIDE)
     return _kernels.SeamKnobs(
         across_materials=params.across_textures,
         across_parts=params.across_parts,
