@@ -29,7 +29,6 @@ from stages.surface.color import color_at  # noqa: E402
 from stages.surface.mesh import Image, Material, Mesh  # noqa: E402
 from stages.surface.mesh_files import write_mesh  # noqa: E402
 
-
 pytestmark = pytest.mark.slow
 
 
