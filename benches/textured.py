@@ -239,18 +239,20 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
             continue
         best_rms = min(peers, key=lambda row: row.rms)
         best_psnr = max(peers, key=lambda row: row.psnr or 0.0)
+        reached = is_comparable(ours, target)
         # As printed: half a unit of the last digit is no difference.
         is_good = {
-            "RMS": round(ours.rms, 1) <= round(best_rms.rms, 1),
-            "PSNR": round(ours.psnr, 1) >= round(best_psnr.psnr or 0.0, 1),
+            "RMS": reached and round(ours.rms, 1) <= round(best_rms.rms, 1),
+            "PSNR": reached and round(ours.psnr, 1) >= round(best_psnr.psnr or 0.0, 1),
         }
         is_good["both"] = all(is_good.values())
         compared += 1
         for key, value in is_good.items():
             good[key] += value
-        better = [row.tool for row in peers if is_better_in_both(row, ours)]
+        better = [row.tool for row in peers if not reached or is_better_in_both(row, ours)]
         unbeaten += not better
-        verdict = "both" if is_good["both"] else ", ".join(key for key in ("RMS", "PSNR") if is_good[key])
+        named = [key for key in ("RMS", "PSNR") if is_good[key]]
+        verdict = "both" if is_good["both"] else ", ".join(named) or "–"
         print_row(
             [
                 name,
@@ -260,7 +262,7 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
                 f"{best_rms.rms:.1f} ({best_rms.tool})",
                 f"{ours.psnr:.1f}",
                 f"{best_psnr.psnr:.1f} ({best_psnr.tool})",
-                verdict or "–",
+                verdict if reached else f"no: {target:,} triangles were asked for",
                 better[0] if better else "–",
             ]
         )
@@ -277,7 +279,7 @@ def is_better_in_both(peer: Row, ours: Row) -> bool:
 
 
 def is_comparable(row: Row, target: int) -> bool:
-    """Return whether a peer reached the target and kept the texture."""
+    """Return whether a tool reached the target and kept the texture."""
     return row.psnr is not None and row.triangles <= max(TOLERATED * target, target + 2)
 
 
