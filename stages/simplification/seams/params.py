@@ -10,9 +10,9 @@ from stages.simplification.shared_params import FitKeywords, ScaleKeywords, requ
 # Share of the bounding box's diagonal within which vertices are one: what single precision leaves of it.
 SIMILAR_DISTANCE = 1e-6
 
-# Default bound on seam drift, in edges of the simplified mesh (their mean length in the image), and as a share of
-# the image's side. A third of it costs shape where charts are small (a foot in 2,000 charts at 3 %: 353e-5 RMS
-# against 216e-5); twice as much gains nothing.
+# Default bound on seam drift, in edges of the simplified mesh (their mean length in the image), and as a
+# share of the image's side. A third of it costs shape where charts are small (a foot in 2,000 charts at 3 %:
+# 353e-5 RMS against 216e-5); twice as much gains nothing.
 SEAM_DRIFT_EDGES = 1.5
 MAX_SEAM_DRIFT_RATIO = 0.1
 
