@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages._opencv import require_opencv
+
+# Side of the blocks that far gaps are filled by, and the share of one that has to be known.
+_BLOCK, _KNOWN = 8, 0.02
 
 
 def filled_up(image: NDArray[np.float32], filled: NDArray[np.bool_], padding: int) -> NDArray[np.uint8]:
@@ -45,3 +49,54 @@ def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> None:
     _pull_push(coarse, weight > 0)
     rows, columns = np.nonzero(~known)
     image[rows, columns] = coarse[rows // 2, columns // 2]
+
+
+def fill_gaps(images: Sequence[NDArray[np.uint8]], filled: NDArray[np.bool_], padding: int) -> None:
+    """Fill the gaps of images (h, w, c) of one atlas in place, as `filled_up` does, several times as fast.
+
+    Beyond the padding, colours are means of blocks of eight texels and more.
+    """
+    require_opencv()
+    import cv2
+
+    if filled.all() or not filled.any():
+        return
+    distance, labels = cv2.distanceTransformWithLabels(
+        (~filled).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    source = np.empty(int(labels.max()) + 1, np.int32)
+    source[labels[filled]] = np.flatnonzero(filled)
+    is_gap = (distance <= padding) & ~filled
+    near, taken = np.flatnonzero(is_gap), source[labels[is_gap]]
+    far = np.flatnonzero(distance > padding)
+    height, width = filled.shape
+    row, column = np.divmod(far, width)
+    for image in images:
+        texels = image.reshape(height * width, -1)
+        texels[near] = texels[taken]
+        if len(far):
+            texels[far] = _coarse(image, distance <= padding)[row // _BLOCK, column // _BLOCK]
+
+
+def _coarse(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return means of blocks of the known texels; blocks without any get those of coarser ones."""
+    import cv2
+
+    size = tuple(-(-side // _BLOCK) for side in known.shape)
+    # Blocks at the far edges are continued by nothing.
+    grown = (size[0] * _BLOCK, size[1] * _BLOCK)
+    weight = np.zeros(grown, np.uint8)
+    weight[: known.shape[0], : known.shape[1]] = known * np.uint8(255)
+    shown = np.zeros((*grown, image.shape[2]), np.uint8)
+    shown[: known.shape[0], : known.shape[1]] = image
+    shown[weight == 0] = 0
+    total = cv2.resize(weight, size[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+    means = cv2.resize(shown, size[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
+    means = means.reshape(*size, -1) / np.maximum(total, np.float32(1e-3))[:, :, None]
+    # To a power of two, which can be halved to the end.
+    side = 1 << max(max(size) - 1, 0).bit_length()
+    whole = np.zeros((side, side, means.shape[2]), np.float32)
+    is_known = np.zeros((side, side), bool)
+    whole[: size[0], : size[1]], is_known[: size[0], : size[1]] = means, total > _KNOWN
+    _pull_push(whole, is_known)
+    return np.asarray(np.rint(whole[: size[0], : size[1]]).clip(0, 255), np.uint8)
