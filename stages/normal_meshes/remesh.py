@@ -17,8 +17,9 @@ from stages.normal_meshes.unmet import too_far
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
 from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
-from stages.simplification.kernel_input import TEXTURE_LEFT_OUT, attributes_of
+from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.simplify import simplify
+from stages.surface.color import attributes_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stages.printing import by_figures, table
 from stages.simplification.records.record import CollapseRecord
 from stages.surface.mesh import Mesh
+from stages.texturing.bake import Baked
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,6 +69,8 @@ class Simplified(Generic[D_co]):
     triangles_before : triangles of the input.
     details : what only this method has to tell.
     record : all collapses, if that was asked for.
+    baked : Baked, where images were baked for the mesh, with their colour error; None where none were.
+    default_max_shape : metres, the bound that was derived from the model as nothing was asked; else None.
     """
 
     __repr__ = by_figures
@@ -84,6 +87,8 @@ class Simplified(Generic[D_co]):
     triangles_before: int
     details: D_co
     record: CollapseRecord | None = None
+    baked: Baked | None = None
+    default_max_shape: float | None = None
 
     def follow(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
@@ -97,6 +102,8 @@ class Simplified(Generic[D_co]):
     def figures(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; what the method alone has to tell is under "details"."""
         triangles = len(self.mesh.triangles)
+        of_baking = {} if self.baked is None else {"baked": self.baked.figures()}
+        derived = {} if self.default_max_shape is None else {"default_max_shape_m": self.default_max_shape}
         return {
             "method": self.method,
             "triangles_before": self.triangles_before,
@@ -109,6 +116,8 @@ class Simplified(Generic[D_co]):
             "attempts": self.attempts,
             "details": self.details.figures(),
             "warnings": list(self.warnings),
+            **derived,
+            **of_baking,
         }
 
     # Hidden from type checkers: to them, only the new names are there.

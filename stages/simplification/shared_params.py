@@ -16,6 +16,8 @@ class GoalKeywords(TypedDict, total=False):
 
     triangles: int | None
     ratio: float | None
+    keep_uv: bool
+    bake: bool | None
     threads: int | None
 
 

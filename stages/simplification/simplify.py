@@ -12,13 +12,15 @@ from stages import _kernels
 from stages.errors import MeshError
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.simplification.auto import chosen, require_taken
+from stages.simplification.auto import asks_nothing, chosen, require_taken
 from stages.simplification.corner_attributes import is_in_pieces
+from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.lines import lines_left_out
-from stages.simplification.params import SimplifyParams
+from stages.simplification.params import AUTO, SimplifyParams
 from stages.simplification.regions import Region, resolve_control
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
+from stages.simplification.textured import derive_max_shape, has_texture_images, plan_baking
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.topology import require_measurable
 
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RESULT_VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-RESULT_VERSION = 12
+RESULT_VERSION = 13
 
 
 @overload
@@ -143,12 +145,23 @@ def simplify(
     params = resolve(SimplifyParams, params, dict(changes))
     mesh = as_mesh(mesh)
     require_measurable(mesh, "mesh")
-    method = chosen(params, in_pieces=is_in_pieces(mesh))
+    plan, reason = plan_baking(mesh, params, record=record)
+    bound = None
+    if asks_nothing(params) and has_texture_images(mesh):
+        bound = derive_max_shape(mesh)
+        params = replace(params, max_shape=bound)
+    shape, notes = mesh if plan is None else plan.shape, lines_left_out(mesh)
+    if reason is not None:
+        notes += (reason,)
+    if params.bake is False and not params.keep_uv and has_texture_images(mesh) and params.method == AUTO:
+        shape = mesh.with_(texture=None)
+        notes += (f"simplify {TEXTURE_LEFT_OUT}",)
+    method = chosen(params, in_pieces=is_in_pieces(shape))
     locked, factors = resolve_control(mesh, lock, importance, regions)
     has_lock, has_importance = bool(locked.any()), len(factors) > 0
     require_taken(method, lock=has_lock, importance=has_importance, record=record, partial=partial)
     task = Task(
-        mesh=mesh,
+        mesh=shape,
         params=method.own(params),
         triangles=params.target(len(mesh.triangles)),
         lock=locked,
@@ -159,7 +172,7 @@ def simplify(
         progress=_contented(progress) if partial else progress,
     )
     try:
-        return _with_notes(method.run(task), lines_left_out(mesh))
+        found = _with_notes(replace(method.run(task), default_max_shape=bound), notes)
     except _kernels.InvalidMeshError as error:
         if method.takes.texture:
             raise MeshError(
@@ -168,6 +181,7 @@ def simplify(
                 "mesh",
             ) from error
         raise MeshError(f"{error}.", "mesh") from error
+    return found if plan is None else plan.bake(found)
 
 
 def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:

@@ -21,6 +21,11 @@ def has_color(mesh: Mesh) -> bool:
     return mesh.colors is not None or is_textured(mesh)
 
 
+def attributes_of(mesh: Mesh) -> NDArray[np.uint8]:
+    """Return the vertex colours of a mesh, (n, 3); (n, 0) if it has none."""
+    return np.zeros((len(mesh.vertices), 0), np.uint8) if mesh.colors is None else mesh.colors
+
+
 def is_textured(mesh: Mesh) -> bool:
     """Return whether any triangle takes its colour from a material."""
     if mesh.texture is None:

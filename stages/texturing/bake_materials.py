@@ -55,6 +55,9 @@ Pixels = NDArray[np.uint8]
 
 # Points of the original at which the colour error is measured.
 _COMPARED = 50_000
+# Bytes of a file that a triangle takes at least, in all formats: what is removed leaves as many for images, and the
+# file is no larger than before.
+_BYTES_PER_TRIANGLE = 12
 # An image that is finer than its atlas by more than this factor is averaged first.
 _SIMILAR = 1.25
 # Least texels of an atlas: charts need some room.
@@ -179,7 +182,8 @@ def bake_materials(
         material_ids[rows] = len(drafts) + pages.images
         drafts += found
     sources = _all_images(original, classes)
-    most = sum(len(image.file_bytes) for image in sources)
+    source_bytes = sum(len(image.file_bytes) for image in sources)
+    removed = max(len(original.triangles) - len(simplified.triangles), 0)
     encoded, scale = encode_within(
         [
             (pixels, form)
@@ -187,7 +191,7 @@ def bake_materials(
             if isinstance(draft, _Draft)
             for _, pixels, form in draft.canvases
         ],
-        most,
+        source_bytes + _BYTES_PER_TRIANGLE * removed,
     )
     materials = _with_images(drafts, encoded)
     mesh = simplified.with_(
@@ -213,7 +217,7 @@ def bake_materials(
         color=color,
         vertex_color=None,
         image_bytes=sum(len(image.data) for image in encoded),
-        source_image_bytes=most,
+        source_image_bytes=source_bytes,
         resolution_scale=scale,
         quality=min((image.quality for image in encoded if image.quality is not None), default=None),
     )
@@ -268,9 +272,7 @@ def _images(texture: Texture, one: MaterialClass, path: Path) -> list[Image]:
     return list({id(image): image for image in found if image is not None}.values())
 
 
-def _budgets(
-    mesh: Mesh, class_ids: NDArray[np.int32], classes: Sequence[MaterialClass]
-) -> list[_Budget]:
+def _budgets(mesh: Mesh, class_ids: NDArray[np.int32], classes: Sequence[MaterialClass]) -> list[_Budget]:
     """Return what each class may use; an image of several classes is divided by what they show of it."""
     texture = mesh.texture
     assert texture is not None
@@ -344,9 +346,7 @@ def _bake_class(
     return pages, found
 
 
-def _densities(
-    simplified: Surface, original: Mesh, covered: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _densities(simplified: Surface, original: Mesh, covered: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how densely each triangle of the simplified mesh is to be sampled, relative to the others.
 
     All alike, unless the images of the original are far denser in one place than in another.
@@ -367,7 +367,9 @@ def _densities(
     for _ in range(2):
         # Spread over neighbours: small triangles of the simplified mesh have hardly any of the original.
         texels, beneath = (
-            np.bincount(corners, np.repeat(values, 3), minlength=len(mesh.vertices))[mesh.triangles].mean(axis=1)
+            np.bincount(corners, np.repeat(values, 3), minlength=len(mesh.vertices))[mesh.triangles].mean(
+                axis=1
+            )
             for values in (texels, beneath)
         )
     wanted = np.sqrt(texels / np.maximum(beneath, 1e-300))
@@ -432,7 +434,10 @@ class _ClassBaker:
             if key in index_of:
                 places[path] = index_of[key]
         return _Draft(
-            [self._formatted(path, canvas, name) for (_, path, _), canvas in zip(jobs, canvases, strict=True)],
+            [
+                self._formatted(path, canvas, name)
+                for (_, path, _), canvas in zip(jobs, canvases, strict=True)
+            ],
             places,
             lambda images: self._described(first, images, totals),
         )
@@ -477,7 +482,9 @@ class _ClassBaker:
         shown = float(self._budget.covered[its].sum())
         return max(self._laid * shown / max(self._covered, 1e-300), 1e-300)
 
-    def _sampled(self, number: int, path: Path, chosen: NDArray[np.intp] | slice, channels: int) -> Pixels | None:
+    def _sampled(
+        self, number: int, path: Path, chosen: NDArray[np.intp] | slice, channels: int
+    ) -> Pixels | None:
         pixels = self._image(number, path, channels)
         if pixels is None:
             return None
@@ -612,7 +619,12 @@ class _ClassBaker:
     def _shares_factors(self, path: Path) -> bool:
         """Return whether the materials of the class agree on the factors of a map."""
         found = {
-            repr([value_at(self._texture.materials[number].kept.tree, place, default) for place, default in FACTORS[path]])
+            repr(
+                [
+                    value_at(self._texture.materials[number].kept.tree, place, default)
+                    for place, default in FACTORS[path]
+                ]
+            )
             for number in self._class.numbers
         }
         return len(found) == 1
@@ -620,9 +632,7 @@ class _ClassBaker:
     def _signature(self, path: Path) -> Any:
         """Return what tells whether two maps of the class come out the same."""
         is_normal = path[-1].lower().endswith("normaltexture")
-        images = tuple(
-            id(image_at(self._texture.materials[number], path)) for number in self._class.numbers
-        )
+        images = tuple(id(image_at(self._texture.materials[number], path)) for number in self._class.numbers)
         is_own = is_normal or (path in FACTORS and not self._shares_factors(path))
         wraps = tuple(self._wrap(number, path) for number in self._class.numbers)
         return (images, wraps, path if is_own else None)
@@ -658,7 +668,9 @@ class _ClassBaker:
         color = first.base_color if self._keeps_color() or base is None else None
         clamp = ("clamp", "clamp")
         if isinstance(first.kept, MtlStatements):
-            return replace(first, image=base, base_color=color, wrap=clamp, kept=_without_maps(first.kept, totals))
+            return replace(
+                first, image=base, base_color=color, wrap=clamp, kept=_without_maps(first.kept, totals)
+            )
         if not isinstance(first.kept, GltfStatements):
             return replace(first, image=base, base_color=color, wrap=clamp, kept=None)
         tree = copy.deepcopy(first.kept.tree)
@@ -712,4 +724,3 @@ def _tinted(texels: Pixels, color: tuple[float, ...]) -> Pixels:
         alpha = np.rint(np.arange(256) * color[3]).clip(0, 255).astype(np.uint8)
         table = np.column_stack([table, alpha])
     return np.asarray(cv2.LUT(texels[None], np.ascontiguousarray(table[None])), np.uint8)[0]
-

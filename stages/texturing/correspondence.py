@@ -109,9 +109,7 @@ class Correspondence:
     def _facing_lookup(self) -> FacingColors:
         if self._facing is None:
             box = bounding_box(self._original, self._simplified.mesh)
-            self._facing = FacingColors(
-                Surface(self._original, box), self._simplified.mesh, self._texel_size
-            )
+            self._facing = FacingColors(Surface(self._original, box), self._simplified.mesh, self._texel_size)
         return self._facing
 
     def _placed_triangles(self) -> _Entries:
@@ -128,9 +126,7 @@ class Correspondence:
         distance = located.distances[mesh.triangles[whole]].max(axis=1)
         whole = whole[np.argsort(-distance, kind="stable")]
         first = located.triangles[mesh.triangles[whole, 0]]
-        parts.append(
-            _Entries(at[mesh.triangles[whole]], whole, corner_charts[whole, 0], pages.pages[first])
-        )
+        parts.append(_Entries(at[mesh.triangles[whole]], whole, corner_charts[whole, 0], pages.pages[first]))
         joined = _Entries(
             *(
                 np.concatenate([getattr(part, name) for part in parts])
@@ -235,4 +231,3 @@ def _plane_weights(points: Floats, corners: Floats) -> Floats:
         v = np.einsum("kx,kx->k", np.cross(ap, ac), normal) / squared
         w = np.einsum("kx,kx->k", np.cross(ab, ap), normal) / squared
     return np.stack([1 - v - w, v, w], axis=1)
-

@@ -44,9 +44,7 @@ class FacingColors:
         found, shares, turned = self.locate(triangles, weights)
         return color_at(self._original.mesh, found, shares), turned
 
-    def locate(
-        self, triangles: NDArray[np.int64], weights: Floats
-    ) -> tuple[NDArray[np.int64], Floats, int]:
+    def locate(self, triangles: NDArray[np.int64], weights: Floats) -> tuple[NDArray[np.int64], Floats, int]:
         """Find the points of the original nearest to points of the simplified mesh, facing the same way.
 
         Returns

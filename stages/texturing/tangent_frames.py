@@ -68,9 +68,7 @@ def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
     inverse = inverse.reshape(-1)
     sums = np.stack([np.bincount(inverse, flat.reshape(-1, 3)[:, axis]) for axis in range(3)], axis=1)
     tangents = _unit(sums)[inverse].reshape(-1, 3, 3)
-    return TangentFrames(
-        normals.astype(np.float32), tangents.astype(np.float32), signs.astype(np.float32)
-    )
+    return TangentFrames(normals.astype(np.float32), tangents.astype(np.float32), signs.astype(np.float32))
 
 
 def corner_normals(mesh: Mesh) -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ from stages import _kernels
 from stages.errors import MeshError
 from stages.simplification.color_weight import color_weight
 from stages.simplification.corner_attributes import CornerAttributes, LightCorners
-from stages.simplification.kernel_input import attributes_of
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.wedges import Wedges
 from stages.simplification.reordered import run_reordered
@@ -20,6 +19,7 @@ from stages.simplification.seams.details import SeamsDetails
 from stages.simplification.seams.params import SIMILAR_DISTANCE, SeamsParams
 from stages.simplification.seams.similar import joinable_sets, similar_sets
 from stages.simplification.task import Task
+from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
 from stages.surface.texture import signed_areas
