@@ -106,7 +106,7 @@ def simplify(
             partial=partial,
             progress=progress,
         )
-    write_file(target, simplified.mesh, out)
+    write_file(target, simplified.mesh, out, original=None if holds_texture else mesh)
     if simplified.record is not None and save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)

@@ -283,7 +283,9 @@ def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced
     def still(done: int, total: int) -> object:  # noqa: ARG001
         return progress(0, 1)
 
-    light = simplify(mesh, method="quadric", triangles=wanted, threads=params.threads, progress=still)
+    light = simplify(
+        mesh, method="quadric", triangles=wanted, threads=params.threads, bake=False, progress=still
+    )
     sources = light.vertex_source.astype(np.int64), light.triangle_source.astype(np.int64)
     return Traced(light.mesh, *sources), mesh
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from stages.errors import MeshError
 from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
+from stages.surface.formats.gltf_materials import multiplies_colors
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Material, Pixels
 
@@ -46,8 +47,8 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
 
     Parameters
     ----------
-    mesh : an image counts first, times the base colour of its material; then vertex colours, then a base
-        colour alone; what has none of them is grey. An image that cannot be decoded counts as none.
+    mesh : an image counts first, times the base colour of its material, and times the vertex colours of glTF
+        files; then vertex colours, then a base colour alone; what has none of them is grey. An image that cannot be decoded counts as none.
     triangles : (k,) the triangle each point lies on.
     weights : (k, 3) barycentric weights of its corners, float32 or float64.
 
@@ -71,7 +72,11 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
             corners = mesh.texture.uvs.take(triangles[chosen], axis=0)
             # In double precision: of a large image, float32 resolves a few hundredths of a texel only.
             uvs = np.einsum("kc,kcx->kx", np.asarray(weights[chosen], np.float64), corners)
-            colors[chosen] = tinted(sampled(pixels, uvs, material.wrap), material)
+            shown = tinted(sampled(pixels, uvs, material.wrap), material)
+            if mesh.colors is not None and multiplies_colors(material):
+                light = linear_from_srgb(shown / 255) * linear_from_srgb(colors[chosen] / 255)
+                shown = 255 * srgb_from_linear(light)
+            colors[chosen] = shown
             is_its &= ~has_uvs
         if mesh.colors is None and material.base_color is not None:
             colors[is_its] = np.array(material.base_color[:3]) * 255

@@ -53,7 +53,7 @@ def test_every_method_gives_a_closed_mesh_with_an_image(
     assert len(light.triangles) < len(mesh.triangles)
     assert light.texture is not None
     assert len(light.texture.images) == 1
-    assert ("baked" in ran.json) == (method in ("quadric", "jia01", "planar"))
+    assert ran.json["baked"]["image_bytes"] > 0
     color = scanloom("compare", textured, target, "--samples", 20_000, "--json").json["color"]
     assert color["a_to_b"]["rmse_levels"] < 40
 
