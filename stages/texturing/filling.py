@@ -85,14 +85,16 @@ def _coarse(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.ui
     size = tuple(-(-side // _BLOCK) for side in known.shape)
     # Blocks at the far edges are continued by nothing.
     grown = (size[0] * _BLOCK, size[1] * _BLOCK)
-    weight = np.zeros(grown, np.uint8)
-    weight[: known.shape[0], : known.shape[1]] = known * np.uint8(255)
-    shown = np.zeros((*grown, image.shape[2]), np.uint8)
-    shown[: known.shape[0], : known.shape[1]] = image
-    shown[weight == 0] = 0
-    total = cv2.resize(weight, size[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255
-    means = cv2.resize(shown, size[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
-    means = means.reshape(*size, -1) / np.maximum(total, np.float32(1e-3))[:, :, None]
+    weight = np.zeros(grown, np.float32)
+    weight[: known.shape[0], : known.shape[1]] = known
+    # A channel at a time: rounding before the division would show where little is known.
+    total = cv2.resize(weight, size[::-1], interpolation=cv2.INTER_AREA)
+    planes = []
+    for channel in range(image.shape[2]):
+        weight[: known.shape[0], : known.shape[1]] = image[..., channel]
+        weight[: known.shape[0], : known.shape[1]] *= known
+        planes.append(cv2.resize(weight, size[::-1], interpolation=cv2.INTER_AREA))
+    means = np.stack(planes, axis=2) / np.maximum(total, np.float32(1e-3))[:, :, None]
     # To a power of two, which can be halved to the end.
     side = 1 << max(max(size) - 1, 0).bit_length()
     whole = np.zeros((side, side, means.shape[2]), np.float32)

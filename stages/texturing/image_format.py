@@ -113,9 +113,14 @@ def jpeg_quality(data: bytes) -> tuple[int, bool]:
     if not tables:
         return _DEFAULT_QUALITY, is_subsampled
     # Sums are alike however the table is ordered.
-    scale = 100 * sum(tables[min(tables)]) / sum(_LUMINANCE)
-    quality = (200 - scale) / 2 if scale <= 100 else 5000 / scale
-    return int(np.clip(round(quality), 1, 100)), is_subsampled
+    total = sum(tables[min(tables)])
+    return min(range(1, 101), key=lambda quality: abs(_table_sum(quality) - total)), is_subsampled
+
+
+def _table_sum(quality: int) -> int:
+    """Return the sum of the luminance table that the IJG's library uses at a quality."""
+    scale = 5000 // quality if quality < 50 else 200 - 2 * quality
+    return sum(min(max((value * scale + 50) // 100, 1), 255) for value in _LUMINANCE)
 
 
 def encode(pixels: Pixels, form: ImageFormat, *, is_thorough: bool = False) -> bytes:
