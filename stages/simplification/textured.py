@@ -16,9 +16,12 @@ from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.methods import METHODS
 from stages.simplification.params import AUTO, SimplifyParams
 from stages.simplification.result import Simplified
+from stages.simplification.seams.params import SIMILAR_DISTANCE
+from stages.simplification.seams.similar import joinable_sets
 from stages.surface.color import is_textured, pixels_of
 from stages.surface.formats.gltf_materials import has_images
 from stages.surface.mesh import Mesh
+from stages.surface.raycasting import bounding_box
 from stages.surface.texture import Material, Texture, signed_areas
 from stages.surface.topology import areas
 from stages.texturing.bake import bake
@@ -36,6 +39,8 @@ _MAX_PALETTE = 0.5
 _SHAPE_PER_SIZE = 1e-3
 # Length of the mean of the normals at a vertex from which they are one: about 5 degrees between them.
 _SMOOTH = 0.996
+# Copies of a vertex are nearer than this share of the median side.
+_SIMILAR_PER_SIDE = 0.01
 # Share of the surface at each end of each axis that does not count for the size.
 _OUTSIDE = 0.005
 
@@ -56,6 +61,11 @@ class BakePlan:
     shape: Mesh
     class_ids: NDArray[np.int32]
     classes: tuple[MaterialClass, ...]
+
+    @property
+    def shift(self) -> float:
+        """Return how far vertices of `shape` are from those of the original, in metres."""
+        return float(np.linalg.norm(self.shape.vertices - self.original.vertices, axis=1).max(initial=0.0))
 
     def bake(self, found: Simplified[Any]) -> Simplified[Any]:
         """Return the simplified mesh with its new images."""
@@ -143,12 +153,27 @@ def _shape_of(mesh: Mesh, class_ids: NDArray[np.int32], classes: tuple[MaterialC
     bare = mesh.with_(colors=None, texture=None)
     if not has_parts:
         bare = bare.with_(part_ids=None, part_names=())
-    bare = _with_smooth_normals(bare)
+    bare = _joined(_with_smooth_normals(bare))
     if len(classes) == 1:
         return bare
     uvs = np.zeros((len(mesh.triangles), 3, 2))
     materials = tuple(Material(f"class {index}") for index in range(len(classes)))
     return bare.with_(texture=Texture(uvs, class_ids, materials))
+
+
+def _joined(mesh: Mesh) -> Mesh:
+    """Return a mesh whose copies of vertices along seams are in one place, also where rounding parts them."""
+    sides = mesh.vertices[mesh.triangles] - np.roll(mesh.vertices[mesh.triangles], 1, axis=1)
+    lengths = np.linalg.norm(sides, axis=2)
+    if not lengths.any():
+        return mesh
+    low, high = bounding_box(mesh)
+    distance = min(
+        SIMILAR_DISTANCE * float(np.linalg.norm(high - low)),
+        _SIMILAR_PER_SIDE * float(np.median(lengths[lengths > 0])),
+    )
+    _, positions, _ = joinable_sets(mesh.vertices, mesh.triangles, distance)
+    return mesh.with_(vertices=positions)
 
 
 def _with_smooth_normals(mesh: Mesh) -> Mesh:

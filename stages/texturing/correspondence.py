@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Located, Surface, bounding_box
+from stages.surface.raycasting import Floats, Located, Surface, bounding_box, unit_normals
 from stages.surface.texture import signed_areas
 from stages.texturing.facing import FacingColors
 from stages.texturing.pages import Pages, Texels, texels_of
@@ -24,6 +24,8 @@ from stages.texturing.pages import Pages, Texels, texels_of
 # are always allowed: small triangles are where rounding and short detours weigh most.
 _MAX_STRETCH = 2.0
 _FREE_TEXELS = 2.0
+# Cosine between a triangle and the plane of a chart that it extends beyond its border.
+_MIN_ALIGNED = 0.8
 # Texels looked up at a time: bounds the memory.
 _AT_ONCE = 1 << 18
 
@@ -157,6 +159,7 @@ class Correspondence:
         mesh, pages, light = self._original, self._pages, self._simplified.mesh
         corners_of = mesh.triangles[triangles]
         charts = corner_charts[triangles]
+        own_normals = unit_normals(mesh)
         found = []
         for k in range(3):
             # Each chart once: where it is that of an earlier corner too, it was handled there.
@@ -173,6 +176,12 @@ class Correspondence:
                 extended = np.einsum("kc,kcx->kx", weights, pages.corners[base])
                 is_here = (charts[rows, j] == charts[rows, k])[:, None]
                 corners[:, j] = np.where(is_here, at[vertices], extended)
+            # Around an edge that is too sharp, nothing lies where the plane of the chart goes on.
+            aligned = np.einsum(
+                "kx,kx->k", own_normals[triangles[rows]], self._simplified.normals[base]
+            )
+            is_flat = aligned > _MIN_ALIGNED
+            rows, base, corners = rows[is_flat], base[is_flat], corners[is_flat]
             found.append(
                 _Entries(corners, triangles[rows], charts[rows, k].astype(np.int32), pages.pages[base])
             )

@@ -13,6 +13,7 @@ from stages.errors import InputError
 from stages.simplification.kernel_input import Ids
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.wedges import Wedges
+from stages.surface.color import attributes_of
 
 Shape = tuple[int, ...]
 
