@@ -65,8 +65,8 @@ def simplify(
     With a number and bounds: down to the number, never beyond the bounds; "stopped by" says which came first.
     With neither: a textured model within 1/1000 of its size, others within default bounds.
 
-    Images are baked anew, in the format and no more texels and bytes than those of IN, where OUT is .glb, .obj or
-    .ply; --keep-uv keeps the image and its seams as they are, at the cost of shape.
+    Where OUT is .glb, .obj or .ply, images are baked anew, in the format and no more texels than those of IN.
+    --keep-uv keeps images and texture coordinates as they are, at the cost of shape.
 
     --close-bounds and --save-bounds go with bounds. --method says what each method is for, and which one is
     taken. Most want a manifold mesh; run `scanloom clean` on it first when it is not.
@@ -143,8 +143,8 @@ def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
 
 def _default_bound(metres: float) -> str:
     return (
-        f"As no number and no bound was given, the shape stays within {at_most(metres)} m, 1/1000 of the model's "
-        "size; --max-shape or --ratio say otherwise."
+        f"No number and no bound was given: the shape stays within {at_most(metres)} m, 1/1000 of the model's "
+        "size. Give --max-shape or --ratio for another goal."
     )
 
 

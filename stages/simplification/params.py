@@ -31,8 +31,8 @@ def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
     texts = " ".join(f"{method.name}: {method.text}" for method in methods)
     return (
         f"{texts} {AUTO}: the first of {asked} that has all parameters that are given, and is given what it "
-        f"needs; {carrying} comes first if the mesh has materials without images, parts or normals of corners, or "
-        "keep_uv is given. A textured model of which nothing is asked is simplified within 1/1000 of its size."
+        f"needs; {carrying} comes first if the mesh has materials, parts or normals of corners, or keep_uv is "
+        "given. A textured model without a goal is simplified within 1/1000 of its size."
     )
 
 
@@ -62,9 +62,9 @@ class _Goal:
     )
     bake: bool | None = param(
         None,
-        "Bake new images for the simplified mesh, in the format and no more texels and bytes than those of the "
-        "input; vertex colours go into an image too. Off: textures are lost. Default: where the input has "
-        "images, unless keep_uv or a method that carries them is given.",
+        "Bake new images for the simplified mesh, in the format and no more texels than those of the input; "
+        "vertex colours go into an image too. Off: textures are lost. Default: where the input has images, "
+        "unless keep_uv or a method that carries them is given.",
         group=_HOW,
     )
     threads: int | None = param(

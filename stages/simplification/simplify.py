@@ -149,10 +149,10 @@ def simplify(
     bound = None
     if asks_nothing(params) and has_texture_images(mesh):
         bound = derive_max_shape(mesh)
-        params = replace(params, max_shape=bound)
+        params = resolve(SimplifyParams, params, {"max_shape": bound})
     if plan is not None and params.max_shape is not None:
         # What is proven of joined copies of vertices holds for the mesh as it was given, too.
-        params = replace(params, max_shape=max(params.max_shape - plan.shift, 0.0))
+        params = resolve(SimplifyParams, params, {"max_shape": max(params.max_shape - plan.shift, 0.0)})
     shape, notes = mesh if plan is None else plan.shape, lines_left_out(mesh)
     if reason is not None:
         notes += (reason,)

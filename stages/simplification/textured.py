@@ -1,7 +1,7 @@
 """Simplification of textured models: shape is simplified freely, and the images are baked anew.
 
-Texture coordinates would hold every seam in place. Without them only what must not mix stays apart: classes of
-materials that need images of their own, parts, and sharp edges.
+Texture coordinates would hold every seam in place. Without them only what must not mix stays apart: classes
+of materials that need images of their own, parts, and sharp edges.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from stages.texturing.bake import bake
 from stages.texturing.bake_materials import bake_materials
 from stages.texturing.material_classes import MaterialClass, material_classes
 
-# Parameters that only mean something for texture coordinates that stay, or for the colours of an image that stays.
+# Parameters that only mean something for texture coordinates, or colours of an image, that stay.
 _OF_KEPT_UVS = ("max_color", "max_seam_drift", "texture_weight", "across_textures")
-# An image that is shown more often than this, as bricks on a wall, would lose its detail in an atlas of its size.
+# An image that repeats more often than this, as bricks on a wall, would lose detail in an atlas of its size.
 _MAX_REPEATS = 2.0
-# Share of the surface that shows less than one texel for each triangle, as with palettes, from which an atlas of as
-# few texels would lose the colours.
+# Share of the surface that shows less than one texel for each triangle, as with palettes, from which an atlas
+# of as few texels would lose the colours.
 _MAX_PALETTE = 0.5
 # The default bound on shape, as a share of the size of the model: not visible at a thousand pixels.
 _SHAPE_PER_SIZE = 1e-3
@@ -52,7 +52,7 @@ class BakePlan:
     Attributes
     ----------
     original : mesh as it was given.
-    shape : mesh without texture coordinates; the "materials" of its texture are classes, if there are several.
+    shape : mesh without texture coordinates; where there are several classes, they are its "materials".
     class_ids : (m,) of the triangles of the original.
     classes : of the materials; empty where vertex colours are baked.
     """
@@ -219,11 +219,11 @@ def _why_not(mesh: Mesh) -> str | None:
     if shown.sum() > _MAX_REPEATS * total:
         return (
             "the images repeat on the surface: texture coordinates and images are kept, since an atlas of as "
-            "few texels would lose detail; --bake makes one all the same."
+            "few texels would lose detail; bake=True makes one all the same."
         )
     if area[shown < 1].sum() > _MAX_PALETTE * area.sum():
         return (
-            "the images are palettes, of which triangles show single texels: texture coordinates and images are "
-            "kept; --bake makes an atlas all the same."
+            "the images are palettes, of which triangles show single texels: texture coordinates and images "
+            "are kept; bake=True makes an atlas all the same."
         )
     return None

@@ -48,7 +48,8 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
     Parameters
     ----------
     mesh : an image counts first, times the base colour of its material, and times the vertex colours of glTF
-        files; then vertex colours, then a base colour alone; what has none of them is grey. An image that cannot be decoded counts as none.
+        files; then vertex colours, then a base colour alone; what has none of them is grey. An image that
+        cannot be decoded counts as none.
     triangles : (k,) the triangle each point lies on.
     weights : (k, 3) barycentric weights of its corners, float32 or float64.
 

@@ -1,8 +1,8 @@
 """Bake all images of a textured model anew for its simplified mesh.
 
-Each class of materials gets an atlas of its own, of no more texels and bytes than the images that it replaces.
-The point of the original that a texel shows is looked up once, and all maps of the class are sampled there:
-base colour and alpha, normals in tangent space, and whatever else the materials name.
+Each class of materials gets an atlas of its own, of no more texels than the images that it replaces. The
+point of the original that a texel shows is looked up once, and all maps of the class are sampled there: base
+colour and alpha, normals in tangent space, and whatever else the materials name.
 """
 
 from __future__ import annotations
@@ -55,15 +55,15 @@ Pixels = NDArray[np.uint8]
 
 # Points of the original at which the colour error is measured.
 _COMPARED = 50_000
-# Bytes of a file that a triangle takes at least, in all formats: what is removed leaves as many for images, and the
-# file is no larger than before.
+# Bytes that a triangle takes at least in a file of any format: what is removed leaves as many for images, and
+# the file is no larger than before.
 _BYTES_PER_TRIANGLE = 12
 # An image that is finer than its atlas by more than this factor is averaged first.
 _SIMILAR = 1.25
 # Least texels of an atlas: charts need some room.
 _MIN_TEXELS = 64 * 64
-# Ratio of the densities of texels between the 90 % and the 10 % of the surface that have most and fewest, from
-# which the atlas follows them.
+# Ratio between the 90th and the 10th percentile of the density of texels over the surface, from which the
+# atlas follows it.
 _UNEVEN = 4.0
 # Limits of the density of a triangle, relative to the mean.
 _MIN_DENSITY, _MAX_DENSITY = 1 / 16, 4.0
@@ -714,7 +714,7 @@ def _without_maps(kept: MtlStatements, totals: _Totals) -> MtlStatements:
 
 
 def _tinted(texels: Pixels, color: tuple[float, ...]) -> Pixels:
-    """Multiply colours (n, 3 or 4), as displayed, by a factor as light adds up, and alpha by its fourth number."""
+    """Multiply displayed colours (n, 3 or 4) by a factor in linear light, and alpha by its fourth number."""
     import cv2
 
     factor = linear_from_srgb(np.array(color[:3]))
@@ -723,4 +723,5 @@ def _tinted(texels: Pixels, color: tuple[float, ...]) -> Pixels:
     if texels.shape[1] == 4:
         alpha = np.rint(np.arange(256) * color[3]).clip(0, 255).astype(np.uint8)
         table = np.column_stack([table, alpha])
-    return np.asarray(cv2.LUT(texels[None], np.ascontiguousarray(table[None])), np.uint8)[0]
+    found = cv2.LUT(texels[None], np.ascontiguousarray(table[None]))
+    return np.asarray(found, np.uint8).reshape(texels.shape)

@@ -1,9 +1,8 @@
 """Correspondence between the texels of a simplified mesh and points of the original surface.
 
-Every vertex of the original is taken to the nearest point of the simplified mesh, and with it each triangle into
-the atlas, where it is rasterised. The atlas thus shows the original piecewise linearly, at the cost of one query
-for each vertex. Triangles that fold over, tear or change charts cannot be rasterised so; texels that stay empty
-get a query of their own.
+Every vertex of the original is taken to the nearest point of the simplified mesh. With its vertices each
+triangle comes into the atlas, where it is rasterised, at the cost of one query for each vertex. Triangles that
+fold over or tear there are left out. Texels that stay empty get a query of their own.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from stages.surface.texture import signed_areas
 from stages.texturing.facing import FacingColors
 from stages.texturing.pages import Pages, Texels, texels_of
 
-# Largest stretch of an edge of the original in the atlas, relative to its length on the surface, and texels that
-# are always allowed: small triangles are where rounding and short detours weigh most.
+# Largest stretch of an edge of the original in the atlas, relative to its length on the surface, and texels
+# that are always allowed, as rounding weighs most where triangles are small.
 _MAX_STRETCH = 2.0
 _FREE_TEXELS = 2.0
 # Cosine between a triangle and the plane of a chart that it extends beyond its border.
@@ -138,7 +137,7 @@ class Correspondence:
         return self._sound(joined, located)
 
     def _nearest_of_vertices(self) -> tuple[Located, NDArray[np.bool_]]:
-        """Return the nearest point of the simplified mesh for each vertex, and whether it faces the same way."""
+        """Return the nearest point of the simplified mesh for each vertex, and whether it faces alike."""
         mesh = self._original
         normals = _vertex_normals(mesh)
         points, inverse = np.unique(mesh.vertices, axis=0, return_inverse=True)
@@ -155,7 +154,7 @@ class Correspondence:
         located: Located,
         at: Floats,
     ) -> _Entries:
-        """Place triangles that lie in several charts once in each, extended beyond the border of the chart."""
+        """Place triangles of several charts once in each chart, extended beyond its border."""
         mesh, pages, light = self._original, self._pages, self._simplified.mesh
         corners_of = mesh.triangles[triangles]
         charts = corner_charts[triangles]
@@ -177,9 +176,7 @@ class Correspondence:
                 is_here = (charts[rows, j] == charts[rows, k])[:, None]
                 corners[:, j] = np.where(is_here, at[vertices], extended)
             # Around an edge that is too sharp, nothing lies where the plane of the chart goes on.
-            aligned = np.einsum(
-                "kx,kx->k", own_normals[triangles[rows]], self._simplified.normals[base]
-            )
+            aligned = np.einsum("kx,kx->k", own_normals[triangles[rows]], self._simplified.normals[base])
             is_flat = aligned > _MIN_ALIGNED
             rows, base, corners = rows[is_flat], base[is_flat], corners[is_flat]
             found.append(

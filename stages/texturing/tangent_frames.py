@@ -1,7 +1,7 @@
 """Tangent frames of textured triangles, as viewers derive them for tangent-space normal maps.
 
-After MikkTSpace (Mikkelsen 2008, "Simulation of wrinkled surfaces revisited"): tangents of triangles that share
-a position, a normal and texture coordinates are averaged by angle; the bitangent is the cross product.
+After MikkTSpace (Mikkelsen 2008, "Simulation of wrinkled surfaces revisited"): tangents of triangles that
+share a position, a normal and texture coordinates are averaged by angle; the bitangent is the cross product.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def encode_normals(directions: Floats, frame: tuple[Floats, Floats, Floats]) -> 
     x, z = (dt * nn - dn * tn) / determinant, (dn * tt - dt * tn) / determinant
     # Nothing points below the surface in a normal map.
     local = _unit(np.stack([x, y, np.maximum(z, np.float32(1e-3))], axis=1))
-    return np.rint((local + 1) * np.float32(127.5)).clip(0, 255).astype(np.uint8)
+    return np.asarray(np.rint((local + 1) * np.float32(127.5)).clip(0, 255), np.uint8)
 
 
 def _interpolated(values: Floats, triangles: NDArray[Any], shares: Floats) -> Floats:
@@ -128,7 +128,7 @@ def _angles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _unit(vectors: NDArray[Any]) -> NDArray[Any]:
     length = np.sqrt(np.einsum("kx,kx->k", vectors, vectors))[:, None]
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
 
 
 def _dot(a: Floats, b: Floats) -> Floats:

@@ -162,7 +162,7 @@ def test_vertex_colours_that_multiply_an_image_are_baked() -> None:
 
 def test_an_image_that_repeats_is_baked_where_it_wraps() -> None:
     mesh = textured_ball(as_png(waves()))
-    moved = mesh.texture.uvs + (0.37, -2.0)
+    moved = mesh.texture.uvs + np.array([0.37, -2.0])
     original = mesh.with_(
         texture=type(mesh.texture)(moved, mesh.texture.material_ids, mesh.texture.materials)
     )

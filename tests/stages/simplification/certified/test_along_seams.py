@@ -61,7 +61,10 @@ def test_a_ball_with_seams_stays_closed_and_within_its_bound(share: float) -> No
 
 def test_a_looser_bound_leaves_less() -> None:
     mesh = checkered(wrapped_ball(24, 48, bumps=0.1))
-    counts = [len(simplify(mesh, keep_uv=True, max_shape=share * diagonal(mesh)).mesh.triangles) for share in (0.001, 0.01)]
+    counts = [
+        len(simplify(mesh, keep_uv=True, max_shape=share * diagonal(mesh)).mesh.triangles)
+        for share in (0.001, 0.01)
+    ]
     assert counts[1] < counts[0] / 3
 
 
@@ -100,7 +103,9 @@ def test_what_is_locked_stays_and_what_is_important_is_nearer() -> None:
     light = simplify(mesh, keep_uv=True, max_shape=0.02 * diagonal(mesh), lock=lock)
     kept = {tuple(p) for p in light.mesh.vertices.tolist()}
     assert {tuple(p) for p in mesh.vertices[lock].tolist()} <= kept
-    cared = simplify(mesh, keep_uv=True, max_shape=0.02 * diagonal(mesh), importance=np.where(lock, 10.0, 1.0))
+    cared = simplify(
+        mesh, keep_uv=True, max_shape=0.02 * diagonal(mesh), importance=np.where(lock, 10.0, 1.0)
+    )
     plain = simplify(mesh, keep_uv=True, max_shape=0.02 * diagonal(mesh))
     there = [int((one.mesh.vertices[:, 0] > 0.5).sum()) for one in (cared, plain)]
     assert there[0] > there[1]
