@@ -143,8 +143,8 @@ def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
 
 def _default_bound(metres: float) -> str:
     return (
-        f"No number and no bound was given: the shape stays within {at_most(metres)} m, 1/1000 of the model's "
-        "size. Give --max-shape or --ratio for another goal."
+        f"No number and no bound was given: the shape stays within {at_most(metres)} m, 1/1000 of the "
+        "model's size. Give --max-shape or --ratio for another goal."
     )
 
 

@@ -28,7 +28,7 @@ from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.texture import Image, Material, Texture, signed_areas
 from stages.surface.topology import areas
 from stages.texturing.bake import Baked
-from stages.texturing.correspondence import Correspondence, TexelSources
+from stages.texturing.correspondence import Correspondence
 from stages.texturing.detail import details_of
 from stages.texturing.filling import fill_gaps
 from stages.texturing.image_format import (
@@ -342,7 +342,7 @@ def _bake_class(
     found = []
     for page in range(len(pages.sizes)):
         label = f"{name}-{page + 1}" if len(pages.sizes) > 1 else name
-        found.append(baker.draft(correspondence.sources(page), page, label, totals))
+        found.append(baker.draft(correspondence, page, label, totals))
     return pages, found
 
 
@@ -398,11 +398,13 @@ class _ClassBaker:
         self._reduced: dict[tuple[int, int], Pixels] = {}
         self._frames: Any = None
 
-    def draft(self, sources: TexelSources, page: int, name: str, totals: _Totals) -> _Draft:
+    def draft(self, correspondence: Correspondence, page: int, name: str, totals: _Totals) -> _Draft:
         """Bake the images of one page of the atlas."""
+        sources = correspondence.sources(page)
+        self._correspondence, self._page = correspondence, page
         width, height = self._pages.sizes[page]
         filled = np.zeros(height * width, bool)
-        filled[sources.texels.pixels] = True
+        filled[sources.pixels] = True
         self._sources = sources
         self._numbers = self._texture.material_ids[sources.triangles]
         self._single = len(self._class.numbers) == 1
@@ -424,9 +426,11 @@ class _ClassBaker:
         canvases = []
         for _, _, texels in jobs:
             canvas = np.zeros((height * width, texels.shape[1]), np.uint8)
-            canvas[sources.texels.pixels] = texels
+            # As one item of three bytes each, which is moved at once.
+            whole = np.dtype(("V", texels.shape[1]))
+            canvas.view(whole)[sources.pixels] = np.ascontiguousarray(texels).view(whole)
             canvases.append(canvas.reshape(height, width, -1))
-        fill_gaps(canvases, filled.reshape(height, width), self._pages.padding)
+        fill_gaps(canvases, filled.reshape(height, width))
         index_of = {key: index for index, (key, _, _) in enumerate(jobs)}
         places = {}
         for path in (BASE_COLOR, *self._class.maps):
@@ -451,12 +455,14 @@ class _ClassBaker:
         uvs = self._texture.uvs
         kind = np.float64 if np.abs(uvs).max(initial=0) > _FAR else np.float32
         triangles, weights = self._sources.triangles, self._sources.weights
-        found = np.zeros((len(triangles), 2), kind)
+        # A row for each axis: columns of a matrix are several times as slow.
+        found = np.zeros((2, len(triangles)), kind)
         for corner in range(3):
             for axis in range(2):
-                values = np.ascontiguousarray(uvs[:, corner, axis], kind)
-                found[:, axis] += values.take(triangles) * weights[:, corner]
-        return found
+                values = np.ascontiguousarray(uvs[:, corner, axis], kind).take(triangles)
+                values *= weights[:, corner]
+                found[axis] += values
+        return found.T
 
     def _image(self, number: int, path: Path, channels: int) -> Pixels | None:
         """Return the pixels of a map, no finer than the atlas shows."""
@@ -590,13 +596,14 @@ class _ClassBaker:
         old, new = self._frames
         sources = self._sources
         found = np.empty_like(texels)
+        under, shares = self._correspondence.points_under(self._page, sources.pixels)
         step = 1 << 19
         for start in range(0, len(texels), step):
             rows = slice(start, start + step)
             directions = decode_normals(
                 texels[rows], old.at(sources.triangles[rows], sources.weights[rows]), scales[rows]
             )
-            frame = new.at(sources.texels.triangles[rows], sources.texels.shares[rows])
+            frame = new.at(under[rows], shares[rows])
             found[rows] = encode_normals(directions, frame)
         return found
 

@@ -1,23 +1,32 @@
 """Correspondence between the texels of a simplified mesh and points of the original surface.
 
 Every vertex of the original is taken to the nearest point of the simplified mesh. With its vertices each
-triangle comes into the atlas, where it is rasterised, at the cost of one query for each vertex. Triangles that
-fold over or tear there are left out. Texels that stay empty get a query of their own.
+triangle comes into the atlas, where it is rasterised, at the cost of one query for each vertex. Triangles
+that fold over or tear there are left out. Texels that stay empty get a query of their own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages._opencv import require_opencv
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Located, Surface, bounding_box, unit_normals
+from stages.surface.raycasting import (
+    Floats,
+    Located,
+    Surface,
+    bounding_box,
+    closest_weights,
+    unit_normals,
+)
 from stages.surface.texture import signed_areas
 from stages.texturing.facing import FacingColors
-from stages.texturing.pages import Pages, Texels, texels_of
+from stages.texturing.pages import Pages
 
 # Largest stretch of an edge of the original in the atlas, relative to its length on the surface, and texels
 # that are always allowed, as rounding weighs most where triangles are small.
@@ -27,6 +36,8 @@ _FREE_TEXELS = 2.0
 _MIN_ALIGNED = 0.8
 # Texels looked up at a time: bounds the memory.
 _AT_ONCE = 1 << 18
+# Bits of the fraction of a coordinate that OpenCV draws with, and charts that 16 bits can number.
+_FRACTION, _MAX_LABEL = 8, (1 << 16) - 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +46,13 @@ class TexelSources:
 
     Attributes
     ----------
-    texels : Texels of the simplified mesh.
+    pixels : (n,) uint32, row × width + column, each once.
     triangles : (n,) int32, triangle of the original for each texel.
     weights : (n, 3) float32, barycentric weights of its corners.
     turned_count : texels whose nearest point faced away, so that another one was taken.
     """
 
-    texels: Texels
+    pixels: NDArray[np.uint32]
     triangles: NDArray[np.int32]
     weights: NDArray[np.float32]
     turned_count: int
@@ -79,33 +90,101 @@ class Correspondence:
         self._texel_size = pages.texel_size(simplified.mesh)
         self._entries = self._placed_triangles()
         self._facing: FacingColors | None = None
+        self._triangle_images: dict[int, NDArray[np.int32]] = {}
 
     def sources(self, page: int) -> TexelSources:
         """Return the sources of all texels of an image."""
         width, height = self._pages.sizes[page]
-        texels = texels_of(self._pages, page)
+        charts = self._chart_image(page).reshape(-1)
         entries = self._entries
-        drawn = _kernels.texels(entries.corners, entries.pages, page=page, width=width, height=height)
-        # Row of each pixel in `drawn`, -1 for none.
-        row_of = np.full(width * height, -1, np.int32)
-        row_of[drawn[0]] = np.arange(len(drawn[0]), dtype=np.int32)
-        rows = row_of[texels.pixels]
-        entry = drawn[1][rows]
-        is_found = (rows >= 0) & (entries.charts[entry] == self._pages.charts[texels.triangles])
-        triangles = entries.triangles[entry].astype(np.int32)
-        weights = drawn[2][rows]
-        missing = np.flatnonzero(~is_found)
-        turned_count = 0
-        if len(missing):
-            facing = self._facing_lookup()
-            for start in range(0, len(missing), _AT_ONCE):
-                some = missing[start : start + _AT_ONCE]
-                found, shares, turned = facing.locate(
-                    texels.triangles[some].astype(np.int64), texels.shares[some].astype(np.float64)
-                )
-                triangles[some], weights[some] = found, shares
-                turned_count += turned
-        return TexelSources(texels, triangles, weights, turned_count)
+        pixels, drawn, weights = _kernels.texels(
+            entries.corners, entries.pages, page=page, width=width, height=height
+        )
+        # Texels are in the order of the triangles: repeating is far faster than looking up.
+        counts = np.bincount(drawn, minlength=len(entries.triangles))
+        own = np.repeat(entries.charts.astype(charts.dtype) + charts.dtype.type(1), counts)
+        is_right = charts[pixels] == own
+        triangles = np.repeat(entries.triangles.astype(np.int32), counts)
+        if not is_right.all():
+            pixels, triangles, weights = pixels[is_right], triangles[is_right], weights[is_right]
+        is_missing = charts > 0
+        is_missing[pixels] = False
+        missing = np.flatnonzero(is_missing).astype(np.uint32)
+        if not len(missing):
+            return TexelSources(pixels, triangles, weights, 0)
+        own_triangles, shares = self.points_under(page, missing)
+        facing = self._facing_lookup()
+        found, found_weights, turned_count = [triangles], [weights], 0
+        for start in range(0, len(missing), _AT_ONCE):
+            rows = slice(start, start + _AT_ONCE)
+            some, some_weights, turned = facing.locate(
+                own_triangles[rows].astype(np.int64), shares[rows].astype(np.float64)
+            )
+            found.append(some.astype(np.int32))
+            found_weights.append(some_weights.astype(np.float32))
+            turned_count += turned
+        return TexelSources(
+            np.concatenate([pixels, missing]),
+            np.concatenate(found),
+            np.concatenate(found_weights),
+            turned_count,
+        )
+
+    def points_under(
+        self, page: int, pixels: NDArray[np.uint32]
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return the triangles (k,) of the simplified mesh under texels, and their weights (k, 3).
+
+        Beside a chart the nearest point of its border counts.
+        """
+        triangle_of = self._triangle_image(page).reshape(-1)
+        width = self._pages.sizes[page][0]
+        triangles = triangle_of[pixels]
+        row, column = np.divmod(pixels, np.uint32(width))
+        points = np.stack([column, row], axis=1) + 0.5
+        corners = self._pages.corners[triangles]
+        lifted = np.zeros((len(points), 3))
+        lifted[:, :2] = points
+        flat = np.zeros((len(points), 3, 3))
+        flat[..., :2] = corners
+        return triangles, closest_weights(lifted, flat).astype(np.float32)
+
+    def _chart_image(self, page: int) -> NDArray[Any]:
+        """Return the number of the chart at each texel (h, w), from 1; 0 where there is none."""
+        import cv2
+
+        kind = np.uint16 if self._pages.charts.max() < _MAX_LABEL else np.float32
+        image = self._drawn(page, self._pages.charts, np.dtype(kind))
+        # Bilinear samples at a border reach one texel further.
+        around = cv2.dilate(image, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+        return np.where(image > 0, image, around)
+
+    def _triangle_image(self, page: int) -> NDArray[np.int32]:
+        """Return the triangle of the simplified mesh at each texel (h, w), or one close by."""
+        import cv2
+
+        if page not in self._triangle_images:
+            # OpenCV spreads no integers of 32 bits; of these numbers single precision holds 16 million.
+            numbers = np.arange(len(self._pages.charts), dtype=np.int32)
+            image = self._drawn(page, numbers, np.dtype(np.float32))
+            around = cv2.dilate(image, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+            image = np.where(image > 0, image, around)
+            self._triangle_images[page] = (image.astype(np.int32) - 1).clip(0)
+        return self._triangle_images[page]
+
+    def _drawn(self, page: int, values: NDArray[np.int32], kind: np.dtype[Any]) -> NDArray[Any]:
+        """Draw the triangles of an image of the atlas, each with its value and 1."""
+        require_opencv()
+        import cv2
+
+        width, height = self._pages.sizes[page]
+        image = np.zeros((height, width), kind)
+        chosen = np.flatnonzero(self._pages.pages == page)
+        # Texel centres lie at halves.
+        fixed = np.rint((self._pages.corners[chosen] - 0.5) * (1 << _FRACTION)).astype(np.int32)
+        for corners, value in zip(fixed, (values[chosen] + 1).tolist(), strict=True):
+            cv2.fillConvexPoly(image, corners, value, shift=_FRACTION)
+        return image
 
     def _facing_lookup(self) -> FacingColors:
         if self._facing is None:

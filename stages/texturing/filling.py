@@ -10,9 +10,6 @@ from numpy.typing import NDArray
 
 from stages._opencv import require_opencv
 
-# Side of the blocks that far gaps are filled by, and the share of one that has to be known.
-_BLOCK, _KNOWN = 8, 0.02
-
 
 def filled_up(image: NDArray[np.float32], filled: NDArray[np.bool_], padding: int) -> NDArray[np.uint8]:
     """Fill the gaps: near charts with the colour of the nearest texel, beyond with means that grow softer."""
@@ -51,54 +48,48 @@ def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> None:
     image[rows, columns] = coarse[rows // 2, columns // 2]
 
 
-def fill_gaps(images: Sequence[NDArray[np.uint8]], filled: NDArray[np.bool_], padding: int) -> None:
-    """Fill the gaps of images (h, w, c) of one atlas in place, as `filled_up` does, several times as fast.
+def fill_gaps(images: Sequence[NDArray[np.uint8]], filled: NDArray[np.bool_]) -> None:
+    """Fill the gaps of images (h, w, c) of one atlas in place with the means of blocks.
 
-    Beyond the padding, colours are means of blocks of eight texels and more.
+    A gap gets the mean of the smallest block of 2, 4, 8 … texels that shows anything. Halved images (mip levels)
+    thus mix a chart with its own colours alone, as long as no block reaches from one chart to another.
     """
+    if filled.all() or not filled.any():
+        return
+    for image in images:
+        _fill_from_blocks(image, filled)
+
+
+def _fill_from_blocks(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> None:
     require_opencv()
     import cv2
 
-    if filled.all() or not filled.any():
+    height, width, channels = image.shape
+    if height % 2 or width % 2:
+        # As halving goes on to the end.
+        grown = np.zeros((height + height % 2, width + width % 2, channels), np.uint8)
+        is_known = np.zeros(grown.shape[:2], bool)
+        grown[:height, :width], is_known[:height, :width] = image, known
+        _fill_from_blocks(grown, is_known)
+        image[:] = grown[:height, :width]
         return
-    distance, labels = cv2.distanceTransformWithLabels(
-        (~filled).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3, labelType=cv2.DIST_LABEL_PIXEL
+    mask = known.view(np.uint8)
+    blocks = mask.reshape(height // 2, 2, width // 2, 2)
+    count = blocks[:, 0, :, 0] + blocks[:, 0, :, 1] + blocks[:, 1, :, 0] + blocks[:, 1, :, 1]
+    size = (width // 2, height // 2)
+    coarse: NDArray[np.uint8] = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    coarse = coarse.reshape(*size[::-1], channels)
+    rows, columns = np.nonzero((count > 0) & (count < 4))
+    sums = np.zeros((len(rows), channels), np.float32)
+    for i in (0, 1):
+        for k in (0, 1):
+            at = 2 * rows + i, 2 * columns + k
+            sums += image[at] * mask[at][:, None].astype(np.float32)
+    coarse[rows, columns] = np.rint(sums / count[rows, columns][:, None])
+    if not count.all():
+        _fill_from_blocks(coarse, count > 0)
+    back: NDArray[np.uint8] = np.asarray(
+        cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8
     )
-    source = np.empty(int(labels.max()) + 1, np.int32)
-    source[labels[filled]] = np.flatnonzero(filled)
-    is_gap = (distance <= padding) & ~filled
-    near, taken = np.flatnonzero(is_gap), source[labels[is_gap]]
-    far = np.flatnonzero(distance > padding)
-    height, width = filled.shape
-    row, column = np.divmod(far, width)
-    for image in images:
-        texels = image.reshape(height * width, -1)
-        texels[near] = texels[taken]
-        if len(far):
-            texels[far] = _coarse(image, distance <= padding)[row // _BLOCK, column // _BLOCK]
-
-
-def _coarse(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return means of blocks of the known texels; blocks without any get those of coarser ones."""
-    import cv2
-
-    size = tuple(-(-side // _BLOCK) for side in known.shape)
-    # Blocks at the far edges are continued by nothing.
-    grown = (size[0] * _BLOCK, size[1] * _BLOCK)
-    weight = np.zeros(grown, np.float32)
-    weight[: known.shape[0], : known.shape[1]] = known
-    # A channel at a time: rounding before the division would show where little is known.
-    total = cv2.resize(weight, size[::-1], interpolation=cv2.INTER_AREA)
-    planes = []
-    for channel in range(image.shape[2]):
-        weight[: known.shape[0], : known.shape[1]] = image[..., channel]
-        weight[: known.shape[0], : known.shape[1]] *= known
-        planes.append(cv2.resize(weight, size[::-1], interpolation=cv2.INTER_AREA))
-    means = np.stack(planes, axis=2) / np.maximum(total, np.float32(1e-3))[:, :, None]
-    # To a power of two, which can be halved to the end.
-    side = 1 << max(max(size) - 1, 0).bit_length()
-    whole = np.zeros((side, side, means.shape[2]), np.float32)
-    is_known = np.zeros((side, side), bool)
-    whole[: size[0], : size[1]], is_known[: size[0], : size[1]] = means, total > _KNOWN
-    _pull_push(whole, is_known)
-    return np.asarray(np.rint(whole[: size[0], : size[1]]).clip(0, 255), np.uint8)
+    gap = (1 - mask)[:, :, None] if channels == 1 else 1 - mask
+    cv2.copyTo(back.reshape(image.shape), gap, image)

@@ -55,11 +55,15 @@ def _pixels(at: NDArray[np.floating[Any]], count: int, way: str) -> NDArray[np.f
             at = at - np.floor(at)
     else:
         at = 1 - np.abs(1 - (at - 2 * np.floor(at / 2)))
-    return np.asarray(at * count + (_MARGIN - 0.5), np.float32)
+    found = np.multiply(at, count, dtype=np.float32, casting="same_kind")
+    found += np.float32(_MARGIN - 0.5)
+    return found
 
 
 def _in_rows(values: NDArray[np.float32]) -> NDArray[np.float32]:
     rows = -(-len(values) // _ROW)
+    if rows * _ROW == len(values):
+        return values.reshape(rows, _ROW)
     found = np.zeros(rows * _ROW, np.float32)
     found[: len(values)] = values
     return found.reshape(rows, _ROW)
