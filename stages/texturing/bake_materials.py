@@ -403,14 +403,13 @@ class _ClassBaker:
         sources = correspondence.sources(page)
         self._correspondence, self._page = correspondence, page
         width, height = self._pages.sizes[page]
-        filled = np.zeros(height * width, bool)
-        filled[sources.pixels] = True
+        filled = sources.is_filled
         self._sources = sources
         self._numbers = self._texture.material_ids[sources.triangles]
         self._single = len(self._class.numbers) == 1
         self._uvs = self._coordinates()
         totals.texels += width * height
-        totals.shown += len(sources.triangles)
+        totals.shown += int(np.count_nonzero(filled))
         totals.turned += sources.turned_count
         first = self._first()
         jobs: list[tuple[Any, Path, Pixels]] = []
@@ -459,10 +458,11 @@ class _ClassBaker:
         found = np.zeros((2, len(triangles)), kind)
         for corner in range(3):
             for axis in range(2):
-                values = np.ascontiguousarray(uvs[:, corner, axis], kind).take(triangles)
+                values = np.ascontiguousarray(uvs[:, corner, axis], kind).take(triangles, mode="clip")
                 values *= weights[:, corner]
                 found[axis] += values
-        return found.T
+        coordinates: NDArray[np.floating[Any]] = found.T
+        return coordinates
 
     def _image(self, number: int, path: Path, channels: int) -> Pixels | None:
         """Return the pixels of a map, no finer than the atlas shows."""

@@ -36,6 +36,8 @@ _FREE_TEXELS = 2.0
 _MIN_ALIGNED = 0.8
 # Texels looked up at a time: bounds the memory.
 _AT_ONCE = 1 << 18
+# Around a texel, the nearest first.
+_NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 # Bits of the fraction of a coordinate that OpenCV draws with, and charts that 16 bits can number.
 _FRACTION, _MAX_LABEL = 8, (1 << 16) - 2
 
@@ -46,15 +48,17 @@ class TexelSources:
 
     Attributes
     ----------
-    pixels : (n,) uint32, row × width + column, each once.
+    pixels : (n,) uint32, row × width + column; of several for one texel the last one counts.
     triangles : (n,) int32, triangle of the original for each texel.
     weights : (n, 3) float32, barycentric weights of its corners.
+    is_filled : (h · w,) bool, texels of charts, with one around each; what others show is of no use.
     turned_count : texels whose nearest point faced away, so that another one was taken.
     """
 
     pixels: NDArray[np.uint32]
     triangles: NDArray[np.int32]
     weights: NDArray[np.float32]
+    is_filled: NDArray[np.bool_]
     turned_count: int
 
 
@@ -102,16 +106,13 @@ class Correspondence:
         )
         # Texels are in the order of the triangles: repeating is far faster than looking up.
         counts = np.bincount(drawn, minlength=len(entries.triangles))
-        own = np.repeat(entries.charts.astype(charts.dtype) + charts.dtype.type(1), counts)
-        is_right = charts[pixels] == own
         triangles = np.repeat(entries.triangles.astype(np.int32), counts)
-        if not is_right.all():
-            pixels, triangles, weights = pixels[is_right], triangles[is_right], weights[is_right]
-        is_missing = charts > 0
-        is_missing[pixels] = False
-        missing = np.flatnonzero(is_missing).astype(np.uint32)
+        shown = np.zeros_like(charts)
+        shown[pixels] = np.repeat(entries.charts.astype(charts.dtype) + charts.dtype.type(1), counts)
+        is_filled = charts > 0
+        missing = np.flatnonzero(is_filled & (shown != charts)).astype(np.uint32)
         if not len(missing):
-            return TexelSources(pixels, triangles, weights, 0)
+            return TexelSources(pixels, triangles, weights, is_filled, 0)
         own_triangles, shares = self.points_under(page, missing)
         facing = self._facing_lookup()
         found, found_weights, turned_count = [triangles], [weights], 0
@@ -127,6 +128,7 @@ class Correspondence:
             np.concatenate([pixels, missing]),
             np.concatenate(found),
             np.concatenate(found_weights),
+            is_filled,
             turned_count,
         )
 
@@ -137,40 +139,43 @@ class Correspondence:
 
         Beside a chart the nearest point of its border counts.
         """
-        triangle_of = self._triangle_image(page).reshape(-1)
         width = self._pages.sizes[page][0]
-        triangles = triangle_of[pixels]
-        row, column = np.divmod(pixels, np.uint32(width))
-        points = np.stack([column, row], axis=1) + 0.5
-        corners = self._pages.corners[triangles]
-        lifted = np.zeros((len(points), 3))
-        lifted[:, :2] = points
-        flat = np.zeros((len(points), 3, 3))
-        flat[..., :2] = corners
-        return triangles, closest_weights(lifted, flat).astype(np.float32)
+        row, column = np.divmod(pixels.astype(np.int32), np.int32(width))
+        triangles = self._triangles_at(page, row, column)
+        flat = np.zeros((len(pixels), 3, 3))
+        flat[..., :2] = self._pages.corners[triangles]
+        points = np.stack([column + 0.5, row + 0.5, np.zeros(len(pixels))], axis=1)
+        return triangles, closest_weights(points, flat).astype(np.float32)
+
+    def _triangles_at(
+        self, page: int, row: NDArray[np.int32], column: NDArray[np.int32]
+    ) -> NDArray[np.int32]:
+        """Return the triangle of the simplified mesh at texels, or at a neighbour of each."""
+        if page not in self._triangle_images:
+            numbers = np.arange(len(self._pages.charts), dtype=np.int32)
+            self._triangle_images[page] = self._drawn(page, numbers, np.dtype(np.int32))
+        image = self._triangle_images[page]
+        found = image[row, column]
+        for down, right in _NEIGHBOURS:
+            (left,) = np.nonzero(found == 0)
+            if not len(left):
+                break
+            rows = (row[left] + down).clip(0, image.shape[0] - 1)
+            found[left] = image[rows, (column[left] + right).clip(0, image.shape[1] - 1)]
+        return np.asarray((found - 1).clip(0), np.int32)
 
     def _chart_image(self, page: int) -> NDArray[Any]:
         """Return the number of the chart at each texel (h, w), from 1; 0 where there is none."""
+        require_opencv()
         import cv2
 
         kind = np.uint16 if self._pages.charts.max() < _MAX_LABEL else np.float32
         image = self._drawn(page, self._pages.charts, np.dtype(kind))
-        # Bilinear samples at a border reach one texel further.
-        around = cv2.dilate(image, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
-        return np.where(image > 0, image, around)
-
-    def _triangle_image(self, page: int) -> NDArray[np.int32]:
-        """Return the triangle of the simplified mesh at each texel (h, w), or one close by."""
-        import cv2
-
-        if page not in self._triangle_images:
-            # OpenCV spreads no integers of 32 bits; of these numbers single precision holds 16 million.
-            numbers = np.arange(len(self._pages.charts), dtype=np.int32)
-            image = self._drawn(page, numbers, np.dtype(np.float32))
-            around = cv2.dilate(image, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
-            image = np.where(image > 0, image, around)
-            self._triangle_images[page] = (image.astype(np.int32) - 1).clip(0)
-        return self._triangle_images[page]
+        # Bilinear samples at a border reach one texel further. Padding keeps charts farther apart than that.
+        spread: NDArray[Any] = np.asarray(
+            cv2.dilate(image, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+        )
+        return spread
 
     def _drawn(self, page: int, values: NDArray[np.int32], kind: np.dtype[Any]) -> NDArray[Any]:
         """Draw the triangles of an image of the atlas, each with its value and 1."""

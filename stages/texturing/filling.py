@@ -51,8 +51,8 @@ def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> None:
 def fill_gaps(images: Sequence[NDArray[np.uint8]], filled: NDArray[np.bool_]) -> None:
     """Fill the gaps of images (h, w, c) of one atlas in place with the means of blocks.
 
-    A gap gets the mean of the smallest block of 2, 4, 8 … texels that shows anything. Halved images (mip levels)
-    thus mix a chart with its own colours alone, as long as no block reaches from one chart to another.
+    A gap gets the mean of the smallest block of 2, 4, 8 … texels that shows anything. Halved images (mip
+    levels) thus mix a chart with its own colours alone, as long as no block reaches from one to another.
     """
     if filled.all() or not filled.any():
         return

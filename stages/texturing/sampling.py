@@ -55,7 +55,7 @@ def _pixels(at: NDArray[np.floating[Any]], count: int, way: str) -> NDArray[np.f
             at = at - np.floor(at)
     else:
         at = 1 - np.abs(1 - (at - 2 * np.floor(at / 2)))
-    found = np.multiply(at, count, dtype=np.float32, casting="same_kind")
+    found: NDArray[np.float32] = np.multiply(at, count, dtype=np.float32, casting="same_kind")
     found += np.float32(_MARGIN - 0.5)
     return found
 
