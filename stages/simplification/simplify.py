@@ -184,7 +184,22 @@ def simplify(
                 "mesh",
             ) from error
         raise MeshError(f"{error}.", "mesh") from error
-    return found if plan is None else plan.bake(found)
+    if plan is None:
+        return found
+    try:
+        return plan.bake(found)
+    except MeshError as error:
+        if params.bake:
+            raise
+        if params.method != AUTO:
+            note = f"the images are left out, as they could not be baked anew: {error}"
+            return _with_notes(found, (note,))
+        note = f"the images are kept with their seams, as they could not be baked anew: {error}"
+    kept = resolve(SimplifyParams, params, {"keep_uv": True})
+    again = simplify(
+        mesh, kept, lock=lock, importance=importance, regions=regions, partial=partial, progress=progress
+    )
+    return _with_notes(replace(again, default_max_shape=bound), (note,))
 
 
 def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:

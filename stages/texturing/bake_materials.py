@@ -194,6 +194,11 @@ def bake_materials(
         source_bytes + _BYTES_PER_TRIANGLE * removed,
     )
     materials = _with_images(drafts, encoded)
+    if scale < 1:
+        totals.notes.append(
+            f"baked images have {scale:.0%} of the resolution of the old ones along each side, so that the "
+            "file is no larger than the input."
+        )
     mesh = simplified.with_(
         colors=None,
         texture=Texture(uvs, material_ids, tuple(materials)),

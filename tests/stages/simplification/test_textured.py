@@ -6,7 +6,8 @@ from seamed_meshes import wrapped_ball
 from textured_models import as_jpeg, as_png, gltf_material, textured_ball, waves, with_materials
 
 import stages
-from stages.errors import UsageError
+from stages.errors import MeshError, UsageError
+from stages.simplification import textured
 from stages.simplification.simplify import simplify
 from stages.simplification.textured import derive_max_shape
 from stages.surface.mesh import Image, Material, Mesh, Texture
@@ -150,6 +151,21 @@ def test_images_that_an_atlas_cannot_hold_stay(how: str) -> None:
     assert found.method == "seams"
     assert any("texture coordinates and images are kept" in note for note in found.mesh.notes)
     assert found.mesh.texture.images[0] is mesh.texture.images[0]
+
+
+def test_images_that_cannot_be_laid_out_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise MeshError("falls into too many charts for an image of so few texels.", "mesh")
+
+    monkeypatch.setattr(textured, "bake_materials", fails)
+    mesh = textured_ball(as_png(waves()), rings=12, sectors=16)
+    found = simplify(mesh, ratio=0.3)
+    assert found.method == "seams"
+    assert found.mesh.texture.images[0] is mesh.texture.images[0]
+    assert any("kept with their seams" in note for note in found.mesh.notes)
+    with pytest.raises(MeshError, match="too many charts"):
+        simplify(mesh, ratio=0.3, bake=True)
+    assert simplify(mesh, method="quadric", ratio=0.3).mesh.texture is None
 
 
 def test_vertex_colours_are_baked_on_request() -> None:
