@@ -105,7 +105,7 @@ def simplify(
     progress: Progress = silent,
     **changes: Unpack[keywords.SimplifyKeywords],
 ) -> Simplified[Any]:
-    """Make a mesh light: down to a number of triangles, or as far as bounds on shape and colour allow.
+    """Simplify a mesh to a triangle count, or as far as bounds on shape and colour allow.
 
     The result has the topology, the boundary loops and the orientation of the input; a boundary shrinks only
     along itself, and no triangle turns over. Equal input gives equal bytes, on any number of threads. The
@@ -132,8 +132,9 @@ def simplify(
     Returns
     -------
     Simplified
-        With `details` of the method's own type. The mesh has colours if the input has; a note of it says what
-        was left out, as texture is by all methods but `seams`, and when bounds are not proven.
+        With `details` of the method's own type. Images of the input are baked anew (`baked`, see
+        `stages.simplification.textured`), unless `keep_uv` or a method that carries them is given. Otherwise the
+        mesh has colours if the input has. A note says what was left out, and when bounds are not proven.
 
     Raises
     ------
