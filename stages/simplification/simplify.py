@@ -133,8 +133,8 @@ def simplify(
     -------
     Simplified
         With `details` of the method's own type. Images of the input are baked anew (`baked`, see
-        `stages.simplification.textured`), unless `keep_uv` or a method that carries them is given. Otherwise the
-        mesh has colours if the input has. A note says what was left out, and when bounds are not proven.
+        `stages.simplification.textured`), unless `keep_uv` or a method that carries them is given. Otherwise
+        the mesh has colours if the input has. A note says what was left out, and when bounds are not proven.
 
     Raises
     ------

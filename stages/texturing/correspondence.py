@@ -32,8 +32,10 @@ from stages.texturing.pages import Pages
 # that are always allowed, as rounding weighs most where triangles are small.
 _MAX_STRETCH = 2.0
 _FREE_TEXELS = 2.0
-# Cosine between a triangle and the plane of a chart that it extends beyond its border.
+# Cosine between a triangle and the plane of a chart that it extends, below which its texels are checked.
 _MIN_ALIGNED = 0.8
+# They may be as far from what they show as this many times the distance of its vertices, and as many texels.
+_MAX_DETOUR = 1.5
 # Texels looked up at a time: bounds the memory.
 _AT_ONCE = 1 << 18
 # Around a texel, the nearest first.
@@ -71,12 +73,14 @@ class _Entries:
     corners : (k, 3, 2) float64, texels.
     triangles : (k,) triangle of the original.
     charts, pages : (k,) of the simplified mesh.
+    is_doubtful : (k,) whether it is extended around a sharp edge, so that each of its texels is checked.
     """
 
     corners: Floats
     triangles: NDArray[np.int64]
     charts: NDArray[np.int32]
     pages: NDArray[np.int32]
+    is_doubtful: NDArray[np.bool_]
 
 
 class Correspondence:
@@ -109,6 +113,9 @@ class Correspondence:
         triangles = np.repeat(entries.triangles.astype(np.int32), counts)
         shown = np.zeros_like(charts)
         shown[pixels] = np.repeat(entries.charts.astype(charts.dtype) + charts.dtype.type(1), counts)
+        doubtful = np.flatnonzero(np.repeat(entries.is_doubtful, counts))
+        is_far = self._is_far(page, pixels[doubtful], triangles[doubtful], weights[doubtful])
+        shown[pixels[doubtful[is_far]]] = 0
         is_filled = charts > 0
         missing = np.flatnonzero(is_filled & (shown != charts)).astype(np.uint32)
         if not len(missing):
@@ -146,6 +153,22 @@ class Correspondence:
         flat[..., :2] = self._pages.corners[triangles]
         points = np.stack([column + 0.5, row + 0.5, np.zeros(len(pixels))], axis=1)
         return triangles, closest_weights(points, flat).astype(np.float32)
+
+    def _is_far(
+        self,
+        page: int,
+        pixels: NDArray[np.uint32],
+        triangles: NDArray[np.int32],
+        weights: NDArray[np.float32],
+    ) -> NDArray[np.bool_]:
+        """Return which texels show points of the original that are not where the texels are."""
+        own, shares = self.points_under(page, pixels)
+        mesh, original = self._simplified.mesh, self._original
+        points = np.einsum("kc,kcx->kx", shares, mesh.vertices[mesh.triangles[own]])
+        shown = np.einsum("kc,kcx->kx", weights, original.vertices[original.triangles[triangles]])
+        allowed = self._distances[original.triangles[triangles]].max(axis=1)
+        distances = np.linalg.norm(points - shown, axis=1)
+        return np.asarray(distances > _MAX_DETOUR * allowed + _MAX_DETOUR * self._texel_size)
 
     def _triangles_at(
         self, page: int, row: NDArray[np.int32], column: NDArray[np.int32]
@@ -201,6 +224,7 @@ class Correspondence:
         """Place the triangles of the original in the atlas, in the order in which they are drawn."""
         mesh, pages = self._original, self._pages
         located, is_facing = self._nearest_of_vertices()
+        self._distances = located.distances
         corner_charts = np.where(is_facing, pages.charts[located.triangles], -1)[mesh.triangles]
         is_usable = (corner_charts >= 0).all(axis=1)
         is_whole = is_usable & (corner_charts == corner_charts[:, :1]).all(axis=1)
@@ -211,11 +235,16 @@ class Correspondence:
         distance = located.distances[mesh.triangles[whole]].max(axis=1)
         whole = whole[np.argsort(-distance, kind="stable")]
         first = located.triangles[mesh.triangles[whole, 0]]
-        parts.append(_Entries(at[mesh.triangles[whole]], whole, corner_charts[whole, 0], pages.pages[first]))
+        is_doubtful = np.zeros(len(whole), bool)
+        parts.append(
+            _Entries(
+                at[mesh.triangles[whole]], whole, corner_charts[whole, 0], pages.pages[first], is_doubtful
+            )
+        )
         joined = _Entries(
             *(
                 np.concatenate([getattr(part, name) for part in parts])
-                for name in ("corners", "triangles", "charts", "pages")
+                for name in _Entries.__dataclass_fields__
             )
         )
         return self._sound(joined, located)
@@ -259,17 +288,20 @@ class Correspondence:
                 extended = np.einsum("kc,kcx->kx", weights, pages.corners[base])
                 is_here = (charts[rows, j] == charts[rows, k])[:, None]
                 corners[:, j] = np.where(is_here, at[vertices], extended)
-            # Around an edge that is too sharp, nothing lies where the plane of the chart goes on.
             aligned = np.einsum("kx,kx->k", own_normals[triangles[rows]], self._simplified.normals[base])
-            is_flat = aligned > _MIN_ALIGNED
-            rows, base, corners = rows[is_flat], base[is_flat], corners[is_flat]
             found.append(
-                _Entries(corners, triangles[rows], charts[rows, k].astype(np.int32), pages.pages[base])
+                _Entries(
+                    corners,
+                    triangles[rows],
+                    charts[rows, k].astype(np.int32),
+                    pages.pages[base],
+                    aligned < _MIN_ALIGNED,
+                )
             )
         return _Entries(
             *(
                 np.concatenate([getattr(part, name) for part in found])
-                for name in ("corners", "triangles", "charts", "pages")
+                for name in _Entries.__dataclass_fields__
             )
         )
 
@@ -294,6 +326,7 @@ class Correspondence:
             entries.triangles[kept],
             entries.charts[kept],
             np.ascontiguousarray(entries.pages[kept], np.int32),
+            entries.is_doubtful[kept],
         )
 
 
