@@ -42,7 +42,7 @@ def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, An
     raise UsageError(f"{name} is for {_why_not(_knowing(name)[0], params, given)}")
 
 
-def asks_nothing(params: SimplifyParams) -> bool:
+def has_no_goal(params: SimplifyParams) -> bool:
     """Return whether the parameters leave open how far to go, and with which method."""
     has_goal = params.triangles is not None or params.ratio is not None
     return params.method == AUTO and not has_goal and not _given(params)

@@ -12,7 +12,7 @@ from stages import _kernels
 from stages.errors import MeshError
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.simplification.auto import asks_nothing, chosen, require_taken
+from stages.simplification.auto import chosen, has_no_goal, require_taken
 from stages.simplification.corner_attributes import is_in_pieces
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.lines import lines_left_out
@@ -148,7 +148,7 @@ def simplify(
     require_measurable(mesh, "mesh")
     plan, reason = plan_baking(mesh, params, record=record)
     bound = None
-    if asks_nothing(params) and has_texture_images(mesh):
+    if has_no_goal(params) and has_texture_images(mesh):
         bound = derive_max_shape(mesh)
         params = resolve(SimplifyParams, params, {"max_shape": bound})
     if plan is not None and params.max_shape is not None:

@@ -1,4 +1,4 @@
-"""Simplification of textured models: shape is simplified freely, and the images are baked anew.
+"""Simplification of textured models without texture seams, and baking of their images.
 
 Texture coordinates would hold every seam in place. Without them only what must not mix stays apart: classes
 of materials that need images of their own, parts, and sharp edges.
@@ -100,7 +100,7 @@ def has_texture_images(mesh: Mesh) -> bool:
 
 
 def plan_baking(mesh: Mesh, params: SimplifyParams, *, record: bool) -> tuple[BakePlan | None, str | None]:
-    """Return how a mesh is simplified and baked, or None where it is not baked, and a reason to be reported.
+    """Plan the baking of a mesh; return None and a reason if images are kept.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def plan_baking(mesh: Mesh, params: SimplifyParams, *, record: bool) -> tuple[Ba
         return None, None
     is_image = has_texture_images(mesh)
     if not is_image:
-        return (_plan_of_colors(mesh), None) if params.bake else (None, None)
+        return (_plan_color_baking(mesh), None) if params.bake else (None, None)
     if params.bake is None:
         carrying = [method.name for method in METHODS if method.takes.texture]
         is_auto = params.method == AUTO
@@ -118,9 +118,9 @@ def plan_baking(mesh: Mesh, params: SimplifyParams, *, record: bool) -> tuple[Ba
         if params.method in carrying or (is_auto and (record or is_kept)):
             return None, None
     class_ids, classes = material_classes(mesh)
-    if params.bake is None and (reason := _why_not(mesh)) is not None:
+    if params.bake is None and (reason := _find_obstacle(mesh)) is not None:
         return None, reason
-    return BakePlan(mesh, _shape_of(mesh, class_ids, classes), class_ids, classes), None
+    return BakePlan(mesh, _strip_texture(mesh, class_ids, classes), class_ids, classes), None
 
 
 def derive_max_shape(mesh: Mesh) -> float:
@@ -141,19 +141,19 @@ def derive_max_shape(mesh: Mesh) -> float:
     return _SHAPE_PER_SIZE * float(np.linalg.norm(high - low))
 
 
-def _plan_of_colors(mesh: Mesh) -> BakePlan:
-    """Return the plan for a mesh without images, whose colours are baked."""
+def _plan_color_baking(mesh: Mesh) -> BakePlan:
+    """Plan the baking of vertex colours."""
     shape = mesh if not is_textured(mesh) else mesh.with_(texture=None)
     return BakePlan(mesh, shape, np.zeros(len(mesh.triangles), np.int32), ())
 
 
-def _shape_of(mesh: Mesh, class_ids: NDArray[np.int32], classes: tuple[MaterialClass, ...]) -> Mesh:
-    """Return a mesh without texture coordinates and colours."""
+def _strip_texture(mesh: Mesh, class_ids: NDArray[np.int32], classes: tuple[MaterialClass, ...]) -> Mesh:
+    """Remove texture coordinates and colours; keep classes as materials."""
     has_parts = mesh.part_ids is not None and len(np.unique(mesh.part_ids)) > 1
     bare = mesh.with_(colors=None, texture=None)
     if not has_parts:
         bare = bare.with_(part_ids=None, part_names=())
-    bare = _joined(_with_smooth_normals(bare))
+    bare = _join_copies(_smooth_normals(bare))
     if len(classes) == 1:
         return bare
     uvs = np.zeros((len(mesh.triangles), 3, 2))
@@ -161,8 +161,8 @@ def _shape_of(mesh: Mesh, class_ids: NDArray[np.int32], classes: tuple[MaterialC
     return bare.with_(texture=Texture(uvs, class_ids, materials))
 
 
-def _joined(mesh: Mesh) -> Mesh:
-    """Return a mesh whose copies of vertices along seams are in one place, also where rounding parts them."""
+def _join_copies(mesh: Mesh) -> Mesh:
+    """Move copies of vertices that rounding separates to one position."""
     sides = mesh.vertices[mesh.triangles] - np.roll(mesh.vertices[mesh.triangles], 1, axis=1)
     lengths = np.linalg.norm(sides, axis=2)
     if not lengths.any():
@@ -176,8 +176,8 @@ def _joined(mesh: Mesh) -> Mesh:
     return mesh.with_(vertices=positions)
 
 
-def _with_smooth_normals(mesh: Mesh) -> Mesh:
-    """Return a mesh with normals of vertices in place of those of corners, if no edge is sharp.
+def _smooth_normals(mesh: Mesh) -> Mesh:
+    """Replace corner normals by vertex normals if no edge is sharp.
 
     Files have several copies of a vertex along seams of the image, whose normals differ by rounding.
     """
@@ -196,8 +196,8 @@ def _with_smooth_normals(mesh: Mesh) -> Mesh:
     return mesh.with_(normals=unit[place], corner_normals=None)
 
 
-def _why_not(mesh: Mesh) -> str | None:
-    """Return why the images of a mesh had better stay as they are, if there is a reason."""
+def _find_obstacle(mesh: Mesh) -> str | None:
+    """Find a reason to keep the images of a mesh; None if there is none."""
     texture = mesh.texture
     assert texture is not None
     spread = np.abs(signed_areas(texture.uvs))

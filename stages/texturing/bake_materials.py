@@ -36,7 +36,7 @@ from stages.texturing.image_format import (
     ImageFormat,
     choose_format,
     encode_within,
-    resized,
+    resize_image,
 )
 from stages.texturing.material_classes import (
     BASE_COLOR,
@@ -47,7 +47,7 @@ from stages.texturing.material_classes import (
     is_opaque,
     value_at,
 )
-from stages.texturing.pages import Pages, fitted_within
+from stages.texturing.pages import Pages, lay_out_within
 from stages.texturing.sampling import sample_image
 from stages.texturing.tangent_frames import decode_normals, encode_normals, tangent_frames
 
@@ -58,8 +58,8 @@ _COMPARED = 50_000
 # Bytes that a triangle takes at least in a file of any format: what is removed leaves as many for images, and
 # the file is no larger than before.
 _BYTES_PER_TRIANGLE = 12
-# Texels of an atlas for each texel of the old images that is shown, as far as these have so many: an image that
-# is sampled again loses detail. On four scans a quarter more is worth 0.2 to 1.7 dB.
+# Texels of an atlas for each visible texel of the old images, as far as these have so many: an image that is
+# sampled again loses detail. On four scans a quarter more is worth 0.2 to 1.7 dB.
 _OVERSAMPLING = 1.25
 # An image that is finer than its atlas by more than this factor is averaged first.
 _SIMILAR = 1.25
@@ -127,7 +127,7 @@ class _Draft:
 
 @dataclass(eq=False)
 class _Totals:
-    """What all images come to."""
+    """Statistics of all images."""
 
     texels: int = 0
     shown: int = 0
@@ -165,7 +165,7 @@ def bake_materials(
     uvs = np.zeros((len(simplified.triangles), 3, 2))
     material_ids = np.full(len(simplified.triangles), -1, np.int32)
     totals = _Totals()
-    budgets = _budgets(original, original_class_ids, classes)
+    budgets = _compute_budgets(original, original_class_ids, classes)
     for index, one in enumerate(classes):
         progress(index, len(classes))
         rows = np.flatnonzero(class_ids == index)
@@ -177,14 +177,14 @@ def bake_materials(
                 material_ids[rows] = len(drafts)
                 drafts.append(original.texture.materials[one.numbers[0]])
             continue
-        part = _Part(_some(simplified, rows), _some(original, own), rows)
+        part = _Part(_select_triangles(simplified, rows), _select_triangles(original, own), rows)
         many = sum(other.is_baked for other in classes) > 1
         name = f"baked-{index + 1}" if many else "baked"
         pages, found = _bake_class(part, one, budgets[index], name, totals)
         uvs[rows] = pages.uvs
         material_ids[rows] = len(drafts) + pages.images
         drafts += found
-    sources = _all_images(original, classes)
+    sources = _list_all_images(original, classes)
     source_bytes = sum(len(image.file_bytes) for image in sources)
     removed = max(len(original.triangles) - len(simplified.triangles), 0)
     encoded, scale = encode_within(
@@ -196,7 +196,7 @@ def bake_materials(
         ],
         source_bytes + _BYTES_PER_TRIANGLE * removed,
     )
-    materials = _with_images(drafts, encoded)
+    materials = _attach_images(drafts, encoded)
     if scale < 1:
         totals.notes.append(
             f"baked images have {scale:.0%} of the resolution of the old ones along each side, so that the "
@@ -210,7 +210,7 @@ def bake_materials(
     box = bounding_box(original, mesh)
     color = sampled_color_error(asked(original, box), asked(mesh, box), _COMPARED)
     assert color is not None
-    laid = np.abs(signed_areas(uvs * _image_sizes(mesh)))
+    laid = np.abs(signed_areas(uvs * _get_image_sizes(mesh)))
     is_laid = laid > 0
     area = areas(mesh.vertices, mesh.triangles)
     return Baked(
@@ -231,8 +231,8 @@ def bake_materials(
     )
 
 
-def _with_images(drafts: Sequence[_Draft | Material], encoded: Sequence[EncodedImage]) -> list[Material]:
-    """Return the materials with their encoded images, which are in the order of the drafts."""
+def _attach_images(drafts: Sequence[_Draft | Material], encoded: Sequence[EncodedImage]) -> list[Material]:
+    """Create the materials from drafts and their encoded images, in the same order."""
     rest = iter(encoded)
     materials = []
     for draft in drafts:
@@ -244,15 +244,15 @@ def _with_images(drafts: Sequence[_Draft | Material], encoded: Sequence[EncodedI
     return materials
 
 
-def _image_sizes(mesh: Mesh) -> NDArray[np.float64]:
-    """Return the (width, height) of the image of each triangle, (m, 1, 2); 0 for none."""
+def _get_image_sizes(mesh: Mesh) -> NDArray[np.float64]:
+    """Return the image size of each triangle, (m, 1, 2); 0 without an image."""
     assert mesh.texture is not None
     sizes = [(0, 0) if m.image is None else m.image.pixels.shape[1::-1] for m in mesh.texture.materials]
     return np.array([*sizes, (0, 0)], float)[mesh.texture.material_ids][:, None]
 
 
-def _some(mesh: Mesh, rows: NDArray[np.intp]) -> Mesh:
-    """Return some triangles of a mesh, with the vertices that they use."""
+def _select_triangles(mesh: Mesh, rows: NDArray[np.intp]) -> Mesh:
+    """Select triangles of a mesh and the vertices that they use."""
     used, local = np.unique(mesh.triangles[rows], return_inverse=True)
     triangles = local.reshape(-1, 3).astype(np.int32)
     return replace(
@@ -263,25 +263,27 @@ def _some(mesh: Mesh, rows: NDArray[np.intp]) -> Mesh:
     )
 
 
-def _all_images(mesh: Mesh, classes: Sequence[MaterialClass]) -> list[Image]:
-    """Return the images that all classes replace, each once."""
+def _list_all_images(mesh: Mesh, classes: Sequence[MaterialClass]) -> list[Image]:
+    """List the images that baking replaces, without repeats."""
     assert mesh.texture is not None
     found: dict[int, Image] = {}
     for one in classes:
         if one.is_baked:
             for path in (BASE_COLOR, *one.maps):
-                found.update({id(image): image for image in _images(mesh.texture, one, path)})
+                found.update({id(image): image for image in _list_images(mesh.texture, one, path)})
     return list(found.values())
 
 
-def _images(texture: Texture, one: MaterialClass, path: Path) -> list[Image]:
-    """Return the images of a class in one place, each once."""
+def _list_images(texture: Texture, one: MaterialClass, path: Path) -> list[Image]:
+    """List the images of a class for one texture, without repeats."""
     found = [image_at(texture.materials[number], path) for number in one.numbers if number >= 0]
     return list({id(image): image for image in found if image is not None}.values())
 
 
-def _budgets(mesh: Mesh, class_ids: NDArray[np.int32], classes: Sequence[MaterialClass]) -> list[_Budget]:
-    """Return what each class may use; an image of several classes is divided by what they show of it."""
+def _compute_budgets(
+    mesh: Mesh, class_ids: NDArray[np.int32], classes: Sequence[MaterialClass]
+) -> list[_Budget]:
+    """Compute the texel budget of each class; classes share an image by covered area."""
     texture = mesh.texture
     assert texture is not None
     spread = np.abs(signed_areas(texture.uvs))
@@ -311,7 +313,7 @@ def _budgets(mesh: Mesh, class_ids: NDArray[np.int32], classes: Sequence[Materia
                     its = texture.material_ids[rows] == number
                     under[its] = spread[rows[its]] * width * height
                     max_side = max(max_side, width, height)
-            for image in _images(texture, one, path):
+            for image in _list_images(texture, one, path):
                 of_image = shares[id(image)]
                 share = of_image.get(index, 0.0) / max(sum(of_image.values()), 1e-300)
                 total += share * image.pixels.shape[0] * image.pixels.shape[1]
@@ -335,8 +337,8 @@ def _bake_class(
     surface = Surface(part.simplified, box)
     total = float(budget.covered.sum())
     limit = None if budget.texels is None else max(budget.texels, _MIN_TEXELS)
-    densities = _densities(surface, part.original, budget.covered)
-    pages = fitted_within(
+    densities = _compute_densities(surface, part.original, budget.covered)
+    pages = lay_out_within(
         part.simplified,
         densities,
         texels=max(_OVERSAMPLING * total, 1.0),
@@ -350,14 +352,16 @@ def _bake_class(
     found = []
     for page in range(len(pages.sizes)):
         label = f"{name}-{page + 1}" if len(pages.sizes) > 1 else name
-        found.append(baker.draft(correspondence, page, label, totals))
+        found.append(baker.bake_page(correspondence, page, label, totals))
     return pages, found
 
 
-def _densities(simplified: Surface, original: Mesh, covered: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how densely each triangle of the simplified mesh is to be sampled, relative to the others.
+def _compute_densities(
+    simplified: Surface, original: Mesh, covered: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute the relative texel density of each triangle of the simplified mesh.
 
-    All alike, unless the images of the original are far denser in one place than in another.
+    The density is even unless that of the original varies strongly over its surface.
     """
     mesh = simplified.mesh
     even = np.ones(len(mesh.triangles))
@@ -390,7 +394,7 @@ def _densities(simplified: Surface, original: Mesh, covered: NDArray[np.float64]
 
 
 class _ClassBaker:
-    """Bakes the maps of one class of materials."""
+    """Baker of the maps of one class of materials."""
 
     def __init__(
         self, part: _Part, one: MaterialClass, budget: _Budget, pages: Pages, covered: float
@@ -406,30 +410,30 @@ class _ClassBaker:
         self._reduced: dict[tuple[int, int], Pixels] = {}
         self._frames: Any = None
 
-    def draft(self, correspondence: Correspondence, page: int, name: str, totals: _Totals) -> _Draft:
+    def bake_page(self, correspondence: Correspondence, page: int, name: str, totals: _Totals) -> _Draft:
         """Bake the images of one page of the atlas."""
-        sources = correspondence.sources(page)
+        sources = correspondence.find_sources(page)
         self._correspondence, self._page = correspondence, page
         width, height = self._pages.sizes[page]
         filled = sources.is_filled
         self._sources = sources
         self._numbers = self._texture.material_ids[sources.triangles]
         self._single = len(self._class.numbers) == 1
-        self._uvs = self._coordinates()
+        self._uvs = self._interpolate_uvs()
         totals.texels += width * height
         totals.shown += int(np.count_nonzero(filled))
         totals.turned += sources.turned_count
-        first = self._first()
+        first = self._first_material()
         jobs: list[tuple[Any, Path, Pixels]] = []
-        base = self._base_color()
+        base = self._bake_base_color()
         if base is not None:
             jobs.append((BASE_COLOR, BASE_COLOR, base))
         for path in self._class.maps:
-            if not _images(self._texture, self._class, path):
+            if not _list_images(self._texture, self._class, path):
                 continue
-            key = self._signature(path)
+            key = self._map_key(path)
             if all(key != other for other, _, _ in jobs):
-                jobs.append((key, path, self._map(path)))
+                jobs.append((key, path, self._bake_map(path)))
         canvases = []
         for _, _, texels in jobs:
             canvas = np.zeros((height * width, texels.shape[1]), np.uint8)
@@ -441,24 +445,24 @@ class _ClassBaker:
         index_of = {key: index for index, (key, _, _) in enumerate(jobs)}
         places = {}
         for path in (BASE_COLOR, *self._class.maps):
-            key = BASE_COLOR if path == BASE_COLOR else self._signature(path)
+            key = BASE_COLOR if path == BASE_COLOR else self._map_key(path)
             if key in index_of:
                 places[path] = index_of[key]
         return _Draft(
             [
-                self._formatted(path, canvas, name)
+                self._prepare_image(path, canvas, name)
                 for (_, path, _), canvas in zip(jobs, canvases, strict=True)
             ],
             places,
-            lambda images: self._described(first, images, totals),
+            lambda images: self._build_material(first, images, totals),
         )
 
-    def _first(self) -> Material:
+    def _first_material(self) -> Material:
         number = self._class.numbers[0]
         return self._texture.materials[number] if number >= 0 else Material()
 
-    def _coordinates(self) -> NDArray[np.floating[Any]]:
-        """Return texture coordinates (n, 2) of the original under each texel."""
+    def _interpolate_uvs(self) -> NDArray[np.floating[Any]]:
+        """Interpolate the original texture coordinates (n, 2) at each texel."""
         uvs = self._texture.uvs
         kind = np.float64 if np.abs(uvs).max(initial=0) > _FAR else np.float32
         triangles, weights = self._sources.triangles, self._sources.weights
@@ -472,8 +476,8 @@ class _ClassBaker:
         coordinates: NDArray[np.floating[Any]] = found.T
         return coordinates
 
-    def _image(self, number: int, path: Path, channels: int) -> Pixels | None:
-        """Return the pixels of a map, no finer than the atlas shows."""
+    def _load_map(self, number: int, path: Path, channels: int) -> Pixels | None:
+        """Load a map, averaged to the resolution of the atlas if it is finer."""
         image = image_at(self._texture.materials[number], path) if number >= 0 else None
         if image is None:
             return None
@@ -485,27 +489,27 @@ class _ClassBaker:
             pixels = np.ascontiguousarray(pixels[..., :channels])
             height, width = pixels.shape[:2]
             its = self._texture.material_ids == number
-            finer = math.sqrt(float(self._spread[its].sum()) * width * height / self._share_of_atlas(its))
+            finer = math.sqrt(float(self._spread[its].sum()) * width * height / self._count_atlas_texels(its))
             if finer > _SIMILAR:
-                pixels = resized(pixels, (max(round(width / finer), 1), max(round(height / finer), 1)))
+                pixels = resize_image(pixels, (max(round(width / finer), 1), max(round(height / finer), 1)))
             self._reduced[key] = pixels
         return self._reduced[key]
 
-    def _share_of_atlas(self, its: NDArray[np.bool_]) -> float:
-        """Return about how many texels of the atlas show these triangles."""
+    def _count_atlas_texels(self, its: NDArray[np.bool_]) -> float:
+        """Estimate how many texels of the atlas show some triangles of the original."""
         shown = float(self._budget.covered[its].sum())
         return max(self._laid * shown / max(self._covered, 1e-300), 1e-300)
 
-    def _sampled(
+    def _sample_map(
         self, number: int, path: Path, chosen: NDArray[np.intp] | slice, channels: int
     ) -> Pixels | None:
-        pixels = self._image(number, path, channels)
+        pixels = self._load_map(number, path, channels)
         if pixels is None:
             return None
-        wrap = self._wrap(number, path)
+        wrap = self._get_wrap(number, path)
         return sample_image(pixels, self._uvs[chosen], wrap)
 
-    def _wrap(self, number: int, path: Path) -> tuple[str, str]:
+    def _get_wrap(self, number: int, path: Path) -> tuple[str, str]:
         material = self._texture.materials[number]
         if path == BASE_COLOR:
             return material.wrap
@@ -514,36 +518,36 @@ class _ClassBaker:
         sampler = material.kept.textures[info["index"]][1]
         return codes.get(sampler.get("wrapS"), "repeat"), codes.get(sampler.get("wrapT"), "repeat")
 
-    def _rows_of(self, number: int) -> NDArray[np.intp] | slice:
+    def _find_rows(self, number: int) -> NDArray[np.intp] | slice:
         return slice(None) if self._single else np.flatnonzero(self._numbers == number)
 
-    def _base_color(self) -> Pixels | None:
-        """Return the base colours (n, 3 or 4) under all texels; None where the class has none to bake."""
+    def _bake_base_color(self) -> Pixels | None:
+        """Bake the base colours (n, 3 or 4); None if the class has none."""
         mesh, one = self._part.original, self._class
-        images = _images(self._texture, one, BASE_COLOR)
+        images = _list_images(self._texture, one, BASE_COLOR)
         if not images and mesh.colors is None:
             return None
         channels = 4 if self.has_alpha() else 3
         found = np.full((len(self._sources.triangles), channels), _WHITE, np.uint8)
         for number in one.numbers:
-            rows = self._rows_of(number)
-            sampled = self._sampled(number, BASE_COLOR, rows, channels)
+            rows = self._find_rows(number)
+            sampled = self._sample_map(number, BASE_COLOR, rows, channels)
             if sampled is None:
-                found[rows, :3] = self._colors_at(rows)
+                found[rows, :3] = self._sample_colors(rows)
                 continue
             material = self._texture.materials[number]
             if material.base_color is not None and not self._keeps_color():
-                sampled = _tinted(sampled, material.base_color)
+                sampled = _apply_tint(sampled, material.base_color)
             if mesh.colors is not None and multiplies_colors(material):
-                sampled = self._times_colors(sampled, rows)
+                sampled = self._multiply_colors(sampled, rows)
             found[rows] = sampled
         bare = np.flatnonzero(~self._has_uvs[self._sources.triangles])
         if len(bare) and images:
-            found[bare, :3] = self._colors_at(bare)
+            found[bare, :3] = self._sample_colors(bare)
         return found
 
     def has_alpha(self) -> bool:
-        """Return whether the alpha of an image of the class counts, and is not 255 everywhere."""
+        """Return whether any image of the class has visible transparency."""
         for number in self._class.numbers:
             image = image_at(self._texture.materials[number], BASE_COLOR) if number >= 0 else None
             if image is None or image.pixels.shape[2] < 4 or is_opaque(self._texture.materials[number]):
@@ -553,16 +557,16 @@ class _ClassBaker:
         return False
 
     def _keeps_color(self) -> bool:
-        """Return whether the materials agree on the base colour, which then stays a factor."""
+        """Return whether all materials share a base colour, which then stays a factor."""
         colors = {self._texture.materials[number].base_color for number in self._class.numbers if number >= 0}
-        return len(colors) == 1 and bool(_images(self._texture, self._class, BASE_COLOR))
+        return len(colors) == 1 and bool(_list_images(self._texture, self._class, BASE_COLOR))
 
-    def _colors_at(self, rows: NDArray[np.intp] | slice) -> Pixels:
+    def _sample_colors(self, rows: NDArray[np.intp] | slice) -> Pixels:
         weights = self._sources.weights[rows]
         found = color_at(self._part.original, self._sources.triangles[rows], weights)
         return np.rint(found).clip(0, 255).astype(np.uint8)
 
-    def _times_colors(self, sampled: Pixels, rows: NDArray[np.intp] | slice) -> Pixels:
+    def _multiply_colors(self, sampled: Pixels, rows: NDArray[np.intp] | slice) -> Pixels:
         bare = self._part.original.with_(texture=None)
         colors = color_at(bare, self._sources.triangles[rows], self._sources.weights[rows])
         light = linear_from_srgb(_SRGB_LEVELS)[sampled[:, :3]] * linear_from_srgb(colors / 255)
@@ -570,8 +574,8 @@ class _ClassBaker:
         sampled[:, :3] = np.rint(255 * srgb_from_linear(light)).clip(0, 255)
         return sampled
 
-    def _map(self, path: Path) -> Pixels:
-        """Return another map (n, 3) under all texels."""
+    def _bake_map(self, path: Path) -> Pixels:
+        """Bake a map other than the base colour, (n, 3)."""
         found = np.full((len(self._sources.triangles), 3), _WHITE, np.uint8)
         is_normal = path[-1].lower().endswith("normaltexture")
         if is_normal:
@@ -579,23 +583,23 @@ class _ClassBaker:
         scale: Any = 1.0
         scales = np.ones(len(found), np.float32) if is_normal else None
         for number in self._class.numbers:
-            rows = self._rows_of(number)
-            sampled = self._sampled(number, path, rows, 3)
+            rows = self._find_rows(number)
+            sampled = self._sample_map(number, path, rows, 3)
             if sampled is None:
                 continue
             if is_normal and scales is not None:
                 tree = self._texture.materials[number].kept.tree
                 scales[rows] = float(value_at(tree, (*path, "scale"), 1.0))
             else:
-                sampled = self._with_factors(sampled, number, path)
+                sampled = self._apply_factors(sampled, number, path)
             found[rows] = sampled
         if not is_normal:
             return found
         scale = scales
-        return self._turned_normals(found, scale)
+        return self._transform_normals(found, scale)
 
-    def _turned_normals(self, texels: Pixels, scales: NDArray[np.float32]) -> Pixels:
-        """Take normals from the tangent frames of the original to those of the simplified mesh."""
+    def _transform_normals(self, texels: Pixels, scales: NDArray[np.float32]) -> Pixels:
+        """Transform normals from original to simplified tangent frames."""
         if self._frames is None:
             self._frames = (
                 tangent_frames(self._part.original, self._texture.uvs),
@@ -604,7 +608,7 @@ class _ClassBaker:
         old, new = self._frames
         sources = self._sources
         found = np.empty_like(texels)
-        under, shares = self._correspondence.points_under(self._page, sources.pixels)
+        under, shares = self._correspondence.locate_texels(self._page, sources.pixels)
         step = 1 << 19
         for start in range(0, len(texels), step):
             rows = slice(start, start + step)
@@ -615,15 +619,15 @@ class _ClassBaker:
             found[rows] = encode_normals(directions, frame)
         return found
 
-    def _with_factors(self, sampled: Pixels, number: int, path: Path) -> Pixels:
-        """Multiply a map by the factors of its material, where materials differ in them."""
+    def _apply_factors(self, sampled: Pixels, number: int, path: Path) -> Pixels:
+        """Multiply a map by its factors if the materials of the class differ in them."""
         if path not in FACTORS or self._shares_factors(path):
             return sampled
         tree = self._texture.materials[number].kept.tree
         values = [value_at(tree, place, default) for place, default in FACTORS[path]]
         shown = sampled.astype(np.float32)
         if path == ("emissiveTexture",):
-            return _tinted(sampled, (*map(float, srgb_from_linear(np.array(values[0]))), 1.0))
+            return _apply_tint(sampled, (*map(float, srgb_from_linear(np.array(values[0]))), 1.0))
         if path == ("occlusionTexture",):
             shown = 255 + float(values[0]) * (shown - 255)
         else:
@@ -644,27 +648,27 @@ class _ClassBaker:
         }
         return len(found) == 1
 
-    def _signature(self, path: Path) -> Any:
-        """Return what tells whether two maps of the class come out the same."""
+    def _map_key(self, path: Path) -> Any:
+        """Return a key that is equal for maps with equal results."""
         is_normal = path[-1].lower().endswith("normaltexture")
         images = tuple(id(image_at(self._texture.materials[number], path)) for number in self._class.numbers)
         is_own = is_normal or (path in FACTORS and not self._shares_factors(path))
-        wraps = tuple(self._wrap(number, path) for number in self._class.numbers)
+        wraps = tuple(self._get_wrap(number, path) for number in self._class.numbers)
         return (images, wraps, path if is_own else None)
 
-    def _formatted(self, path: Path, canvas: Pixels, name: str) -> tuple[str, Pixels, ImageFormat]:
-        """Return name, pixels and format of an image, no finer than those it replaces."""
-        images = _images(self._texture, self._class, path)
+    def _prepare_image(self, path: Path, canvas: Pixels, name: str) -> tuple[str, Pixels, ImageFormat]:
+        """Choose name, size and format of a baked image."""
+        images = _list_images(self._texture, self._class, path)
         is_color = path == BASE_COLOR or path[-1] == "emissiveTexture"
         every = images or [
-            image for place in self._class.maps for image in _images(self._texture, self._class, place)
+            image for place in self._class.maps for image in _list_images(self._texture, self._class, place)
         ]
         form = choose_format(every, has_alpha=canvas.shape[2] == 4, is_color=is_color)
         suffix = "" if path == BASE_COLOR else f"-{path[-1].removesuffix('Texture')}"
-        canvas = self._no_larger(canvas, path) if images else canvas
+        canvas = self._limit_size(canvas, path) if images else canvas
         return f"{name}{suffix}.{form.extension}", canvas, form
 
-    def _no_larger(self, canvas: Pixels, path: Path) -> Pixels:
+    def _limit_size(self, canvas: Pixels, path: Path) -> Pixels:
         """Halve an image until it is about as coarse as those it replaces."""
         covered = 0.0
         for number in self._class.numbers:
@@ -673,18 +677,18 @@ class _ClassBaker:
                 its = self._texture.material_ids == number
                 covered += float(self._spread[its].sum()) * image.pixels.shape[0] * image.pixels.shape[1]
         while covered > 0 and covered < self._laid / 2 and min(canvas.shape[:2]) >= 64:
-            canvas = resized(canvas, (canvas.shape[1] // 2, canvas.shape[0] // 2))
+            canvas = resize_image(canvas, (canvas.shape[1] // 2, canvas.shape[0] // 2))
             covered *= 4
         return canvas
 
-    def _described(self, first: Material, images: dict[Path, Image], totals: _Totals) -> Material:
-        """Return the material of the class with its new images."""
+    def _build_material(self, first: Material, images: dict[Path, Image], totals: _Totals) -> Material:
+        """Build the material of the class from its baked images."""
         base = images.get(BASE_COLOR)
         color = first.base_color if self._keeps_color() or base is None else None
         clamp = ("clamp", "clamp")
         if isinstance(first.kept, MtlStatements):
             return replace(
-                first, image=base, base_color=color, wrap=clamp, kept=_without_maps(first.kept, totals)
+                first, image=base, base_color=color, wrap=clamp, kept=_remove_maps(first.kept, totals)
             )
         if not isinstance(first.kept, GltfStatements):
             return replace(first, image=base, base_color=color, wrap=clamp, kept=None)
@@ -712,8 +716,8 @@ class _ClassBaker:
         return replace(first, image=base, base_color=color, wrap=clamp, kept=kept)
 
 
-def _without_maps(kept: MtlStatements, totals: _Totals) -> MtlStatements:
-    """Return the statements of a material without images, which have no place in the atlas."""
+def _remove_maps(kept: MtlStatements, totals: _Totals) -> MtlStatements:
+    """Remove the maps of an MTL material, which the atlas does not hold."""
     lines, lost = [], []
     for line in kept.lines:
         key = line.split(None, 1)[0]
@@ -728,8 +732,8 @@ def _without_maps(kept: MtlStatements, totals: _Totals) -> MtlStatements:
     return MtlStatements(tuple(lines), {}, kept.color, None)
 
 
-def _tinted(texels: Pixels, color: tuple[float, ...]) -> Pixels:
-    """Multiply displayed colours (n, 3 or 4) by a factor in linear light, and alpha by its fourth number."""
+def _apply_tint(texels: Pixels, color: tuple[float, ...]) -> Pixels:
+    """Multiply sRGB colours (n, 3 or 4) by a factor in linear light."""
     import cv2
 
     factor = linear_from_srgb(np.array(color[:3]))

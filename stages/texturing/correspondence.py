@@ -1,4 +1,4 @@
-"""Correspondence between the texels of a simplified mesh and points of the original surface.
+"""Correspondence between texels of a simplified mesh and the original surface.
 
 Every vertex of the original is taken to the nearest point of the simplified mesh. With its vertices each
 triangle comes into the atlas, where it is rasterised, at the cost of one query for each vertex. Triangles
@@ -34,7 +34,7 @@ _MAX_STRETCH = 2.0
 _FREE_TEXELS = 2.0
 # Cosine between a triangle and the plane of a chart that it extends, below which its texels are checked.
 _MIN_ALIGNED = 0.8
-# They may be as far from what they show as this many times the distance of its vertices, and as many texels.
+# Largest distance of such a texel from its source, in distances of the vertices plus as many texels.
 _MAX_DETOUR = 1.5
 # Texels looked up at a time: bounds the memory.
 _AT_ONCE = 1 << 18
@@ -84,7 +84,7 @@ class _Entries:
 
 
 class Correspondence:
-    """Finds the point of the original for each texel of a simplified mesh.
+    """Lookup of the original surface under the texels of a simplified mesh.
 
     Parameters
     ----------
@@ -96,14 +96,14 @@ class Correspondence:
     def __init__(self, simplified: Surface, original: Mesh, pages: Pages) -> None:
         self._simplified, self._original, self._pages = simplified, original, pages
         self._texel_size = pages.texel_size(simplified.mesh)
-        self._entries = self._placed_triangles()
+        self._entries = self._place_triangles()
         self._facing: FacingColors | None = None
         self._triangle_images: dict[int, NDArray[np.int32]] = {}
 
-    def sources(self, page: int) -> TexelSources:
-        """Return the sources of all texels of an image."""
+    def find_sources(self, page: int) -> TexelSources:
+        """Find the point of the original for each texel of an image."""
         width, height = self._pages.sizes[page]
-        charts = self._chart_image(page).reshape(-1)
+        charts = self._draw_charts(page).reshape(-1)
         entries = self._entries
         pixels, drawn, weights = _kernels.texels(
             entries.corners, entries.pages, page=page, width=width, height=height
@@ -120,8 +120,8 @@ class Correspondence:
         missing = np.flatnonzero(is_filled & (shown != charts)).astype(np.uint32)
         if not len(missing):
             return TexelSources(pixels, triangles, weights, is_filled, 0)
-        own_triangles, shares = self.points_under(page, missing)
-        facing = self._facing_lookup()
+        own_triangles, shares = self.locate_texels(page, missing)
+        facing = self._get_facing_lookup()
         found, found_weights, turned_count = [triangles], [weights], 0
         for start in range(0, len(missing), _AT_ONCE):
             rows = slice(start, start + _AT_ONCE)
@@ -139,16 +139,16 @@ class Correspondence:
             turned_count,
         )
 
-    def points_under(
+    def locate_texels(
         self, page: int, pixels: NDArray[np.uint32]
     ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Return the triangles (k,) of the simplified mesh under texels, and their weights (k, 3).
+        """Locate texels on the simplified mesh: triangles (k,) and weights (k, 3).
 
-        Beside a chart the nearest point of its border counts.
+        A texel beside a chart gets the nearest point of its border.
         """
         width = self._pages.sizes[page][0]
         row, column = np.divmod(pixels.astype(np.int32), np.int32(width))
-        triangles = self._triangles_at(page, row, column)
+        triangles = self._find_triangles(page, row, column)
         flat = np.zeros((len(pixels), 3, 3))
         flat[..., :2] = self._pages.corners[triangles]
         points = np.stack([column + 0.5, row + 0.5, np.zeros(len(pixels))], axis=1)
@@ -161,8 +161,8 @@ class Correspondence:
         triangles: NDArray[np.int32],
         weights: NDArray[np.float32],
     ) -> NDArray[np.bool_]:
-        """Return which texels show points of the original that are not where the texels are."""
-        own, shares = self.points_under(page, pixels)
+        """Mark texels that are far from the points of the original they show."""
+        own, shares = self.locate_texels(page, pixels)
         mesh, original = self._simplified.mesh, self._original
         points = np.einsum("kc,kcx->kx", shares, mesh.vertices[mesh.triangles[own]])
         shown = np.einsum("kc,kcx->kx", weights, original.vertices[original.triangles[triangles]])
@@ -170,13 +170,13 @@ class Correspondence:
         distances = np.linalg.norm(points - shown, axis=1)
         return np.asarray(distances > _MAX_DETOUR * allowed + _MAX_DETOUR * self._texel_size)
 
-    def _triangles_at(
+    def _find_triangles(
         self, page: int, row: NDArray[np.int32], column: NDArray[np.int32]
     ) -> NDArray[np.int32]:
-        """Return the triangle of the simplified mesh at texels, or at a neighbour of each."""
+        """Find the triangle of the simplified mesh at each texel or its neighbours."""
         if page not in self._triangle_images:
             numbers = np.arange(len(self._pages.charts), dtype=np.int32)
-            self._triangle_images[page] = self._drawn(page, numbers, np.dtype(np.int32))
+            self._triangle_images[page] = self._draw_triangles(page, numbers, np.dtype(np.int32))
         image = self._triangle_images[page]
         found = image[row, column]
         for down, right in _NEIGHBOURS:
@@ -187,21 +187,21 @@ class Correspondence:
             found[left] = image[rows, (column[left] + right).clip(0, image.shape[1] - 1)]
         return np.asarray((found - 1).clip(0), np.int32)
 
-    def _chart_image(self, page: int) -> NDArray[Any]:
-        """Return the number of the chart at each texel (h, w), from 1; 0 where there is none."""
+    def _draw_charts(self, page: int) -> NDArray[Any]:
+        """Draw the index of each chart plus 1, (h, w); 0 marks gaps."""
         require_opencv()
         import cv2
 
         kind = np.uint16 if self._pages.charts.max() < _MAX_LABEL else np.float32
-        image = self._drawn(page, self._pages.charts, np.dtype(kind))
+        image = self._draw_triangles(page, self._pages.charts, np.dtype(kind))
         # Bilinear samples at a border reach one texel further. Padding keeps charts farther apart than that.
         spread: NDArray[Any] = np.asarray(
             cv2.dilate(image, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
         )
         return spread
 
-    def _drawn(self, page: int, values: NDArray[np.int32], kind: np.dtype[Any]) -> NDArray[Any]:
-        """Draw the triangles of an image of the atlas, each with its value and 1."""
+    def _draw_triangles(self, page: int, values: NDArray[np.int32], kind: np.dtype[Any]) -> NDArray[Any]:
+        """Draw the triangles of an atlas image with their values plus 1."""
         require_opencv()
         import cv2
 
@@ -214,22 +214,22 @@ class Correspondence:
             cv2.fillConvexPoly(image, corners, value, shift=_FRACTION)
         return image
 
-    def _facing_lookup(self) -> FacingColors:
+    def _get_facing_lookup(self) -> FacingColors:
         if self._facing is None:
             box = bounding_box(self._original, self._simplified.mesh)
             self._facing = FacingColors(Surface(self._original, box), self._simplified.mesh, self._texel_size)
         return self._facing
 
-    def _placed_triangles(self) -> _Entries:
-        """Place the triangles of the original in the atlas, in the order in which they are drawn."""
+    def _place_triangles(self) -> _Entries:
+        """Place the triangles of the original in the atlas, in drawing order."""
         mesh, pages = self._original, self._pages
-        located, is_facing = self._nearest_of_vertices()
+        located, is_facing = self._find_nearest()
         self._distances = located.distances
         corner_charts = np.where(is_facing, pages.charts[located.triangles], -1)[mesh.triangles]
         is_usable = (corner_charts >= 0).all(axis=1)
         is_whole = is_usable & (corner_charts == corner_charts[:, :1]).all(axis=1)
         at = np.einsum("kc,kcx->kx", located.weights, pages.corners[located.triangles])
-        parts = [self._crossing(np.flatnonzero(is_usable & ~is_whole), corner_charts, located, at)]
+        parts = [self._place_crossing(np.flatnonzero(is_usable & ~is_whole), corner_charts, located, at)]
         whole = np.flatnonzero(is_whole)
         # What is near the simplified mesh is drawn last, over what may be another layer of the original.
         distance = located.distances[mesh.triangles[whole]].max(axis=1)
@@ -247,10 +247,10 @@ class Correspondence:
                 for name in _Entries.__dataclass_fields__
             )
         )
-        return self._sound(joined, located)
+        return self._remove_unsound(joined, located)
 
-    def _nearest_of_vertices(self) -> tuple[Located, NDArray[np.bool_]]:
-        """Return the nearest point of the simplified mesh for each vertex, and whether it faces alike."""
+    def _find_nearest(self) -> tuple[Located, NDArray[np.bool_]]:
+        """Find the nearest simplified point of each vertex, and compare normals."""
         mesh = self._original
         normals = _vertex_normals(mesh)
         points, inverse = np.unique(mesh.vertices, axis=0, return_inverse=True)
@@ -260,14 +260,14 @@ class Correspondence:
         faces = np.einsum("kx,kx->k", normals, self._simplified.normals[located.triangles]) > 0
         return located, faces
 
-    def _crossing(
+    def _place_crossing(
         self,
         triangles: NDArray[np.int64],
         corner_charts: NDArray[np.int32],
         located: Located,
         at: Floats,
     ) -> _Entries:
-        """Place triangles of several charts once in each chart, extended beyond its border."""
+        """Place chart-crossing triangles in each of their charts, extended beyond the border."""
         mesh, pages, light = self._original, self._pages, self._simplified.mesh
         corners_of = mesh.triangles[triangles]
         charts = corner_charts[triangles]
@@ -305,8 +305,8 @@ class Correspondence:
             )
         )
 
-    def _sound(self, entries: _Entries, located: Located) -> _Entries:
-        """Leave out triangles that fold over or are torn in the atlas."""
+    def _remove_unsound(self, entries: _Entries, located: Located) -> _Entries:
+        """Remove triangles that fold over or tear in the atlas."""
         mesh = self._original
         spread = signed_areas(entries.corners)
         # Charts may be mirrored: their own triangles say which way round is right.
@@ -331,7 +331,7 @@ class Correspondence:
 
 
 def _vertex_normals(mesh: Mesh) -> Floats:
-    """Return normals (n, 3) of the vertices as sums over their triangles, alike for copies in one place."""
+    """Sum the triangle normals at each position; copies of a vertex get equal sums."""
     _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
     place = place.reshape(-1)
     corners = mesh.vertices[mesh.triangles]
@@ -345,7 +345,7 @@ def _vertex_normals(mesh: Mesh) -> Floats:
 
 
 def _plane_weights(points: Floats, corners: Floats) -> Floats:
-    """Return barycentric weights (k, 3) of the feet of points in the planes of triangles (k, 3, 3)."""
+    """Project points to triangle planes and return barycentric weights (k, 3)."""
     a = corners[:, 0]
     ab, ac, ap = corners[:, 1] - a, corners[:, 2] - a, points - a
     normal = np.cross(ab, ac)

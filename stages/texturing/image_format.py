@@ -1,4 +1,4 @@
-"""File format of a baked image: that of the source images, in no more bytes."""
+"""File formats of baked images, chosen after their sources, within a byte limit."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def choose_format(sources: Sequence[Image], *, has_alpha: bool, is_color: bool =
 
 
 def jpeg_quality(data: bytes) -> tuple[int, bool]:
-    """Estimate the quality of a JPEG file, 1 to 100, and whether its colours are subsampled."""
+    """Estimate the quality of a JPEG file (1 to 100) and its chroma subsampling."""
     from PIL import Image as PillowImage
 
     try:
@@ -118,13 +118,13 @@ def jpeg_quality(data: bytes) -> tuple[int, bool]:
 
 
 def _table_sum(quality: int) -> int:
-    """Return the sum of the luminance table that the IJG's library uses at a quality."""
+    """Sum the luminance table of the IJG library at a quality."""
     scale = 5000 // quality if quality < 50 else 200 - 2 * quality
     return sum(min(max((value * scale + 50) // 100, 1), 255) for value in _LUMINANCE)
 
 
 def encode(pixels: Pixels, form: ImageFormat, *, is_thorough: bool = False) -> bytes:
-    """Return an RGB or RGBA image as a file of a format; PNG smaller, but slower, if thorough."""
+    """Encode an RGB or RGBA image; thorough PNG compression is smaller but slower."""
     if form.kind == "png":
         return _compressed_png(pixels) if is_thorough else encoded_png(pixels)
     if form.kind == "jpeg" and not form.is_subsampled:
@@ -152,7 +152,7 @@ def _compressed_png(pixels: Pixels) -> bytes:
 def encode_within(
     images: Sequence[tuple[Pixels, ImageFormat]], max_bytes: float
 ) -> tuple[list[EncodedImage], float]:
-    """Encode images in no more bytes together than so many.
+    """Encode images within a common byte limit.
 
     PNG files are compressed better first, then the quality is lowered a little, then the resolution of all
     images that are a good part of the whole.
@@ -191,7 +191,7 @@ def encode_within(
             for k in changed:
                 height, width = images[k][0].shape[:2]
                 size = max(round(scale * width), _MIN_SIDE), max(round(scale * height), _MIN_SIDE)
-                shown[k] = resized(images[k][0], (min(size[0], width), min(size[1], height)))
+                shown[k] = resize_image(images[k][0], (min(size[0], width), min(size[1], height)))
         for k in changed:
             data[k] = encode(shown[k], forms[k], is_thorough=True)
     return [
@@ -204,8 +204,8 @@ def _is_lossy(form: ImageFormat) -> bool:
     return form.kind != "png" and not form.is_lossless
 
 
-def resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
-    """Return an image of another (width, height), each texel the mean of those it covers."""
+def resize_image(pixels: Pixels, size: tuple[int, int]) -> Pixels:
+    """Resize an image to (width, height) by averaging texels."""
     require_opencv()
     import cv2
 

@@ -35,7 +35,7 @@ FACTORS: dict[Path, tuple[tuple[Path, Any], ...]] = {
 
 @dataclass(frozen=True)
 class MaterialClass:
-    """Materials that differ in nothing but their images and in factors of these.
+    """Materials that only differ in their images and image factors.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class MaterialClass:
 
 
 def material_classes(mesh: Mesh) -> tuple[NDArray[np.int32], tuple[MaterialClass, ...]]:
-    """Return the class of each triangle (m,), and the classes, in the order of the materials."""
+    """Group the materials of a mesh; return class indices (m,) and classes."""
     texture = mesh.texture
     if texture is None:
         return np.zeros(len(mesh.triangles), np.int32), (MaterialClass((-1,), mesh.colors is not None),)
@@ -70,13 +70,13 @@ def material_classes(mesh: Mesh) -> tuple[NDArray[np.int32], tuple[MaterialClass
 
 
 def map_paths(material: Material) -> Iterator[Path]:
-    """Yield the places of a material's textures but for the base colour's."""
+    """Yield the paths of a material's textures, except the base colour."""
     if isinstance(material.kept, GltfStatements):
         yield from (path for path in texture_paths(material.kept.tree) if path != BASE_COLOR)
 
 
 def texture_paths(tree: Any, start: Path = ()) -> Iterator[Path]:
-    """Yield the places of all textures of a glTF material, those of extensions too."""
+    """Yield the paths of all textures of a glTF material and its extensions."""
     for key, value in tree.items():
         if isinstance(value, dict):
             if key.endswith("Texture"):
@@ -87,7 +87,7 @@ def texture_paths(tree: Any, start: Path = ()) -> Iterator[Path]:
 
 
 def value_at(tree: Any, path: Path, default: Any = None) -> Any:
-    """Return what stands at a place of a tree."""
+    """Return the value at a path of a tree."""
     for key in path:
         if not isinstance(tree, dict) or key not in tree:
             return default
@@ -96,7 +96,7 @@ def value_at(tree: Any, path: Path, default: Any = None) -> Any:
 
 
 def image_at(material: Material, path: Path) -> Image | None:
-    """Return the image of a texture; None where there is none that can be decoded."""
+    """Return the image of a texture, or None if none can be decoded."""
     if path == BASE_COLOR:
         return material.image if pixels_of(material) is not None else None
     if not isinstance(material.kept, GltfStatements):
@@ -107,14 +107,14 @@ def image_at(material: Material, path: Path) -> Image | None:
 
 
 def is_opaque(material: Material) -> bool:
-    """Return whether a glTF material says that the alpha of its image does not count."""
+    """Return whether a glTF material ignores alpha."""
     if not isinstance(material.kept, GltfStatements):
         return False
     return bool(material.kept.tree.get("alphaMode", "OPAQUE") == "OPAQUE")
 
 
 def _key(mesh: Mesh, number: int) -> str:
-    """Return what two materials of a class have in common."""
+    """Return a key that is equal for all materials of a class."""
     texture = mesh.texture
     if number < 0 or texture is None:
         return "none" if mesh.colors is None else "colors"

@@ -200,7 +200,7 @@ def in_one(mesh: Mesh, texel_size: float, *, max_side: int) -> Pages:
     raise MeshError(f"falls into too many pieces for an image of {max_side} × {max_side} texels.", "mesh")
 
 
-def fitted_within(
+def lay_out_within(
     mesh: Mesh,
     densities: NDArray[np.float64],
     *,

@@ -19,7 +19,7 @@ _MARGIN = 2
 
 
 def sample_image(image: Pixels, uvs: NDArray[np.floating[Any]], wrap: tuple[str, str]) -> Pixels:
-    """Sample an image (h, w, c) bilinearly at texture coordinates (k, 2), (0, 0) its lower left corner.
+    """Sample an image (h, w, c) bilinearly at texture coordinates (k, 2), v up.
 
     Returns
     -------
@@ -34,20 +34,20 @@ def sample_image(image: Pixels, uvs: NDArray[np.floating[Any]], wrap: tuple[str,
     padded: Any = image
     for way, (top, bottom, left, right) in zip(wrap, margins, strict=True):
         padded = cv2.copyMakeBorder(padded, top, bottom, left, right, modes[way])
-    columns = _pixels(uvs[:, 0], width, wrap[0])
-    rows = _pixels(1 - uvs[:, 1], height, wrap[1])
+    columns = _to_pixels(uvs[:, 0], width, wrap[0])
+    rows = _to_pixels(1 - uvs[:, 1], height, wrap[1])
     found = np.empty((len(uvs), channels), np.uint8)
     step = _ROW * _MAX_ROWS
     for start in range(0, len(uvs), step):
         part = slice(start, start + step)
-        x, y = _in_rows(columns[part]), _in_rows(rows[part])
+        x, y = _reshape_to_rows(columns[part]), _reshape_to_rows(rows[part])
         sampled = cv2.remap(padded, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         found[part] = np.asarray(sampled).reshape(-1, channels)[: len(found[part])]
     return found
 
 
-def _pixels(at: NDArray[np.floating[Any]], count: int, way: str) -> NDArray[np.float32]:
-    """Return coordinates in texels of the continued image, within its middle."""
+def _to_pixels(at: NDArray[np.floating[Any]], count: int, way: str) -> NDArray[np.float32]:
+    """Convert texture coordinates to texels of the padded image."""
     if way == "clamp":
         at = at.clip(0, 1)
     elif way == "repeat":
@@ -60,7 +60,7 @@ def _pixels(at: NDArray[np.floating[Any]], count: int, way: str) -> NDArray[np.f
     return found
 
 
-def _in_rows(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _reshape_to_rows(values: NDArray[np.float32]) -> NDArray[np.float32]:
     rows = -(-len(values) // _ROW)
     if rows * _ROW == len(values):
         return values.reshape(rows, _ROW)

@@ -1,4 +1,4 @@
-"""Tangent frames of textured triangles, as viewers derive them for tangent-space normal maps.
+"""Tangent frames for tangent-space normal maps, as viewers derive them.
 
 After MikkTSpace (Mikkelsen 2008, "Simulation of wrinkled surfaces revisited"): tangents of triangles that
 share a position, a normal and texture coordinates are averaged by angle; the bitangent is the cross product.
@@ -35,8 +35,8 @@ class TangentFrames:
     def at(self, triangles: NDArray[Any], weights: NDArray[Any]) -> tuple[Floats, Floats, Floats]:
         """Return tangents, bitangents and normals (k, 3) at points of the surface."""
         shares = weights.astype(np.float32)
-        normals = _interpolated(self.normals, triangles, shares)
-        tangents = _interpolated(self.tangents, triangles, shares)
+        normals = _interpolate(self.normals, triangles, shares)
+        tangents = _interpolate(self.tangents, triangles, shares)
         bitangents = np.cross(normals, tangents) * self.signs[triangles][:, None]
         return tangents, np.asarray(bitangents, np.float32), normals
 
@@ -52,7 +52,7 @@ def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
     along = _unit((first * v2[:, None] - second * v1[:, None]) * signs[:, None])
     # In the plane of each corner's normal, weighted by the angle of the corner.
     flat = along[:, None] - normals * np.einsum("mx,mkx->mk", along, normals)[..., None]
-    flat = _unit(flat.reshape(-1, 3)).reshape(-1, 3, 3) * _angles(corners)[..., None]
+    flat = _unit(flat.reshape(-1, 3)).reshape(-1, 3, 3) * _corner_angles(corners)[..., None]
     key = np.concatenate(
         [
             np.round(corners.reshape(-1, 3), 12),
@@ -72,7 +72,7 @@ def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
 
 
 def corner_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """Return the shading normals (m, 3, 3) of a mesh's corners; those of its triangles where it has none."""
+    """Return shading normals (m, 3, 3) of the corners; face normals where none are given."""
     flat = unit_normals(mesh)[:, None].repeat(3, axis=1)
     if mesh.corner_normals is not None:
         given = mesh.corner_normals
@@ -88,7 +88,7 @@ def decode_normals(
     frame: tuple[Floats, Floats, Floats],
     scales: NDArray[np.floating[Any]] | float,
 ) -> Floats:
-    """Return object-space unit normals (k, 3) of tangent-space ones, (k, 3) uint8."""
+    """Decode tangent-space normals (k, 3) uint8 to object-space unit normals."""
     tangents, bitangents, normals = frame
     local = texels[:, :3].astype(np.float32) * np.float32(2 / 255) - 1
     local[:, :2] *= np.asarray(scales, np.float32)[..., None] if np.ndim(scales) else np.float32(scales)
@@ -97,7 +97,7 @@ def decode_normals(
 
 
 def encode_normals(directions: Floats, frame: tuple[Floats, Floats, Floats]) -> NDArray[np.uint8]:
-    """Return object-space normals (k, 3) as tangent-space ones, (k, 3) uint8."""
+    """Encode object-space normals (k, 3) as tangent-space normals, uint8."""
     tangents, bitangents, normals = frame
     # The bitangent is perpendicular to both others, which need not be so to each other.
     y = _dot(directions, bitangents) / np.maximum(_dot(bitangents, bitangents), np.float32(1e-12))
@@ -110,14 +110,14 @@ def encode_normals(directions: Floats, frame: tuple[Floats, Floats, Floats]) -> 
     return np.asarray(np.rint((local + 1) * np.float32(127.5)).clip(0, 255), np.uint8)
 
 
-def _interpolated(values: Floats, triangles: NDArray[Any], shares: Floats) -> Floats:
+def _interpolate(values: Floats, triangles: NDArray[Any], shares: Floats) -> Floats:
     found = values[:, 0].take(triangles, axis=0) * shares[:, :1]
     for k in (1, 2):
         found += values[:, k].take(triangles, axis=0) * shares[:, k : k + 1]
     return found
 
 
-def _angles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _corner_angles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     angles = np.empty(corners.shape[:2])
     for k in range(3):
         a = _unit(corners[:, (k + 1) % 3] - corners[:, k])
