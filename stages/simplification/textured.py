@@ -118,7 +118,7 @@ def plan_baking(mesh: Mesh, params: SimplifyParams, *, record: bool) -> tuple[Ba
         if params.method in carrying or (is_auto and (record or is_kept)):
             return None, None
     class_ids, classes = material_classes(mesh)
-    if params.bake is None and (reason := _find_obstacle(mesh)) is not None:
+    if params.bake is None and (reason := _find_reason(mesh)) is not None:
         return None, reason
     return BakePlan(mesh, _strip_texture(mesh, class_ids, classes), class_ids, classes), None
 
@@ -196,7 +196,7 @@ def _smooth_normals(mesh: Mesh) -> Mesh:
     return mesh.with_(normals=unit[place], corner_normals=None)
 
 
-def _find_obstacle(mesh: Mesh) -> str | None:
+def _find_reason(mesh: Mesh) -> str | None:
     """Find a reason to keep the images of a mesh; None if there is none."""
     texture = mesh.texture
     assert texture is not None
