@@ -82,10 +82,12 @@ def of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:
     try:
         method = chosen(config.simplify)  # What clean leaves has neither texture nor parts.
     except UsageError:
-        return _stated(*_SIMPLIFY)  # No method runs: the stage says what is wrong.
+        return _stated(simplify)  # No method runs: the stage says what is wrong.
     proof = _stated(certify) if method.proves else {}
     in_pieces = _stated(simplify_in_pieces) if is_clean_large(inputs) else {}
-    return {**_stated(*_SIMPLIFY), **in_pieces, method.name: method.result_version, **proof}
+    # What clean leaves has no images: it is baked on request alone.
+    simplification = _stated(*_SIMPLIFY) if config.simplify.bake else _stated(simplify)
+    return {**simplification, **in_pieces, method.name: method.result_version, **proof}
 
 
 def of_remesh(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
