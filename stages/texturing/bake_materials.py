@@ -417,8 +417,8 @@ class _ClassBaker:
         width, height = self._pages.sizes[page]
         filled = sources.is_filled
         self._sources = sources
-        self._numbers = self._texture.material_ids[sources.triangles]
         self._single = len(self._class.numbers) == 1
+        self._numbers = None if self._single else sources.spread(self._texture.material_ids)
         self._uvs = self._interpolate_uvs()
         totals.texels += width * height
         totals.shown += int(np.count_nonzero(filled))
@@ -465,13 +465,14 @@ class _ClassBaker:
         """Interpolate the original texture coordinates (n, 2) at each texel."""
         uvs = self._texture.uvs
         kind = np.float64 if np.abs(uvs).max(initial=0) > _FAR else np.float32
-        triangles, weights = self._sources.triangles, self._sources.weights
+        weights = self._sources.weights
         # A row for each axis: columns of a matrix are several times as slow.
-        found = np.zeros((2, len(triangles)), kind)
+        found = np.zeros((2, len(weights)), kind)
         for corner in range(3):
+            shares = np.ascontiguousarray(weights[:, corner])
             for axis in range(2):
-                values = np.ascontiguousarray(uvs[:, corner, axis], kind).take(triangles, mode="clip")
-                values *= weights[:, corner]
+                values = self._sources.spread(np.ascontiguousarray(uvs[:, corner, axis], kind))
+                values *= shares
                 found[axis] += values
         coordinates: NDArray[np.floating[Any]] = found.T
         return coordinates
@@ -541,8 +542,8 @@ class _ClassBaker:
             if mesh.colors is not None and multiplies_colors(material):
                 sampled = self._multiply_colors(sampled, rows)
             found[rows] = sampled
-        bare = np.flatnonzero(~self._has_uvs[self._sources.triangles])
-        if len(bare) and images:
+        if images and not self._has_uvs.all():
+            bare = np.flatnonzero(~self._sources.spread(self._has_uvs))
             found[bare, :3] = self._sample_colors(bare)
         return found
 

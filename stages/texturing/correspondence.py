@@ -55,6 +55,8 @@ class TexelSources:
     weights : (n, 3) float32, barycentric weights of its corners.
     is_filled : (h · w,) bool, texels of charts, with one around each; what others show is of no use.
     turned_count : texels whose nearest point faced away, so that another one was taken.
+    run_triangles, run_lengths : (k,) triangles of the first texels, and how many texels of each follow each
+        other; all further texels were looked up.
     """
 
     pixels: NDArray[np.uint32]
@@ -62,6 +64,15 @@ class TexelSources:
     weights: NDArray[np.float32]
     is_filled: NDArray[np.bool_]
     turned_count: int
+    run_triangles: NDArray[np.int64]
+    run_lengths: NDArray[np.int64]
+
+    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return values (m,) of the original triangles for the texels (n,)."""
+        # Repeating is several times as fast as looking up.
+        found = np.repeat(values[self.run_triangles], self.run_lengths)
+        rest = self.triangles[len(found) :]
+        return np.concatenate([found, values[rest]]) if len(rest) else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +119,7 @@ class Correspondence:
         pixels, drawn, weights = _kernels.texels(
             entries.corners, entries.pages, page=page, width=width, height=height
         )
-        # Texels are in the order of the triangles: repeating is far faster than looking up.
+        # Texels are in the order of the triangles.
         counts = np.bincount(drawn, minlength=len(entries.triangles))
         triangles = np.repeat(entries.triangles.astype(np.int32), counts)
         shown = np.zeros_like(charts)
@@ -119,7 +130,7 @@ class Correspondence:
         is_filled = charts > 0
         missing = np.flatnonzero(is_filled & (shown != charts)).astype(np.uint32)
         if not len(missing):
-            return TexelSources(pixels, triangles, weights, is_filled, 0)
+            return TexelSources(pixels, triangles, weights, is_filled, 0, entries.triangles, counts)
         own_triangles, shares = self.locate_texels(page, missing)
         facing = self._get_facing_lookup()
         found, found_weights, turned_count = [triangles], [weights], 0
@@ -137,6 +148,8 @@ class Correspondence:
             np.concatenate(found_weights),
             is_filled,
             turned_count,
+            entries.triangles,
+            counts,
         )
 
     def locate_texels(
