@@ -34,6 +34,8 @@ _MAX_STRETCH = 2.0
 _FREE_TEXELS = 2.0
 # Cosine between a triangle and the plane of a chart that it extends, below which its texels are checked.
 _MIN_ALIGNED = 0.8
+# The same for triangles within a chart.
+_MIN_ALIGNED_WITHIN = 0.6
 # Largest distance of such a texel from its source, in distances of the vertices plus as many texels.
 _MAX_DETOUR = 1.5
 # Texels looked up at a time: bounds the memory.
@@ -248,7 +250,9 @@ class Correspondence:
         distance = located.distances[mesh.triangles[whole]].max(axis=1)
         whole = whole[np.argsort(-distance, kind="stable")]
         first = located.triangles[mesh.triangles[whole, 0]]
-        is_doubtful = np.zeros(len(whole), bool)
+        under = self._simplified.normals[located.triangles[mesh.triangles[whole]]]
+        aligned = np.einsum("kx,kcx->kc", unit_normals(mesh)[whole], under)
+        is_doubtful = (aligned < _MIN_ALIGNED_WITHIN).any(axis=1)
         parts.append(
             _Entries(
                 at[mesh.triangles[whole]], whole, corner_charts[whole, 0], pages.pages[first], is_doubtful
