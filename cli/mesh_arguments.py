@@ -71,9 +71,14 @@ def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
         raise MeshError(str(error).removeprefix(f"{called}: "), path) from error
 
 
-def write_file(path: Path, mesh: Mesh, out: Output) -> None:
-    """Write a mesh, into a folder that is made if need be, and remark how large it is."""
-    if lost := lost_with(path.suffix.lower(), mesh):
+def write_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:
+    """Write a mesh, into a folder that is made if need be, and remark how large it is.
+
+    Parameters
+    ----------
+    original : mesh whose colours are missed where the format holds none; `mesh` by default.
+    """
+    if lost := lost_with(path.suffix.lower(), mesh if original is None else original):
         out.warn(f"{path}: {path.suffix} holds the shape alone: the {lost} are left out; write .ply or .glb.")
     path.parent.mkdir(parents=True, exist_ok=True)
     stages.write_mesh(path, mesh)

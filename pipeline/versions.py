@@ -13,6 +13,7 @@ from pipeline.large import is_clean_large
 from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
+from stages.comparing.compare import compare_surfaces
 from stages.errors import UsageError
 from stages.fusion.fuse import fuse
 from stages.fusion.noise import depth_noise
@@ -27,6 +28,10 @@ from stages.simplification.simplify_in_pieces import simplify_in_pieces
 from stages.stereo.by_network import network_of
 from stages.stereo.depth import depth_scan
 from stages.stereo.networks.network import Network
+from stages.texturing.bake import bake
+
+# Simplification bakes images, and measures their colours.
+_SIMPLIFY = (simplify, bake, compare_surfaces)
 
 Versions = Callable[[Mapping[str, Any], Config], Mapping[str, int]]
 
@@ -80,13 +85,15 @@ def of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:
         return _stated(simplify)  # No method runs: the stage says what is wrong.
     proof = _stated(certify) if method.proves else {}
     in_pieces = _stated(simplify_in_pieces) if is_clean_large(inputs) else {}
-    return {**_stated(simplify), **in_pieces, method.name: method.result_version, **proof}
+    # What clean leaves has no images: it is baked on request alone.
+    simplification = _stated(*_SIMPLIFY) if config.simplify.bake else _stated(simplify)
+    return {**simplification, **in_pieces, method.name: method.result_version, **proof}
 
 
 def of_remesh(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
     """Return the versions of what `remesh` runs."""
     # A base that is never refined is a simplified mesh.
-    return {**_stated(remesh, simplify), **{method.name: method.result_version for method in METHODS}}
+    return {**_stated(remesh, *_SIMPLIFY), **{method.name: method.result_version for method in METHODS}}
 
 
 def of_lod(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
@@ -94,4 +101,4 @@ def of_lod(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # n
     noise = _stated(depth_noise) if config.lod.base_error is None else {}
     # A base is simplified by `certified`, whose version goes with those of all methods as for remesh.
     methods = {method.name: method.result_version for method in METHODS}
-    return {**_stated(levels.make, build, simplify), **methods, **noise}
+    return {**_stated(levels.make, build, *_SIMPLIFY), **methods, **noise}

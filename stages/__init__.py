@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from stages.comparing.change import ChangeParams, Changes, changes
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.comparing.deviations import DeviationParams, Deviations, deviations
-    from stages.comparing.tradeoff import Tradeoff, TradeoffParams, tradeoff
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
     from stages.exporting.export import Exported, ExportParams, export
     from stages.exporting.presets import preset
@@ -58,6 +57,7 @@ if TYPE_CHECKING:
     from stages.simplification.records.steps import ReplayParams
     from stages.simplification.regions import Box, Sphere
     from stages.simplification.simplify import Simplified, SimplifyParams, simplify
+    from stages.simplification.tradeoff import Tradeoff, TradeoffParams, tradeoff
     from stages.stereo.completed_scan import completed_scan
     from stages.stereo.depth import DepthParams, depth, depth_scan
     from stages.stereo.depth_map import DepthMap
@@ -92,7 +92,7 @@ _NAMES_OF = {
     "comparing.change": ("ChangeParams", "Changes", "changes"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
-    "comparing.tradeoff": ("Tradeoff", "TradeoffParams", "tradeoff"),
+    "simplification.tradeoff": ("Tradeoff", "TradeoffParams", "tradeoff"),
     "inspecting.coverage.coverage": ("coverage",),
     "inspecting.coverage.covered": ("Coverage",),
     "inspecting.coverage.params": ("CoverageParams",),

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 import stages
-from cli.baked import TEXTURED_SUFFIXES, baked_by_default, baked_text, baked_to
+from cli.baked import TEXTURED_SUFFIXES, baked_text
 from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, write_file
 from cli.options import option_name
 from cli.output import Output, lines_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.written_bounds import SaveBounds, write_bounds
-from stages import BakeParams, Simplified, SimplifyParams, UsageError
+from stages import Simplified, SimplifyParams, UsageError
+from stages.printing import at_most
 from stages.simplification.auto import chosen
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.methods import METHODS
@@ -47,16 +49,6 @@ def simplify(
         ),
     ] = None,
     save_bounds: SaveBounds = None,
-    bake: Annotated[
-        bool | None,
-        typer.Option(
-            "--bake/--no-bake",
-            help="Keep the colour in full: a texture with the colours of IN, as `scanloom bake` makes it, in "
-            "place of vertex colours. OUT is then .glb, .obj or .ply. Default: where IN has an image, and "
-            "the method does not carry it.",
-            show_default=False,
-        ),
-    ] = None,
     partial: Annotated[
         bool,
         typer.Option(
@@ -71,7 +63,10 @@ def simplify(
     With --triangles or --ratio: to that number, with the least error.
     With --max-shape, --max-color or both: as far as these are proven to hold at every point.
     With a number and bounds: down to the number, never beyond the bounds; "stopped by" says which came first.
-    With neither: within default bounds.
+    With neither: a textured model within 1/1000 of its size, others within default bounds.
+
+    Where OUT is .glb, .obj or .ply, images are baked anew, in the format and no more texels than those of IN.
+    --keep-uv keeps images and texture coordinates as they are, at the cost of shape.
 
     --close-bounds and --save-bounds go with bounds. --method says what each method is for, and which one is
     taken. Most want a manifold mesh; run `scanloom clean` on it first when it is not.
@@ -86,9 +81,14 @@ def simplify(
 
     Example: scanloom simplify clean.ply light.ply --triangles 20000 --max-shape 0.005
 
+    Example: scanloom simplify model.glb light.glb --ratio 0.1 --keep-uv
+
     Example: scanloom simplify clean.ply light.glb --ratio 0.02 --bake
     """
-    require_new_file(target, TEXTURED_SUFFIXES if bake else MESH_SUFFIXES)
+    require_new_file(target, TEXTURED_SUFFIXES if params.bake else MESH_SUFFIXES)
+    holds_texture = target.suffix.lower() in TEXTURED_SUFFIXES
+    if not holds_texture and params.bake is None:
+        params = replace(params, bake=False)
     if save_record is not None:
         require_new_file(save_record, (".npz",))
     if save_bounds is not None:
@@ -106,13 +106,7 @@ def simplify(
             partial=partial,
             progress=progress,
         )
-    baked: dict[str, Any] | None = None
-    if bake:
-        baked = baked_to(target, simplified.mesh, mesh, BakeParams(), out)
-    elif bake is None:
-        baked = baked_by_default(target, simplified.mesh, mesh, out)
-    if baked is None:
-        write_file(target, simplified.mesh, out)
+    write_file(target, simplified.mesh, out, original=None if holds_texture else mesh)
     if simplified.record is not None and save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)
@@ -121,7 +115,8 @@ def simplify(
         write_bounds(save_bounds, simplified.mesh, proven.shape_bound, proven.color_bound, out)
     figures = {"output": str(target), **simplified.figures()}
     notes = simplified.mesh.notes[len(mesh.notes) :]
-    if baked is not None:
+    if not holds_texture:
+        # The format says that it has no colours.
         notes = tuple(note for note in notes if TEXTURE_LEFT_OUT not in note)
     tell_notes(source, notes, out)
     for warning in simplified.warnings:
@@ -129,9 +124,10 @@ def simplify(
     for sentence in unmet(params, figures):
         out.unmet(f"{target}: {sentence}")
     text = _text(simplified, figures)
-    if baked is not None:
-        figures["baked"] = baked
-        text += f"\n\n{baked_text(baked)}"
+    if simplified.default_max_shape is not None:
+        text += f"\n\n{_default_bound(simplified.default_max_shape)}"
+    if simplified.baked is not None:
+        text += f"\n\n{baked_text(simplified.baked.figures())}"
     if simplified.details.text():
         text += f"\n\n{simplified.details.text()}"
     out.result(figures, text)
@@ -140,9 +136,16 @@ def simplify(
 def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
     """Return the figures for a person: warnings are said apart, and tables are for programs."""
     shown = {**figures, **simplified.details.figures()}
-    for name in ("details", "warnings"):
-        del shown[name]
+    for name in ("details", "warnings", "baked", "default_max_shape_m"):
+        shown.pop(name, None)
     return lines_of({name: value for name, value in shown.items() if not _is_table(value)})
+
+
+def _default_bound(metres: float) -> str:
+    return (
+        f"No number and no bound was given: the shape stays within {at_most(metres)} m, 1/1000 of the "
+        "model's size. Give --max-shape or --ratio for another goal."
+    )
 
 
 def _is_table(value: Any) -> bool:

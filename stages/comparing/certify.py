@@ -18,7 +18,7 @@ from stages.errors import MeshError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.simplification.kernel_input import attributes_of
+from stages.surface.color import attributes_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 

@@ -313,6 +313,16 @@ def one_way(source: Spread, target: Asked, wanted: int, seed: tuple[int, int]) -
     )
 
 
+def sampled_color_error(source: Spread, target: Asked, wanted: int) -> ColorError | None:
+    """Measure the difference of colour from samples of one surface to the other; None without colours."""
+    if not (source.has_color and target.has_color):
+        return None
+    rng = np.random.default_rng((0, 0))
+    count = source.samples(wanted)
+    parts = (_measured(source.spread(rows, count, rng, colored=True), target) for rows in chunks(count))
+    return all_sums(True, parts, ()).color()
+
+
 def all_sums(colored: bool, of_samples: Iterable[Sums], of_corners: Iterable[Sums]) -> Sums:
     """Return the sums over samples; corners count for the maximum alone."""
     sums = Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)

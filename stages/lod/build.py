@@ -20,9 +20,8 @@ from stages.progress import Progress, silent
 from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES
 from stages.simplification.color_weight import balanced_weight
 from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
-from stages.simplification.kernel_input import attributes_of
 from stages.simplification.simplify import simplify
-from stages.surface.color import color_at, is_textured
+from stages.surface.color import attributes_of, color_at, is_textured
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.small_components import find_small_components

@@ -16,8 +16,9 @@ from stages.normal_meshes.unmet import too_far
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
 from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
-from stages.simplification.kernel_input import TEXTURE_LEFT_OUT, attributes_of
+from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.simplify import simplify
+from stages.surface.color import attributes_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
@@ -282,7 +283,9 @@ def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced
     def still(done: int, total: int) -> object:  # noqa: ARG001
         return progress(0, 1)
 
-    light = simplify(mesh, method="quadric", triangles=wanted, threads=params.threads, progress=still)
+    light = simplify(
+        mesh, method="quadric", triangles=wanted, threads=params.threads, bake=False, progress=still
+    )
     sources = light.vertex_source.astype(np.int64), light.triangle_source.astype(np.int64)
     return Traced(light.mesh, *sources), mesh
 

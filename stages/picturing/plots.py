@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from stages.comparing.tradeoff import Tradeoff
 from stages.errors import UsageError
 from stages.files.replacing import replacing
+from stages.simplification.tradeoff import Tradeoff
 
 SUFFIXES = (".png", ".svg")
 

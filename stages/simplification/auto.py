@@ -42,6 +42,12 @@ def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, An
     raise UsageError(f"{name} is for {_why_not(_knowing(name)[0], params, given)}")
 
 
+def has_no_goal(params: SimplifyParams) -> bool:
+    """Return whether the parameters leave open how far to go, and with which method."""
+    has_goal = params.triangles is not None or params.ratio is not None
+    return params.method == AUTO and not has_goal and not _given(params)
+
+
 def require_taken(
     method: Method[Any, Any], *, lock: bool, importance: bool, record: bool, partial: bool
 ) -> None:
@@ -63,10 +69,10 @@ def _given(params: SimplifyParams) -> list[str]:
     A switch that is off, or on by itself, asks for nothing; a number that is 0 does.
     """
     names = dict.fromkeys(name for method in METHODS for name in described(method.params))
-    return [name for name in names if getattr(params, name) is not None and not _asks_nothing(params, name)]
+    return [name for name in names if getattr(params, name) is not None and not _is_default(params, name)]
 
 
-def _asks_nothing(params: SimplifyParams, name: str) -> bool:
+def _is_default(params: SimplifyParams, name: str) -> bool:
     value = getattr(params, name)
     defaults = (getattr(method.params(), name) for method in _knowing(name))
     return isinstance(value, bool) and (not value or all(defaults))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stages import _kernels
-from stages.simplification.kernel_input import attributes_of
+from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.errors import UsageError
 from stages.progress import Progress
+from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
 
@@ -62,11 +63,6 @@ def require_colors(mesh: Mesh, max_color: float | None) -> None:
     """Raise UsageError for a bound on the colours of a mesh that has none."""
     if max_color is not None and mesh.colors is None:
         raise UsageError("max_color is given, but the mesh has no vertex colours; leave it out.")
-
-
-def attributes_of(mesh: Mesh) -> Levels:
-    """Return the colours of a mesh, (n, 3); (n, 0) if it has none."""
-    return np.zeros((len(mesh.vertices), 0), np.uint8) if mesh.colors is None else mesh.colors
 
 
 @dataclass(frozen=True, eq=False)

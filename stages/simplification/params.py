@@ -31,7 +31,8 @@ def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
     texts = " ".join(f"{method.name}: {method.text}" for method in methods)
     return (
         f"{texts} {AUTO}: the first of {asked} that has all parameters that are given, and is given what it "
-        f"needs; {carrying} comes first if the mesh has texture, materials, parts or normals of corners."
+        f"needs; {carrying} comes first if the mesh has materials, parts or normals of corners, or keep_uv "
+        "is given. A textured model without a goal is simplified within 1/1000 of its size."
     )
 
 
@@ -62,6 +63,19 @@ class _Goal:
     method: str = param(
         AUTO, _method_text(METHODS), group=_HOW, choices=(AUTO, *(method.name for method in METHODS))
     )
+    keep_uv: bool = param(
+        False,
+        "Keep the model's own texture coordinates and images, rather than bake new ones: seams then hold the "
+        "shape in place.",
+        group=_HOW,
+    )
+    bake: bool | None = param(
+        None,
+        "Bake new images for the simplified mesh, in the format and no more texels than those of the input; "
+        "vertex colours go into an image too. Off: textures are lost. Default: where the input has images, "
+        "unless keep_uv or a method that carries them is given.",
+        group=_HOW,
+    )
     threads: int | None = param(
         None,
         "Parts of the mesh worked on at the same time, with the same result; one a core if not given.",
@@ -73,6 +87,8 @@ class _Goal:
 
     def __post_init__(self) -> None:
         check(self)
+        if self.keep_uv and self.bake:
+            raise UsageError("keep_uv and bake are both given; give one of them.")
         if self.triangles is not None and self.ratio is not None:
             raise UsageError("triangles and ratio are both given; give one of them.")
         # What a method's own class refuses is refused now, before any work.

@@ -13,6 +13,7 @@ from stages.printing import by_figures, table
 from stages.simplification.dropping import Dropped
 from stages.simplification.records.record import CollapseRecord
 from stages.surface.mesh import Mesh
+from stages.texturing.bake import Baked
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,6 +71,8 @@ class Simplified(Generic[D_co]):
     details : what only this method has to tell.
     record : all collapses, if that was asked for.
     dropped : small components and holes removed before simplification, with `drop_below`; else None.
+    baked : Baked, where images were baked for the mesh, with their colour error; None where none were.
+    default_max_shape : metres, the bound that was derived from the model as nothing was asked; else None.
     """
 
     __repr__ = by_figures
@@ -87,6 +90,8 @@ class Simplified(Generic[D_co]):
     details: D_co
     record: CollapseRecord | None = None
     dropped: Dropped | None = None
+    baked: Baked | None = None
+    default_max_shape: float | None = None
 
     def follow(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
@@ -101,6 +106,8 @@ class Simplified(Generic[D_co]):
     def figures(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; what the method alone has to tell is under "details"."""
         triangles = len(self.mesh.triangles)
+        of_baking = {} if self.baked is None else {"baked": self.baked.figures()}
+        derived = {} if self.default_max_shape is None else {"default_max_shape_m": self.default_max_shape}
         return {
             "method": self.method,
             "triangles_before": self.triangles_before,
@@ -114,6 +121,8 @@ class Simplified(Generic[D_co]):
             **({} if self.dropped is None else {"dropped": self.dropped.figures()}),
             "details": self.details.figures(),
             "warnings": list(self.warnings),
+            **derived,
+            **of_baking,
         }
 
     # Hidden from type checkers: to them, only the new names are there.

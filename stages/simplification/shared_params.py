@@ -17,6 +17,8 @@ class GoalKeywords(TypedDict, total=False):
     triangles: int | None
     ratio: float | None
     drop_below: float | None
+    keep_uv: bool
+    bake: bool | None
     threads: int | None
 
 

@@ -12,14 +12,16 @@ from stages import _kernels
 from stages.errors import MeshError
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.simplification.auto import chosen, require_taken
+from stages.simplification.auto import chosen, has_no_goal, require_taken
 from stages.simplification.corner_attributes import is_in_pieces
 from stages.simplification.dropping import drop_small
+from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.lines import lines_left_out
-from stages.simplification.params import SimplifyParams
+from stages.simplification.params import AUTO, SimplifyParams
 from stages.simplification.regions import Region, resolve_control
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
+from stages.simplification.textured import derive_max_shape, has_texture_images, plan_baking
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.topology import require_measurable
 
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RESULT_VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-RESULT_VERSION = 12
+RESULT_VERSION = 13
 
 
 @overload
@@ -104,7 +106,7 @@ def simplify(
     progress: Progress = silent,
     **changes: Unpack[keywords.SimplifyKeywords],
 ) -> Simplified[Any]:
-    """Make a mesh light: down to a number of triangles, or as far as bounds on shape and colour allow.
+    """Simplify a mesh to a triangle count, or as far as bounds on shape and colour allow.
 
     The result has the topology, the boundary loops and the orientation of the input; a boundary shrinks only
     along itself, and no triangle turns over. Equal input gives equal bytes, on any number of threads. The
@@ -133,8 +135,9 @@ def simplify(
     Returns
     -------
     Simplified
-        With `details` of the method's own type. The mesh has colours if the input has; a note of it says what
-        was left out, as texture is by all methods but `seams`, and when bounds are not proven.
+        With `details` of the method's own type. Images of the input are baked anew (`baked`, see
+        `stages.simplification.textured`), unless `keep_uv` or a method that carries them is given. Otherwise
+        the mesh has colours if the input has. A note says what was left out, and when bounds are not proven.
 
     Raises
     ------
@@ -146,19 +149,52 @@ def simplify(
     params = resolve(SimplifyParams, params, dict(changes))
     mesh = as_mesh(mesh)
     require_measurable(mesh, "mesh")
-    method = chosen(params, in_pieces=is_in_pieces(mesh))
     locked, factors = resolve_control(mesh, lock, importance, regions)
-    remainder = None if params.drop_below is None else drop_small(mesh, params.drop_below, locked)
-    given, before = mesh, len(mesh.triangles)
-    if remainder is not None:
-        mesh, locked = remainder.mesh, locked[remainder.vertex_source]
-        factors = factors[remainder.vertex_source] if len(factors) else factors
+    if params.drop_below is not None:
+        remainder = drop_small(mesh, params.drop_below, locked)
+        target = params.target(len(mesh.triangles))
+        rest = resolve(
+            SimplifyParams,
+            params,
+            {"drop_below": None, "triangles": None if target is None else max(target, 1), "ratio": None},
+        )
+        found = simplify(
+            remainder.mesh,
+            rest,
+            lock=locked[remainder.vertex_source],
+            importance=factors[remainder.vertex_source] if len(factors) else None,
+            record=record,
+            partial=partial,
+            progress=progress,
+        )
+        return replace(
+            found,
+            vertex_source=remainder.vertex_source[found.vertex_source],
+            triangle_source=remainder.triangle_source[found.triangle_source],
+            triangles_before=len(mesh.triangles),
+            dropped=remainder.dropped,
+        )
+    plan, reason = plan_baking(mesh, params, record=record)
+    bound = None
+    if has_no_goal(params) and has_texture_images(mesh):
+        bound = derive_max_shape(mesh)
+        params = resolve(SimplifyParams, params, {"max_shape": bound})
+    if plan is not None and params.max_shape is not None:
+        # What is proven of joined copies of vertices holds for the mesh as it was given, too.
+        params = resolve(SimplifyParams, params, {"max_shape": max(params.max_shape - plan.shift, 0.0)})
+    shape, notes = mesh if plan is None else plan.shape, lines_left_out(mesh)
+    if reason is not None:
+        notes += (reason,)
+    if params.bake is False and not params.keep_uv and has_texture_images(mesh) and params.method == AUTO:
+        shape = mesh.with_(texture=None)
+        notes += (f"simplify {TEXTURE_LEFT_OUT}",)
+    method = chosen(params, in_pieces=is_in_pieces(shape))
     has_lock, has_importance = bool(locked.any()), len(factors) > 0
     require_taken(method, lock=has_lock, importance=has_importance, record=record, partial=partial)
     task = Task(
-        mesh=mesh,
+        mesh=shape,
         params=method.own(params),
-        triangles=params.target(before),
+        triangles=params.target(len(mesh.triangles)),
         lock=locked,
         importance=factors,
         threads=params.threads or 0,
@@ -167,7 +203,7 @@ def simplify(
         progress=_contented(progress) if partial else progress,
     )
     try:
-        found = _with_notes(method.run(task), lines_left_out(given))
+        found = _with_notes(replace(method.run(task), default_max_shape=bound), notes)
     except _kernels.InvalidMeshError as error:
         if method.takes.texture:
             raise MeshError(
@@ -176,15 +212,22 @@ def simplify(
                 "mesh",
             ) from error
         raise MeshError(f"{error}.", "mesh") from error
-    if remainder is None:
+    if plan is None:
         return found
-    return replace(
-        found,
-        vertex_source=remainder.vertex_source[found.vertex_source],
-        triangle_source=remainder.triangle_source[found.triangle_source],
-        triangles_before=before,
-        dropped=remainder.dropped,
+    try:
+        return plan.bake(found)
+    except MeshError as error:
+        if params.bake:
+            raise
+        if params.method != AUTO:
+            note = f"the images are left out, as they could not be baked anew: {error}"
+            return _with_notes(found, (note,))
+        note = f"the images are kept with their seams, as they could not be baked anew: {error}"
+    kept = resolve(SimplifyParams, params, {"keep_uv": True})
+    again = simplify(
+        mesh, kept, lock=lock, importance=importance, regions=regions, partial=partial, progress=progress
     )
+    return _with_notes(replace(again, default_max_shape=bound), (note,))
 
 
 def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from stages.errors import UsageError
 from stages.progress import Progress, silent
 from stages.simplification.cuts import (
     Cut,
@@ -131,6 +132,10 @@ def simplify_in_pieces(
     InputError, MeshError, UsageError
         As `read_ply` and `simplify`.
     """
+    if params.bake:
+        raise UsageError(
+            "bake is for meshes that are simplified in one piece; leave it out, and enable the stage bake."
+        )
     pieces = Pieces(path)
     total = pieces.triangle_count
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from stages.errors import MeshError
 from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
+from stages.surface.formats.gltf_materials import multiplies_colors
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Material, Pixels
 
@@ -19,6 +20,11 @@ _UNCOLORED = 128.0
 def has_color(mesh: Mesh) -> bool:
     """Return whether any part of the surface has a colour."""
     return mesh.colors is not None or is_textured(mesh)
+
+
+def attributes_of(mesh: Mesh) -> NDArray[np.uint8]:
+    """Return the vertex colours of a mesh, (n, 3); (n, 0) if it has none."""
+    return np.zeros((len(mesh.vertices), 0), np.uint8) if mesh.colors is None else mesh.colors
 
 
 def is_textured(mesh: Mesh) -> bool:
@@ -41,8 +47,9 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
 
     Parameters
     ----------
-    mesh : an image counts first, times the base colour of its material; then vertex colours, then a base
-        colour alone; what has none of them is grey. An image that cannot be decoded counts as none.
+    mesh : an image counts first, times the base colour of its material, and times the vertex colours of glTF
+        files; then vertex colours, then a base colour alone; what has none of them is grey. An image that
+        cannot be decoded counts as none.
     triangles : (k,) the triangle each point lies on.
     weights : (k, 3) barycentric weights of its corners, float32 or float64.
 
@@ -66,7 +73,11 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
             corners = mesh.texture.uvs.take(triangles[chosen], axis=0)
             # In double precision: of a large image, float32 resolves a few hundredths of a texel only.
             uvs = np.einsum("kc,kcx->kx", np.asarray(weights[chosen], np.float64), corners)
-            colors[chosen] = tinted(sampled(pixels, uvs, material.wrap), material)
+            shown = tinted(sampled(pixels, uvs, material.wrap), material)
+            if mesh.colors is not None and multiplies_colors(material):
+                light = linear_from_srgb(shown / 255) * linear_from_srgb(colors[chosen] / 255)
+                shown = 255 * srgb_from_linear(light)
+            colors[chosen] = shown
             is_its &= ~has_uvs
         if mesh.colors is None and material.base_color is not None:
             colors[is_its] = np.array(material.base_color[:3]) * 255

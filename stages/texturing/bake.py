@@ -135,6 +135,10 @@ class Baked:
     turned : share of the samples whose nearest point faced away, and that took another one.
     color : difference from the original's colours, sampled on the original.
     vertex_color : the same for the light mesh's vertex colours; None if it has none.
+    image_bytes, source_image_bytes : of all new images, and of those they replace, as files; None where there
+        were none.
+    resolution_scale : of a side of an image, below 1 where it was made smaller to have no more bytes.
+    quality : of JPEG or WebP, the lowest of all images; None for PNG.
     """
 
     mesh: Mesh
@@ -147,6 +151,10 @@ class Baked:
     turned: float
     color: ColorError
     vertex_color: ColorError | None
+    image_bytes: int | None = None
+    source_image_bytes: int | None = None
+    resolution_scale: float = 1.0
+    quality: int | None = None
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -172,6 +180,17 @@ class Baked:
             "turned_samples": self.turned,
             "color": self.color.figures(),
             "vertex_color": self.vertex_color and self.vertex_color.figures(),
+            **self._file_figures(),
+        }
+
+    def _file_figures(self) -> dict[str, Any]:
+        if self.image_bytes is None:
+            return {}
+        return {
+            "image_bytes": self.image_bytes,
+            "source_image_bytes": self.source_image_bytes,
+            "resolution_scale": self.resolution_scale,
+            "quality": self.quality,
         }
 
 

@@ -41,6 +41,17 @@ class FacingColors:
 
         Beside them, at how many points the nearest one of the original faced away and another did not.
         """
+        found, shares, turned = self.locate(triangles, weights)
+        return color_at(self._original.mesh, found, shares), turned
+
+    def locate(self, triangles: NDArray[np.int64], weights: Floats) -> tuple[NDArray[np.int64], Floats, int]:
+        """Find the points of the original nearest to points of the simplified mesh, facing the same way.
+
+        Returns
+        -------
+        Triangles (k,) of the original, barycentric weights (k, 3), and how many nearest points faced away
+        while another did not.
+        """
         corners = self._light.vertices[self._light.triangles[triangles]]
         points = self._moved_inwards(np.einsum("kc,kcx->kx", weights, corners), corners.mean(axis=1))
         nearest = self._original.closest(points)
@@ -52,7 +63,7 @@ class FacingColors:
             chosen, others, other_shares = self._facing(points[away], normals[away])
             found[away[chosen]], shares[away[chosen]] = others, other_shares
             turned = len(chosen)
-        return color_at(self._original.mesh, found, shares), turned
+        return found, shares, turned
 
     def _moved_inwards(self, points: Floats, middles: Floats) -> Floats:
         """Move points a little towards the middles of their triangles.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,3 +46,50 @@ def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> None:
     _pull_push(coarse, weight > 0)
     rows, columns = np.nonzero(~known)
     image[rows, columns] = coarse[rows // 2, columns // 2]
+
+
+def fill_gaps(images: Sequence[NDArray[np.uint8]], filled: NDArray[np.bool_]) -> None:
+    """Fill the gaps of images (h, w, c) of one atlas in place with the means of blocks.
+
+    A gap gets the mean of the smallest block of 2, 4, 8 … texels that shows anything. Halved images (mip
+    levels) thus mix a chart with its own colours alone, as long as no block reaches from one to another.
+    """
+    if filled.all() or not filled.any():
+        return
+    for image in images:
+        _fill_from_blocks(image, filled)
+
+
+def _fill_from_blocks(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> None:
+    require_opencv()
+    import cv2
+
+    height, width, channels = image.shape
+    if height % 2 or width % 2:
+        # As halving goes on to the end.
+        grown = np.zeros((height + height % 2, width + width % 2, channels), np.uint8)
+        is_known = np.zeros(grown.shape[:2], bool)
+        grown[:height, :width], is_known[:height, :width] = image, known
+        _fill_from_blocks(grown, is_known)
+        image[:] = grown[:height, :width]
+        return
+    mask = known.view(np.uint8)
+    blocks = mask.reshape(height // 2, 2, width // 2, 2)
+    count = blocks[:, 0, :, 0] + blocks[:, 0, :, 1] + blocks[:, 1, :, 0] + blocks[:, 1, :, 1]
+    size = (width // 2, height // 2)
+    coarse: NDArray[np.uint8] = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    coarse = coarse.reshape(*size[::-1], channels)
+    rows, columns = np.nonzero((count > 0) & (count < 4))
+    sums = np.zeros((len(rows), channels), np.float32)
+    for i in (0, 1):
+        for k in (0, 1):
+            at = 2 * rows + i, 2 * columns + k
+            sums += image[at] * mask[at][:, None].astype(np.float32)
+    coarse[rows, columns] = np.rint(sums / count[rows, columns][:, None])
+    if not count.all():
+        _fill_from_blocks(coarse, count > 0)
+    back: NDArray[np.uint8] = np.asarray(
+        cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8
+    )
+    gap = (1 - mask)[:, :, None] if channels == 1 else 1 - mask
+    cv2.copyTo(back.reshape(image.shape), gap, image)

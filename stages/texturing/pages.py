@@ -200,6 +200,50 @@ def in_one(mesh: Mesh, texel_size: float, *, max_side: int) -> Pages:
     raise MeshError(f"falls into too many pieces for an image of {max_side} × {max_side} texels.", "mesh")
 
 
+def lay_out_within(
+    mesh: Mesh,
+    densities: NDArray[np.float64],
+    *,
+    texels: float,
+    max_texels: float | None,
+    max_side: int,
+) -> Pages:
+    """Lay a mesh out in images that hold so many texels of surface, and no more than so many in all.
+
+    Parameters
+    ----------
+    densities : (m,) of the texels of each triangle along a length, relative to each other.
+    texels : that charts cover, less where `max_texels` leaves no room for them.
+    max_texels : of all images, gaps included; None for no limit.
+    max_side : texels, of an image.
+
+    Raises
+    ------
+    MeshError
+        If all triangles are needles, or the mesh falls into too many charts for so few texels.
+    """
+    weighted = areas(mesh.vertices, mesh.triangles) * densities**2
+    most = math.inf if max_texels is None else max_texels
+    scale = math.sqrt(min(texels, _FILLED * most) / float(weighted.sum()))
+    smallest = scale * _LEAST_DENSITY
+    side = _whole(math.sqrt(min(texels / _FILLED, most)), max_side)
+    while scale > smallest:
+        padding = max(_LEAST_PADDING, side // _SIDE_PER_PADDING)
+        # In texels: of any unit of length, single precision has room for one a texel.
+        scaled = mesh.with_(vertices=(mesh.vertices - mesh.vertices[mesh.triangles[0, 0]]) * scale)
+        pages = _pages(scaled, densities.astype(np.float32), side, padding, silent)
+        total = sum(width * height for width, height in pages.sizes)
+        if total <= most and (len(pages.sizes) == 1 or side == max_side):
+            return replace(pages, texels_per_m=np.asarray(densities * scale))
+        larger = _whole(side * _GROWTH_OF_ONE, max_side)
+        if len(pages.sizes) > 1 and side < larger and larger**2 <= most:
+            side = larger
+        else:
+            # Of several images, the last one is only as high as it has to be.
+            scale *= min(math.sqrt(min(most, side**2) / total), 0.97) if total > most else 1 / _GROWTH_OF_ONE
+    raise MeshError("falls into too many charts for an image of so few texels.", "mesh")
+
+
 def _whole(side: float, max_side: int) -> int:
     return min(max(math.ceil(side / _ROWS) * _ROWS, _MIN_SIDE), max_side)
 

@@ -53,7 +53,7 @@ def test_every_method_gives_a_closed_mesh_with_an_image(
     assert len(light.triangles) < len(mesh.triangles)
     assert light.texture is not None
     assert len(light.texture.images) == 1
-    assert ("baked" in ran.json) == (method in ("quadric", "jia01", "planar"))
+    assert ran.json["baked"]["image_bytes"] > 0
     color = scanloom("compare", textured, target, "--samples", 20_000, "--json").json["color"]
     assert color["a_to_b"]["rmse_levels"] < 40
 
@@ -99,3 +99,37 @@ def test_transparency_is_told(scanloom: Run, tmp_path: Path) -> None:
     path.write_text("\n".join(lines))
     ran = scanloom("simplify", path, tmp_path / "light.ply", "--ratio", 1.0)
     assert f"warning: {path}: the transparency of vertices is left out" in ran.stderr
+
+
+def test_keep_uv_leaves_the_image_as_it_is(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+    target = tmp_path / "light.glb"
+    ran = scanloom("simplify", textured, target, "--ratio", 0.3, "--keep-uv", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["method"] == "seams"
+    assert "baked" not in ran.json
+    light, mesh = read_mesh(target), read_mesh(textured)
+    assert light.texture is not None
+    assert mesh.texture is not None
+    assert light.texture.images[0].file_bytes == mesh.texture.images[0].file_bytes
+    refused = scanloom("simplify", textured, tmp_path / "other.glb", "--ratio", 0.3, "--keep-uv", "--bake")
+    assert refused.exit_code == 2
+
+
+def test_without_a_goal_the_bound_is_told(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+    ran = scanloom("simplify", textured, tmp_path / "light.glb")
+    assert ran.exit_code == 0, ran.stderr
+    assert "No number and no bound was given: the shape stays within" in ran.stdout
+    assert "Colour error on the original:" in ran.stdout
+    assert "Proven: no point is more than" in ran.stdout
+    assert "colours differ by" not in ran.stdout
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
+def test_formats_with_images_hold_the_baked_one(
+    scanloom: Run, textured: Path, tmp_path: Path, suffix: str
+) -> None:
+    target = tmp_path / f"light{suffix}"
+    ran = scanloom("simplify", textured, target, "--ratio", 0.3, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    color = scanloom("compare", textured, target, "--samples", 20_000, "--json").json["color"]
+    assert color["a_to_b"]["rmse_levels"] == pytest.approx(ran.json["baked"]["color"]["rmse_levels"], rel=0.3)

@@ -33,6 +33,7 @@ METHODS = (
     "simplify.method=planar",
     "simplify.method=jia01",
     "simplify.method=seams simplify.ratio=0.5",
+    "simplify.bake=true simplify.ratio=0.5",
     "clean.repair=true simplify.ratio=0.5",
     "depth.model=net.onnx",
 )
@@ -99,6 +100,8 @@ def test_the_version_of_a_method_is_in_the_key_only_where_it_runs():
     simplify = stage_named("simplify")
     assert set(versions(simplify, PAIRS, "simplify.ratio=0.5")) == {"simplify", "quadric"}
     assert set(versions(simplify, PAIRS, "simplify.method=planar")) == {"simplify", "planar"}
+    baked = versions(simplify, PAIRS, "simplify.ratio=0.5 simplify.bake=true")
+    assert set(baked) == {"simplify", "quadric", "bake", "compare"}
     assert set(versions(simplify, PAIRS, "simplify.max_shape=0.01")) == {"simplify", "certified", "certify"}
 
 

@@ -209,7 +209,7 @@ class _Plan:
 
 def _simplified(shown: Shown, triangles: int) -> Shown:
     mesh = shown.mesh
-    found = simplify(mesh, triangles=triangles)
+    found = simplify(mesh, triangles=triangles, keep_uv=True)
     light = found.mesh.with_(up=mesh.up)
     if light.colors is None and mesh.colors is not None:
         light = light.with_(colors=found.follow(mesh.colors))

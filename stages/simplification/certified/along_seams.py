@@ -36,14 +36,13 @@ from stages.simplification.certified.effort import (
 from stages.simplification.certified.params import CertifiedParams
 from stages.simplification.certified.unproven import not_proven
 from stages.simplification.color_weight import balanced_weight
-from stages.simplification.kernel_input import attributes_of
 from stages.simplification.lines import lost_lines
 from stages.simplification.result import Simplified
 from stages.simplification.seams.details import SeamsDetails
 from stages.simplification.seams.params import SeamsParams
 from stages.simplification.seams.run import simplified
 from stages.simplification.task import Task
-from stages.surface.color import is_textured
+from stages.surface.color import attributes_of, is_textured
 from stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]

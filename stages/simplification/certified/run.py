@@ -17,11 +17,11 @@ from stages.simplification.certified.unproven import not_proven
 from stages.simplification.color_weight import balanced_weight
 from stages.simplification.corner_attributes import is_in_pieces
 from stages.simplification.in_sheets import run_in_sheets
-from stages.simplification.kernel_input import as_result, attributes_of, require_colors
+from stages.simplification.kernel_input import as_result, require_colors
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
-from stages.surface.color import has_color
+from stages.surface.color import attributes_of, has_color
 from stages.surface.mesh import Mesh
 
 RESULT_VERSION = 7

@@ -10,10 +10,11 @@ from stages.simplification.in_sheets import run_in_sheets
 from stages.simplification.jia01.details import Jia01Details
 from stages.simplification.jia01.limits import limits_of
 from stages.simplification.jia01.params import Jia01Params
-from stages.simplification.kernel_input import as_result, attributes_of
+from stages.simplification.kernel_input import as_result
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
+from stages.surface.color import attributes_of
 
 RESULT_VERSION = 2
 

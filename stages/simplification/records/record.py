@@ -22,20 +22,13 @@ from stages.params import resolve
 from stages.printing import by_fields, table
 from stages.progress import silent
 from stages.simplification.corner_attributes import LightCorners
-from stages.simplification.kernel_input import (
-    Floats,
-    Ids,
-    Light,
-    as_result,
-    attributes_of,
-    fitted,
-    kernel_input,
-)
+from stages.simplification.kernel_input import Floats, Ids, Light, as_result, fitted, kernel_input
 from stages.simplification.records.archive import Arrays, write_arrays
 from stages.simplification.records.steps import After, Replayed, ReplayParams, Steps
 from stages.simplification.records.stored_mesh import stored_mesh
 from stages.simplification.records.stored_wedges import stored_wedges
 from stages.simplification.records.wedges import Wedges
+from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.simplification.kernel_input import Ids, attributes_of
+from stages.simplification.kernel_input import Ids
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.wedges import Wedges
+from stages.surface.color import attributes_of
 
 Shape = tuple[int, ...]
 

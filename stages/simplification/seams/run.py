@@ -11,7 +11,6 @@ from stages import _kernels
 from stages.errors import MeshError
 from stages.simplification.color_weight import color_weight
 from stages.simplification.corner_attributes import CornerAttributes, LightCorners
-from stages.simplification.kernel_input import attributes_of
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.wedges import Wedges
 from stages.simplification.reordered import run_reordered
@@ -26,6 +25,7 @@ from stages.simplification.seams.params import (
 )
 from stages.simplification.seams.similar import joinable_sets, similar_sets
 from stages.simplification.task import Task
+from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
 from stages.surface.texture import Texture, signed_areas

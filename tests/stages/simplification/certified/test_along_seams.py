@@ -53,7 +53,7 @@ def assert_kept(light: Any, mesh: Mesh, bound: float) -> None:
 def test_a_ball_with_seams_stays_closed_and_within_its_bound(share: float) -> None:
     mesh = checkered(wrapped_ball(24, 48, bumps=0.1))
     bound = share * diagonal(mesh)
-    light = simplify(mesh, max_shape=bound)
+    light = simplify(mesh, keep_uv=True, max_shape=bound)
     assert_kept(light, mesh, bound)
     assert len(light.mesh.triangles) < 0.9 * len(mesh.triangles)
     assert light.stopped_by == "bounds"
@@ -61,7 +61,10 @@ def test_a_ball_with_seams_stays_closed_and_within_its_bound(share: float) -> No
 
 def test_a_looser_bound_leaves_less() -> None:
     mesh = checkered(wrapped_ball(24, 48, bumps=0.1))
-    counts = [len(simplify(mesh, max_shape=share * diagonal(mesh)).mesh.triangles) for share in (0.001, 0.01)]
+    counts = [
+        len(simplify(mesh, keep_uv=True, max_shape=share * diagonal(mesh)).mesh.triangles)
+        for share in (0.001, 0.01)
+    ]
     assert counts[1] < counts[0] / 3
 
 
@@ -69,7 +72,7 @@ def test_a_looser_bound_leaves_less() -> None:
 def test_colours_are_held_and_called_measured(max_color: float) -> None:
     mesh = checkered(wrapped_ball(24, 48, bumps=0.1), squares=2)
     bound = 0.02 * diagonal(mesh)
-    light = simplify(mesh, max_shape=bound, max_color=max_color)
+    light = simplify(mesh, keep_uv=True, max_shape=bound, max_color=max_color)
     assert_kept(light, mesh, bound)
     samples = color_samples(light.mesh, mesh)
     assert samples is not None
@@ -77,7 +80,7 @@ def test_colours_are_held_and_called_measured(max_color: float) -> None:
     assert light.details.color_bound_levels is None
     assert light.details.color_measured_levels == pytest.approx(samples.largest)
     assert "Measured, not proven" in light.details.text()
-    free = simplify(mesh, max_shape=bound)
+    free = simplify(mesh, keep_uv=True, max_shape=bound)
     assert free.details.color_measured_levels > max_color
     assert len(free.mesh.triangles) < len(light.mesh.triangles)
 
@@ -85,9 +88,9 @@ def test_colours_are_held_and_called_measured(max_color: float) -> None:
 def test_a_number_and_a_bound_whichever_comes_first() -> None:
     mesh = checkered(wrapped_ball(24, 48, bumps=0.1))
     bound = 0.01 * diagonal(mesh)
-    few = simplify(mesh, max_shape=bound, triangles=10)
+    few = simplify(mesh, keep_uv=True, max_shape=bound, triangles=10)
     assert few.stopped_by == "bounds"
-    many = simplify(mesh, max_shape=bound, triangles=1500)
+    many = simplify(mesh, keep_uv=True, max_shape=bound, triangles=1500)
     assert many.stopped_by == "triangles"
     assert len(many.mesh.triangles) <= 1500
     for light in (few, many):
@@ -97,18 +100,20 @@ def test_a_number_and_a_bound_whichever_comes_first() -> None:
 def test_what_is_locked_stays_and_what_is_important_is_nearer() -> None:
     mesh = checkered(wrapped_ball(24, 48, bumps=0.1))
     lock = mesh.vertices[:, 0] > 0.5
-    light = simplify(mesh, max_shape=0.02 * diagonal(mesh), lock=lock)
+    light = simplify(mesh, keep_uv=True, max_shape=0.02 * diagonal(mesh), lock=lock)
     kept = {tuple(p) for p in light.mesh.vertices.tolist()}
     assert {tuple(p) for p in mesh.vertices[lock].tolist()} <= kept
-    cared = simplify(mesh, max_shape=0.02 * diagonal(mesh), importance=np.where(lock, 10.0, 1.0))
-    plain = simplify(mesh, max_shape=0.02 * diagonal(mesh))
+    cared = simplify(
+        mesh, keep_uv=True, max_shape=0.02 * diagonal(mesh), importance=np.where(lock, 10.0, 1.0)
+    )
+    plain = simplify(mesh, keep_uv=True, max_shape=0.02 * diagonal(mesh))
     there = [int((one.mesh.vertices[:, 0] > 0.5).sum()) for one in (cared, plain)]
     assert there[0] > there[1]
 
 
 def test_the_same_bytes_on_any_threads() -> None:
     mesh = checkered(wrapped_ball(24, 48, bumps=0.1))
-    one, two = (simplify(mesh, max_shape=0.004 * diagonal(mesh), threads=n) for n in (1, 2))
+    one, two = (simplify(mesh, keep_uv=True, max_shape=0.004 * diagonal(mesh), threads=n) for n in (1, 2))
     assert one.mesh.vertices.tobytes() == two.mesh.vertices.tobytes()
     assert one.mesh.triangles.tobytes() == two.mesh.triangles.tobytes()
     assert one.mesh.texture is not None
@@ -118,7 +123,7 @@ def test_the_same_bytes_on_any_threads() -> None:
 
 def test_a_record_leads_to_the_same_mesh() -> None:
     mesh = checkered(wrapped_ball(12, 24, bumps=0.1))
-    light = simplify(mesh, max_shape=0.01 * diagonal(mesh), record=True)
+    light = simplify(mesh, keep_uv=True, max_shape=0.01 * diagonal(mesh), record=True)
     assert light.record is not None
     again = light.record.replay()
     assert len(again.mesh.triangles) == len(light.mesh.triangles)
@@ -136,7 +141,7 @@ def test_colours_of_sheets_upon_each_other_are_not_told_and_that_is_said() -> No
         np.concatenate([ball.triangles, ball.triangles + np.int32(len(ball.vertices))]),
         texture=Texture(uvs, material_ids, ball.texture.materials),
     )
-    light = simplify(both, max_shape=0.05 * diagonal(both), max_color=5.0)
+    light = simplify(both, keep_uv=True, max_shape=0.05 * diagonal(both), max_color=5.0)
     assert any("several colours in one place" in note for note in light.mesh.notes)
 
 
@@ -147,7 +152,7 @@ def in_parts(max_color: float | None = None) -> tuple[Mesh, Any]:
     levels = np.stack([128 + 100 * np.sin(4 * x), 128 + 60 * y, 128 + 60 * z], axis=1)
     ids = (ball.vertices[ball.triangles].mean(axis=1)[:, 0] > 0).astype(np.int32)
     mesh = ball.with_(colors=levels.clip(0, 255).astype(np.uint8), part_ids=ids, part_names=("a", "b"))
-    return mesh, simplify(mesh, max_shape=0.02 * diagonal(mesh), max_color=max_color)
+    return mesh, simplify(mesh, keep_uv=True, max_shape=0.02 * diagonal(mesh), max_color=max_color)
 
 
 def test_colours_of_vertices_are_proven_also_where_there_are_parts() -> None:
@@ -176,7 +181,7 @@ def test_triangles_too_thin_for_a_proof_are_named_with_their_place(is_textured: 
     uvs = np.concatenate([ball.texture.uvs, ball.texture.uvs[:1]])
     texture = Texture(uvs, np.zeros(len(uvs), np.int32), ball.texture.materials)
     mesh = Mesh(np.concatenate([ball.vertices, blade]), triangles, texture=texture if is_textured else None)
-    light = simplify(mesh, max_shape=0.015)
+    light = simplify(mesh, keep_uv=True, max_shape=0.015)
     assert not light.details.proven
     assert light.stopped_by == "unproven"
     assert height / 2 < light.details.shape_bound_m <= 1.01 * height
@@ -194,7 +199,7 @@ def test_any_ball_with_holes_keeps_the_promise(seed: int) -> None:
     kept = np.flatnonzero(rng.random(len(mesh.triangles)) < rng.choice([0.85, 1.0]))
     mesh = mesh.with_triangles(mesh.triangles[kept], kept)
     bound = float(10 ** rng.uniform(-4, -1)) * diagonal(mesh)
-    light = simplify(mesh, max_shape=bound)
+    light = simplify(mesh, keep_uv=True, max_shape=bound)
     if light.details.proven:
         farthest = compare(light.mesh, mesh, samples=3000).figures()["distance"]
         assert max(farthest[way]["maximum_m"] for way in ("a_to_b", "b_to_a")) <= light.details.shape_bound_m
@@ -214,7 +219,7 @@ def test_shared_models(name: str) -> None:
         pytest.skip(f"{name} is not here")
     mesh = read_mesh(DATA / name)
     bound = 0.005 * diagonal(mesh)
-    assert_kept(stages.simplify(mesh, max_shape=bound), mesh, bound)
+    assert_kept(stages.simplify(mesh, keep_uv=True, max_shape=bound), mesh, bound)
 
 
 def test_points_and_lines_that_are_left_out_are_no_part_of_the_proof() -> None:
@@ -234,7 +239,7 @@ def test_points_and_lines_that_are_left_out_are_no_part_of_the_proof() -> None:
         texture=texture,
     )
     bound = 0.005 * diagonal(ball)
-    light = simplify(mesh, max_shape=bound)
+    light = simplify(mesh, keep_uv=True, max_shape=bound)
     assert light.details.proven
     assert light.stopped_by == "bounds"
     assert light.details.shape_bound_m <= bound

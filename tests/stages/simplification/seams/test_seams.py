@@ -289,12 +289,12 @@ def test_without_a_collapse_everything_stays_to_the_bit() -> None:
 
 def test_equal_input_gives_equal_bytes_and_memory_order_does_not_matter_to_the_promise() -> None:
     mesh = wrapped_ball()
-    one, other = (simplify(mesh, ratio=0.2) for _ in range(2))
+    one, other = (simplify(mesh, ratio=0.2, keep_uv=True) for _ in range(2))
     np.testing.assert_array_equal(corner_attributes(one.mesh), corner_attributes(other.mesh))
     rng = np.random.default_rng(3)
     order = rng.permutation(len(mesh.triangles))
     shuffled = mesh.with_triangles(mesh.triangles[order], order)
-    result = simplify(shuffled, ratio=0.2)
+    result = simplify(shuffled, ratio=0.2, keep_uv=True)
     assert_sound(result.mesh, result.triangle_source, shuffled)
 
 
@@ -401,7 +401,7 @@ def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> N
     shaken = sheet.with_(vertices=vertices)
     assert edge_counts(welded(shaken))[0] > edge_counts(welded(sheet))[0]
     assert not joinable_sets(vertices, sheet.triangles, 2 * nearly)[2].any()
-    light = simplify(shaken, ratio=0.3)
+    light = simplify(shaken, ratio=0.3, keep_uv=True)
     assert light.details.joined_vertices == len(copies)
     assert edge_counts(welded(light.mesh))[0] <= edge_counts(welded(sheet))[0]
 
@@ -472,7 +472,7 @@ def test_materials_are_borders() -> None:
     assert mesh.texture is not None
     ids = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
     two = Texture(mesh.texture.uvs, ids, (*mesh.texture.materials, Material("other")))
-    result = simplify(mesh.with_(texture=two), ratio=0.1)
+    result = simplify(mesh.with_(texture=two), ratio=0.1, keep_uv=True)
     assert_sound(result.mesh, result.triangle_source, mesh.with_(texture=two))
     assert result.mesh.texture is not None
     border = set.intersection(
@@ -530,9 +530,12 @@ def test_a_vertex_far_away_does_not_make_all_others_one() -> None:
     assert 0.4 * len(triangles) < len(light.mesh.triangles) <= 0.5 * len(triangles)
 
 
-def test_auto_takes_seams_for_textured_meshes_and_for_its_own_parameters() -> None:
+def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_parameters() -> None:
     mesh = wrapped_ball(8, 10)
-    assert simplify(mesh, ratio=0.5).method == "seams"
+    assert simplify(mesh, ratio=0.5, keep_uv=True).method == "seams"
+    assert simplify(mesh, ratio=0.5, max_seam_drift=0.05).method == "seams"
+    assert simplify(mesh, ratio=0.5, record=True).method == "seams"
+    assert simplify(mesh, ratio=0.5).method == "quadric"
     assert simplify(mesh.with_(texture=None), ratio=0.5).method == "quadric"
     assert simplify(mesh.with_(texture=None), ratio=0.5, similar_distance=0.0).method == "seams"
     assert simplify(mesh, max_shape=0.05).method == "certified"

@@ -1,0 +1,229 @@
+"""Simplification of textured models without texture seams, and baking of their images.
+
+Texture coordinates would hold every seam in place. Without them only what must not mix stays apart: classes
+of materials that need images of their own, parts, and sharp edges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
+from stages.simplification.methods import METHODS
+from stages.simplification.params import AUTO, SimplifyParams
+from stages.simplification.result import Simplified
+from stages.simplification.seams.params import SIMILAR_DISTANCE
+from stages.simplification.seams.similar import joinable_sets
+from stages.surface.color import is_textured, pixels_of
+from stages.surface.formats.gltf_materials import has_images
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import bounding_box
+from stages.surface.texture import Material, Texture, signed_areas
+from stages.surface.topology import areas
+from stages.texturing.bake import bake
+from stages.texturing.bake_materials import bake_materials
+from stages.texturing.material_classes import MaterialClass, material_classes
+
+# Parameters that only mean something for texture coordinates, or colours of an image, that stay.
+_OF_KEPT_UVS = ("max_color", "max_seam_drift", "texture_weight", "across_textures")
+# An image that repeats more often than this, as bricks on a wall, would lose detail in an atlas of its size.
+_MAX_REPEATS = 2.0
+# Share of the surface that shows less than one texel for each triangle, as with palettes, from which an atlas
+# of as few texels would lose the colours.
+_MAX_PALETTE = 0.5
+# The default bound on shape, as a share of the size of the model: not visible at a thousand pixels.
+_SHAPE_PER_SIZE = 1e-3
+# Length of the mean of the normals at a vertex from which they are one: about 5 degrees between them.
+_SMOOTH = 0.996
+# Copies of a vertex are nearer than this share of the median side.
+_SIMILAR_PER_SIDE = 0.01
+# Share of the surface at each end of each axis that does not count for the size.
+_OUTSIDE = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class BakePlan:
+    """Shape to simplify, and the classes of materials that are baked afterwards.
+
+    Attributes
+    ----------
+    original : mesh as it was given.
+    shape : mesh without texture coordinates; where there are several classes, they are its "materials".
+    class_ids : (m,) of the triangles of the original.
+    classes : of the materials; empty where vertex colours are baked.
+    """
+
+    original: Mesh
+    shape: Mesh
+    class_ids: NDArray[np.int32]
+    classes: tuple[MaterialClass, ...]
+
+    @property
+    def shift(self) -> float:
+        """Return how far vertices of `shape` are from those of the original, in metres."""
+        return float(np.linalg.norm(self.shape.vertices - self.original.vertices, axis=1).max(initial=0.0))
+
+    def bake(self, found: Simplified[Any]) -> Simplified[Any]:
+        """Return the simplified mesh with its new images."""
+        mesh = found.mesh
+        if not areas(mesh.vertices, mesh.triangles).any():
+            note = f"simplify {TEXTURE_LEFT_OUT}"
+            return replace(found, mesh=mesh.with_(texture=None, notes=(*mesh.notes, note)))
+        if not self.classes:
+            baked = bake(mesh, self.original)
+        else:
+            if self.shape.texture is not None and mesh.texture is not None:
+                class_ids = mesh.texture.material_ids
+            else:
+                class_ids = self.class_ids[found.triangle_source]
+            baked = bake_materials(mesh, self.original, class_ids, self.class_ids, self.classes)
+        parts = self.original.part_ids
+        mesh = baked.mesh
+        if parts is not None and mesh.part_ids is None and len(np.unique(parts)) == 1:
+            part_ids = np.full(len(mesh.triangles), parts[0], np.int32)
+            mesh = mesh.with_(part_ids=part_ids, part_names=self.original.part_names)
+        return replace(found, mesh=mesh, baked=replace(baked, mesh=mesh))
+
+
+def has_texture_images(mesh: Mesh) -> bool:
+    """Return whether a mesh has texture coordinates, and images that can be decoded."""
+    texture = mesh.texture
+    if texture is None or not texture.has_uvs().any():
+        return False
+    used = np.unique(texture.material_ids)
+    materials = [texture.materials[number] for number in used[used >= 0]]
+    return any(pixels_of(material) is not None or has_images(material) for material in materials)
+
+
+def plan_baking(mesh: Mesh, params: SimplifyParams, *, record: bool) -> tuple[BakePlan | None, str | None]:
+    """Plan the baking of a mesh; return None and a reason if images are kept.
+
+    Parameters
+    ----------
+    record : whether all collapses are kept, which holds for one set of texture coordinates only.
+    """
+    if params.keep_uv or params.bake is False:
+        return None, None
+    is_image = has_texture_images(mesh)
+    if not is_image:
+        return (_plan_color_baking(mesh), None) if params.bake else (None, None)
+    if params.bake is None:
+        carrying = [method.name for method in METHODS if method.takes.texture]
+        is_auto = params.method == AUTO
+        is_kept = any(getattr(params, name) is not None for name in _OF_KEPT_UVS)
+        if params.method in carrying or (is_auto and (record or is_kept)):
+            return None, None
+    class_ids, classes = material_classes(mesh)
+    if params.bake is None and (reason := _find_reason(mesh)) is not None:
+        return None, reason
+    return BakePlan(mesh, _strip_texture(mesh, class_ids, classes), class_ids, classes), None
+
+
+def derive_max_shape(mesh: Mesh) -> float:
+    """Derive the default bound on shape of a model, in metres, from its size.
+
+    The size is the diagonal of the box that holds all of the surface but the outermost 0.5 % at each side, so
+    that a stray triangle does not count.
+    """
+    corners = mesh.triangles.reshape(-1)
+    weights = np.repeat(areas(mesh.vertices, mesh.triangles), 3)
+    low, high = np.zeros(3), np.zeros(3)
+    for axis in range(3):
+        values = mesh.vertices[corners, axis]
+        order = np.argsort(values)
+        before = np.cumsum(weights[order])
+        ends = np.searchsorted(before, np.array([_OUTSIDE, 1 - _OUTSIDE]) * before[-1])
+        low[axis], high[axis] = values[order][ends.clip(0, len(values) - 1)]
+    return _SHAPE_PER_SIZE * float(np.linalg.norm(high - low))
+
+
+def _plan_color_baking(mesh: Mesh) -> BakePlan:
+    """Plan the baking of vertex colours."""
+    shape = mesh if not is_textured(mesh) else mesh.with_(texture=None)
+    return BakePlan(mesh, shape, np.zeros(len(mesh.triangles), np.int32), ())
+
+
+def _strip_texture(mesh: Mesh, class_ids: NDArray[np.int32], classes: tuple[MaterialClass, ...]) -> Mesh:
+    """Remove texture coordinates and colours; keep classes as materials."""
+    has_parts = mesh.part_ids is not None and len(np.unique(mesh.part_ids)) > 1
+    bare = mesh.with_(colors=None, texture=None)
+    if not has_parts:
+        bare = bare.with_(part_ids=None, part_names=())
+    bare = _join_copies(_smooth_normals(bare))
+    if len(classes) == 1:
+        return bare
+    uvs = np.zeros((len(mesh.triangles), 3, 2))
+    materials = tuple(Material(f"class {index}") for index in range(len(classes)))
+    return bare.with_(texture=Texture(uvs, class_ids, materials))
+
+
+def _join_copies(mesh: Mesh) -> Mesh:
+    """Move copies of vertices that rounding separates to one position."""
+    sides = mesh.vertices[mesh.triangles] - np.roll(mesh.vertices[mesh.triangles], 1, axis=1)
+    lengths = np.linalg.norm(sides, axis=2)
+    if not lengths.any():
+        return mesh
+    low, high = bounding_box(mesh)
+    distance = min(
+        SIMILAR_DISTANCE * float(np.linalg.norm(high - low)),
+        _SIMILAR_PER_SIDE * float(np.median(lengths[lengths > 0])),
+    )
+    _, positions, _ = joinable_sets(mesh.vertices, mesh.triangles, distance)
+    return mesh.with_(vertices=positions)
+
+
+def _smooth_normals(mesh: Mesh) -> Mesh:
+    """Replace corner normals by vertex normals if no edge is sharp.
+
+    Files have several copies of a vertex along seams of the image, whose normals differ by rounding.
+    """
+    if mesh.corner_normals is None:
+        return mesh
+    _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    at = place[mesh.triangles.reshape(-1)]
+    normals = mesh.corner_normals.reshape(-1, 3)
+    sums = np.stack([np.bincount(at, normals[:, axis], minlength=len(place)) for axis in range(3)], axis=1)
+    lengths = np.linalg.norm(sums, axis=1)
+    counts = np.bincount(at, (normals != 0).any(axis=1), minlength=len(place))
+    if (lengths < _SMOOTH * counts).any():
+        return mesh
+    unit = np.divide(sums, lengths[:, None], out=np.zeros_like(sums), where=lengths[:, None] > 0)
+    return mesh.with_(normals=unit[place], corner_normals=None)
+
+
+def _find_reason(mesh: Mesh) -> str | None:
+    """Find a reason to keep the images of a mesh; None if there is none."""
+    texture = mesh.texture
+    assert texture is not None
+    spread = np.abs(signed_areas(texture.uvs))
+    area = areas(mesh.vertices, mesh.triangles)
+    shown = np.zeros(len(spread))
+    total, seen = 0.0, set()
+    for number, material in enumerate(texture.materials):
+        pixels = pixels_of(material)
+        its = texture.material_ids == number
+        if pixels is None or not its.any():
+            continue
+        count = pixels.shape[0] * pixels.shape[1]
+        shown[its] = spread[its] * count
+        if id(material.image) not in seen:
+            seen.add(id(material.image))
+            total += count
+    if not total:
+        return None
+    if shown.sum() > _MAX_REPEATS * total:
+        return (
+            "the images repeat on the surface: texture coordinates and images are kept, since an atlas of as "
+            "few texels would lose detail; bake=True makes one all the same."
+        )
+    if area[shown < 1].sum() > _MAX_PALETTE * area.sum():
+        return (
+            "the images are palettes, of which triangles show single texels: texture coordinates and images "
+            "are kept; bake=True makes an atlas all the same."
+        )
+    return None

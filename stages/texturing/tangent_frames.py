@@ -1,0 +1,135 @@
+"""Tangent frames for tangent-space normal maps, as viewers derive them.
+
+After MikkTSpace (Mikkelsen 2008, "Simulation of wrinkled surfaces revisited"): tangents of triangles that
+share a position, a normal and texture coordinates are averaged by angle; the bitangent is the cross product.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import unit_normals
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class TangentFrames:
+    """Frames of the corners of a mesh.
+
+    Attributes
+    ----------
+    normals, tangents : (m, 3, 3) float32.
+    signs : (m,) float32, 1 where texture coordinates go round counter-clockwise, else −1.
+    """
+
+    normals: Floats
+    tangents: Floats
+    signs: Floats
+
+    def at(self, triangles: NDArray[Any], weights: NDArray[Any]) -> tuple[Floats, Floats, Floats]:
+        """Return tangents, bitangents and normals (k, 3) at points of the surface."""
+        shares = weights.astype(np.float32)
+        normals = _interpolate(self.normals, triangles, shares)
+        tangents = _interpolate(self.tangents, triangles, shares)
+        bitangents = np.cross(normals, tangents) * self.signs[triangles][:, None]
+        return tangents, np.asarray(bitangents, np.float32), normals
+
+
+def tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrames:
+    """Derive the frames of a mesh with texture coordinates (m, 3, 2), v up."""
+    normals = corner_normals(mesh)
+    corners = mesh.vertices[mesh.triangles]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    (u1, v1), (u2, v2) = ((uvs[:, k] - uvs[:, 0]).T for k in (1, 2))
+    area = u1 * v2 - u2 * v1
+    signs = np.where(area >= 0, 1.0, -1.0)
+    along = _unit((first * v2[:, None] - second * v1[:, None]) * signs[:, None])
+    # In the plane of each corner's normal, weighted by the angle of the corner.
+    flat = along[:, None] - normals * np.einsum("mx,mkx->mk", along, normals)[..., None]
+    flat = _unit(flat.reshape(-1, 3)).reshape(-1, 3, 3) * _corner_angles(corners)[..., None]
+    key = np.concatenate(
+        [
+            np.round(corners.reshape(-1, 3), 12),
+            np.round(normals.reshape(-1, 3), 6),
+            np.round(uvs.reshape(-1, 2), 9),
+            np.repeat(signs, 3)[:, None],
+        ],
+        axis=1,
+    )
+    _, inverse = np.unique(
+        np.ascontiguousarray(key + 0.0).view([("", key.dtype)] * key.shape[1]), return_inverse=True
+    )
+    inverse = inverse.reshape(-1)
+    sums = np.stack([np.bincount(inverse, flat.reshape(-1, 3)[:, axis]) for axis in range(3)], axis=1)
+    tangents = _unit(sums)[inverse].reshape(-1, 3, 3)
+    return TangentFrames(normals.astype(np.float32), tangents.astype(np.float32), signs.astype(np.float32))
+
+
+def corner_normals(mesh: Mesh) -> NDArray[np.float64]:
+    """Return shading normals (m, 3, 3) of the corners; face normals where none are given."""
+    flat = unit_normals(mesh)[:, None].repeat(3, axis=1)
+    if mesh.corner_normals is not None:
+        given = mesh.corner_normals
+    elif mesh.normals is not None:
+        given = mesh.normals[mesh.triangles]
+    else:
+        return flat
+    return np.where((given != 0).any(axis=2, keepdims=True), given, flat)
+
+
+def decode_normals(
+    texels: NDArray[np.uint8],
+    frame: tuple[Floats, Floats, Floats],
+    scales: NDArray[np.floating[Any]] | float,
+) -> Floats:
+    """Decode tangent-space normals (k, 3) uint8 to object-space unit normals."""
+    tangents, bitangents, normals = frame
+    local = texels[:, :3].astype(np.float32) * np.float32(2 / 255) - 1
+    local[:, :2] *= np.asarray(scales, np.float32)[..., None] if np.ndim(scales) else np.float32(scales)
+    found = local[:, :1] * tangents + local[:, 1:2] * bitangents + local[:, 2:3] * normals
+    return _unit(found)
+
+
+def encode_normals(directions: Floats, frame: tuple[Floats, Floats, Floats]) -> NDArray[np.uint8]:
+    """Encode object-space normals (k, 3) as tangent-space normals, uint8."""
+    tangents, bitangents, normals = frame
+    # The bitangent is perpendicular to both others, which need not be so to each other.
+    y = _dot(directions, bitangents) / np.maximum(_dot(bitangents, bitangents), np.float32(1e-12))
+    tt, nn, tn = _dot(tangents, tangents), _dot(normals, normals), _dot(tangents, normals)
+    dt, dn = _dot(directions, tangents), _dot(directions, normals)
+    determinant = np.maximum(tt * nn - tn * tn, np.float32(1e-12))
+    x, z = (dt * nn - dn * tn) / determinant, (dn * tt - dt * tn) / determinant
+    # Nothing points below the surface in a normal map.
+    local = _unit(np.stack([x, y, np.maximum(z, np.float32(1e-3))], axis=1))
+    return np.asarray(np.rint((local + 1) * np.float32(127.5)).clip(0, 255), np.uint8)
+
+
+def _interpolate(values: Floats, triangles: NDArray[Any], shares: Floats) -> Floats:
+    found = values[:, 0].take(triangles, axis=0) * shares[:, :1]
+    for k in (1, 2):
+        found += values[:, k].take(triangles, axis=0) * shares[:, k : k + 1]
+    return found
+
+
+def _corner_angles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    angles = np.empty(corners.shape[:2])
+    for k in range(3):
+        a = _unit(corners[:, (k + 1) % 3] - corners[:, k])
+        b = _unit(corners[:, (k + 2) % 3] - corners[:, k])
+        angles[:, k] = np.arccos(np.einsum("mx,mx->m", a, b).clip(-1, 1))
+    return angles
+
+
+def _unit(vectors: NDArray[Any]) -> NDArray[Any]:
+    length = np.sqrt(np.einsum("kx,kx->k", vectors, vectors))[:, None]
+    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("kx,kx->k", a, b))
