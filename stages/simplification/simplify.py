@@ -21,7 +21,7 @@ from stages.simplification.params import AUTO, SimplifyParams
 from stages.simplification.regions import Region, resolve_control
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
-from stages.simplification.textured import derive_max_shape, has_texture_images, plan_baking
+from stages.simplification.textured import choose_texture, derive_max_shape, has_texture_images, plan_baking
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.topology import require_measurable
 
@@ -214,8 +214,10 @@ def simplify(
         raise MeshError(f"{error}.", "mesh") from error
     if plan is None:
         return found
+    note: str | None = None
+    baked: Simplified[Any] | None = None
     try:
-        return plan.bake(found)
+        baked = plan.bake(found)
     except MeshError as error:
         if params.bake:
             raise
@@ -223,11 +225,37 @@ def simplify(
             note = f"the images are left out, as they could not be baked anew: {error}"
             return _with_notes(found, (note,))
         note = f"the images are kept with their seams, as they could not be baked anew: {error}"
-    kept = resolve(SimplifyParams, params, {"keep_uv": True})
-    again = simplify(
-        mesh, kept, lock=lock, importance=importance, regions=regions, partial=partial, progress=progress
-    )
-    return _with_notes(replace(again, default_max_shape=bound), (note,))
+    if baked is not None and not _has_alternative(params, baked):
+        return baked
+
+    def at_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
+        return progress(found.collapses, found.collapses)
+
+    try:
+        kept = simplify(
+            mesh,
+            resolve(SimplifyParams, params, {"keep_uv": True}),
+            lock=locked,
+            importance=factors if len(factors) else None,
+            partial=partial,
+            progress=at_end,
+        )
+    except MeshError:
+        # Texture coordinates that cannot be weighed against the shape do not matter to baked images.
+        if baked is None:
+            raise
+        return baked
+    if baked is not None:
+        return choose_texture(mesh, baked, kept)
+    return _with_notes(replace(kept, default_max_shape=bound), (note,) if note else ())
+
+
+def _has_alternative(params: SimplifyParams, baked: Simplified[Any]) -> bool:
+    """Return whether the model's own images may turn out better than baked ones."""
+    is_count = params.triangles is not None or params.ratio is not None
+    is_open = params.method == AUTO and params.bake is None
+    is_bounded = params.max_shape is not None
+    return is_open and is_count and not is_bounded and baked.stopped_by != "request"
 
 
 def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.comparing.compare import compare
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.methods import METHODS
 from stages.simplification.params import AUTO, SimplifyParams
@@ -41,6 +42,16 @@ _SHAPE_PER_SIZE = 1e-3
 _SMOOTH = 0.996
 # Copies of a vertex are nearer than this share of the median side.
 _SIMILAR_PER_SIDE = 0.01
+# To a count, the model's own texture is kept where its colour error is below this share of the baked one, and
+# its shape error is at most this many times as large, or below this share of the diagonal. A can with small
+# print on it has 44 dB with its own images at 10 %, and 34 dB with as many new texels.
+_MAX_COLOR_RATIO = 0.8
+_MAX_SHAPE_RATIO = 2.5
+_INVISIBLE_SHAPE = 2e-4
+# Triangles that the result along seams may have for one of the other.
+_MAX_COUNT_RATIO = 1.02
+# Points of each surface at which the two are compared.
+_COMPARED = 20_000
 # Share of the surface at each end of each axis that does not count for the size.
 _OUTSIDE = 0.005
 
@@ -121,6 +132,30 @@ def plan_baking(mesh: Mesh, params: SimplifyParams, *, record: bool) -> tuple[Ba
     if params.bake is None and (reason := _find_reason(mesh)) is not None:
         return None, reason
     return BakePlan(mesh, _strip_texture(mesh, class_ids, classes), class_ids, classes), None
+
+
+def choose_texture(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -> Simplified[Any]:
+    """Choose between baked images and the model's own by colour and shape error.
+
+    Parameters
+    ----------
+    mesh : the input.
+    baked, kept : both simplified to the same number of triangles.
+    """
+    if len(kept.mesh.triangles) > _MAX_COUNT_RATIO * len(baked.mesh.triangles):
+        return baked
+    of_baked, of_kept = (compare(mesh, one.mesh, samples=_COMPARED) for one in (baked, kept))
+    if of_baked.color is None or of_kept.color is None:
+        return baked
+    max_shape = max(_MAX_SHAPE_RATIO * of_baked.symmetric.rms, _INVISIBLE_SHAPE * of_kept.diagonal)
+    if of_kept.color.rmse >= _MAX_COLOR_RATIO * of_baked.color.rmse or of_kept.symmetric.rms > max_shape:
+        return baked
+    note = (
+        "the texture coordinates and images of the model are kept: their colour error is "
+        f"{of_kept.color.rmse:.3g} levels, and {of_baked.color.rmse:.3g} levels with baked images; bake=True "
+        "bakes all the same."
+    )
+    return replace(kept, mesh=kept.mesh.with_(notes=(*kept.mesh.notes, note)))
 
 
 def derive_max_shape(mesh: Mesh) -> float:

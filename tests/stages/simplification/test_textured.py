@@ -19,7 +19,7 @@ def diagonal(mesh: Mesh) -> float:
 
 def test_a_textured_model_is_simplified_freely_and_baked() -> None:
     mesh = textured_ball(as_jpeg(waves()), bumps=0.05)
-    found = simplify(mesh, ratio=0.1)
+    found = simplify(mesh, ratio=0.1, bake=True)
     assert found.method == "quadric"
     assert found.figures()["baked"]["color"]["rmse_levels"] == found.baked.color.rmse
     kept = simplify(mesh, ratio=0.1, keep_uv=True)
@@ -28,7 +28,9 @@ def test_a_textured_model_is_simplified_freely_and_baked() -> None:
     assert "baked" not in kept.figures()
     error, error_of_kept = (stages.compare(mesh, one.mesh, samples=20_000) for one in (found, kept))
     assert error.symmetric.rms <= error_of_kept.symmetric.rms
-    assert error.color_a_to_b.rmse < error_of_kept.color_a_to_b.rmse
+    # The default is the one with the smaller colour error, unless the two are alike.
+    chosen = stages.compare(mesh, simplify(mesh, ratio=0.1).mesh, samples=20_000)
+    assert chosen.color_a_to_b.rmse <= 1.3 * min(error.color_a_to_b.rmse, error_of_kept.color_a_to_b.rmse)
 
 
 def test_without_options_the_bound_follows_from_the_size() -> None:
@@ -181,7 +183,8 @@ def test_a_material_without_an_image_stays() -> None:
     mesh = textured_ball(as_png(waves()))
     ids = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] < 0).astype(np.int32)
     glass = Material("glass", base_color=(0.1, 0.2, 0.9, 0.5))
-    found = simplify(with_materials(mesh, (gltf_material("map", as_png(waves())), glass), ids), ratio=0.3)
+    model = with_materials(mesh, (gltf_material("map", as_png(waves())), glass), ids)
+    found = simplify(model, ratio=0.3, bake=True)
     assert found.method == "seams"
     assert found.mesh.texture.materials[1] is glass
     assert not found.mesh.texture.has_uvs()[found.mesh.texture.material_ids == 1].any()
@@ -191,3 +194,14 @@ def test_a_material_without_an_image_stays() -> None:
 def test_what_excludes_each_other_is_refused() -> None:
     with pytest.raises(UsageError, match="keep_uv and bake are both given"):
         simplify(wrapped_ball(), ratio=0.5, keep_uv=True, bake=True)
+
+
+def test_small_print_keeps_its_own_texels() -> None:
+    """Texels of noise cannot be sampled again without loss; the seams of a ball can stay."""
+    noise = np.random.default_rng(0).integers(0, 2, (128, 128, 1), np.uint8) * np.full(3, 255, np.uint8)
+    mesh = textured_ball(Image(given=noise), bumps=0.0)
+    found = simplify(mesh, ratio=0.3)
+    assert found.method == "seams"
+    assert found.baked is None
+    assert any("are kept: their colour error" in note for note in found.mesh.notes)
+    assert simplify(mesh, ratio=0.3, bake=True).baked is not None
