@@ -66,7 +66,8 @@ def simplify(
     With neither: a textured model within 1/1000 of its size, others within default bounds.
 
     Where OUT is .glb, .obj or .ply, images are baked anew, in the format and no more texels than those of IN.
-    --keep-uv keeps images and texture coordinates as they are, at the cost of shape.
+    --keep-uv keeps images and texture coordinates as they are, at the cost of shape. To a number, they are
+    also kept where baking loses much more colour; --bake bakes all the same.
 
     --close-bounds and --save-bounds go with bounds. --method says what each method is for, and which one is
     taken. Most want a manifold mesh; run `scanloom clean` on it first when it is not.
@@ -126,6 +127,12 @@ def simplify(
     text = _text(simplified, figures)
     if simplified.default_max_shape is not None:
         text += f"\n\n{_default_bound(simplified.default_max_shape)}"
+    if simplified.kept_images is not None:
+        kept = simplified.kept_images
+        text += (
+            f"\n\nThe texture coordinates and images of IN are kept: colour error {kept.rmse_levels:.3g} "
+            f"levels, {kept.baked_rmse_levels:.3g} levels with baked images (--bake)."
+        )
     if simplified.baked is not None:
         text += f"\n\n{baked_text(simplified.baked.figures())}"
     if simplified.details.text():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -14,6 +14,20 @@ from stages.simplification.dropping import Dropped
 from stages.simplification.records.record import CollapseRecord
 from stages.surface.mesh import Mesh
 from stages.texturing.bake import Baked
+
+
+@dataclass(frozen=True)
+class KeptImages:
+    """Colour errors that led to a model's own images being kept.
+
+    Attributes
+    ----------
+    rmse_levels : with its own images (8-bit levels).
+    baked_rmse_levels : with baked images.
+    """
+
+    rmse_levels: float
+    baked_rmse_levels: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,6 +85,7 @@ class Simplified(Generic[D_co]):
     details : what only this method has to tell.
     record : all collapses, if that was asked for.
     dropped : small components and holes removed before simplification, with `drop_below`; else None.
+    kept_images : colour errors, where the model's own images were chosen over baked ones; else None.
     baked : Baked, where images were baked for the mesh, with their colour error; None where none were.
     default_max_shape : metres, the bound that was derived from the model as nothing was asked; else None.
     """
@@ -90,6 +105,7 @@ class Simplified(Generic[D_co]):
     details: D_co
     record: CollapseRecord | None = None
     dropped: Dropped | None = None
+    kept_images: KeptImages | None = None
     baked: Baked | None = None
     default_max_shape: float | None = None
 
@@ -119,6 +135,7 @@ class Simplified(Generic[D_co]):
             "collapses": self.collapses,
             "attempts": self.attempts,
             **({} if self.dropped is None else {"dropped": self.dropped.figures()}),
+            **({} if self.kept_images is None else {"kept_images": asdict(self.kept_images)}),
             "details": self.details.figures(),
             "warnings": list(self.warnings),
             **derived,

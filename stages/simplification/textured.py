@@ -16,7 +16,7 @@ from stages.comparing.compare import compare
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.methods import METHODS
 from stages.simplification.params import AUTO, SimplifyParams
-from stages.simplification.result import Simplified
+from stages.simplification.result import KeptImages, Simplified
 from stages.simplification.seams.params import SIMILAR_DISTANCE
 from stages.simplification.seams.similar import joinable_sets
 from stages.surface.color import is_textured, pixels_of
@@ -42,10 +42,12 @@ _SHAPE_PER_SIZE = 1e-3
 _SMOOTH = 0.996
 # Copies of a vertex are nearer than this share of the median side.
 _SIMILAR_PER_SIDE = 0.01
-# To a count, the model's own texture is kept where its colour error is below this share of the baked one, and
-# its shape error is at most this many times as large, or below this share of the diagonal. A can with small
-# print on it has 44 dB with its own images at 10 %, and 34 dB with as many new texels.
-_MAX_COLOR_RATIO = 0.8
+# To a count, the model's own texture is kept where baking loses visibly (an RMS of more levels than this), its
+# colour error is below this share of the baked one, and its shape error is at most this many times as large, or
+# below this share of the diagonal. A can with small print on it has 44 dB with its own images at 10 %, and 34 dB
+# with as many new texels.
+_VISIBLE_COLOR = 3.0
+_MAX_COLOR_RATIO = 0.35
 _MAX_SHAPE_RATIO = 2.5
 _INVISIBLE_SHAPE = 2e-4
 # Triangles that the result along seams may have for one of the other.
@@ -145,17 +147,12 @@ def choose_texture(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) ->
     if len(kept.mesh.triangles) > _MAX_COUNT_RATIO * len(baked.mesh.triangles):
         return baked
     of_baked, of_kept = (compare(mesh, one.mesh, samples=_COMPARED) for one in (baked, kept))
-    if of_baked.color is None or of_kept.color is None:
+    if of_baked.color is None or of_kept.color is None or of_baked.color.rmse <= _VISIBLE_COLOR:
         return baked
     max_shape = max(_MAX_SHAPE_RATIO * of_baked.symmetric.rms, _INVISIBLE_SHAPE * of_kept.diagonal)
     if of_kept.color.rmse >= _MAX_COLOR_RATIO * of_baked.color.rmse or of_kept.symmetric.rms > max_shape:
         return baked
-    note = (
-        "the texture coordinates and images of the model are kept: their colour error is "
-        f"{of_kept.color.rmse:.3g} levels, and {of_baked.color.rmse:.3g} levels with baked images; bake=True "
-        "bakes all the same."
-    )
-    return replace(kept, mesh=kept.mesh.with_(notes=(*kept.mesh.notes, note)))
+    return replace(kept, kept_images=KeptImages(of_kept.color.rmse, of_baked.color.rmse))
 
 
 def derive_max_shape(mesh: Mesh) -> float:

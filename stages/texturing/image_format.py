@@ -101,13 +101,14 @@ def choose_format(sources: Sequence[Image], *, has_alpha: bool, is_color: bool =
 
 def jpeg_quality(data: bytes) -> tuple[int, bool]:
     """Estimate the quality of a JPEG file (1 to 100) and its chroma subsampling."""
-    from PIL import Image as PillowImage
+    from PIL import JpegImagePlugin
 
     try:
-        with PillowImage.open(io.BytesIO(data)) as image:
+        # By its class: the content must not choose another decoder. Only the header is read.
+        with JpegImagePlugin.JpegImageFile(io.BytesIO(data)) as image:
             tables = getattr(image, "quantization", {})
             layers = getattr(image, "layer", [])
-    except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError):
+    except (OSError, ValueError, SyntaxError):
         return _DEFAULT_QUALITY, True
     is_subsampled = len(layers) > 1 and tuple(layers[0][1:3]) != tuple(layers[1][1:3])
     if not tables:

@@ -28,9 +28,10 @@ def test_a_textured_model_is_simplified_freely_and_baked() -> None:
     assert "baked" not in kept.figures()
     error, error_of_kept = (stages.compare(mesh, one.mesh, samples=20_000) for one in (found, kept))
     assert error.symmetric.rms <= error_of_kept.symmetric.rms
-    # The default is the one with the smaller colour error, unless the two are alike.
+    # Where baking loses much, the default does without it.
     chosen = stages.compare(mesh, simplify(mesh, ratio=0.1).mesh, samples=20_000)
-    assert chosen.color_a_to_b.rmse <= 1.3 * min(error.color_a_to_b.rmse, error_of_kept.color_a_to_b.rmse)
+    smaller = min(error.color_a_to_b.rmse, error_of_kept.color_a_to_b.rmse)
+    assert chosen.color_a_to_b.rmse <= max(3.0, smaller / 0.35)
 
 
 def test_without_options_the_bound_follows_from_the_size() -> None:
@@ -203,5 +204,6 @@ def test_small_print_keeps_its_own_texels() -> None:
     found = simplify(mesh, ratio=0.3)
     assert found.method == "seams"
     assert found.baked is None
-    assert any("are kept: their colour error" in note for note in found.mesh.notes)
+    assert found.kept_images is not None
+    assert found.kept_images.rmse_levels < found.kept_images.baked_rmse_levels
     assert simplify(mesh, ratio=0.3, bake=True).baked is not None

@@ -41,7 +41,7 @@ def color_difference(mesh: Mesh, original: Mesh) -> float:
 @pytest.mark.parametrize("quality", [60, 92])
 def test_jpeg_stays_jpeg_of_its_quality_and_gets_no_larger(tmp_path: Path, quality: int) -> None:
     mesh = textured_ball(as_jpeg(waves(), quality))
-    found = simplify(mesh, ratio=0.2)
+    found = simplify(mesh, ratio=0.2, bake=True)
     assert found.baked is not None
     assert found.mesh.texture is not None
     (image,) = found.mesh.texture.images
@@ -74,7 +74,7 @@ def test_an_image_of_noise_gets_no_more_bytes() -> None:
     flat[64:192] = rng.integers(0, 255, flat[64:192].shape)
     source = as_jpeg(flat, 90)
     mesh = textured_ball(source, rings=10, sectors=12)
-    found = simplify(mesh, ratio=1.0)
+    found = simplify(mesh, ratio=1.0, bake=True)
     assert found.baked.image_bytes <= len(source.file_bytes)
 
 
@@ -127,7 +127,7 @@ def test_materials_that_differ_in_factors_share_an_atlas() -> None:
         "two", image, half, kept=GltfStatements(plain.kept.tree, plain.kept.textures, half, image)
     )
     original = with_materials(mesh, (plain, dark), ids)
-    found = simplify(original, ratio=0.3)
+    found = simplify(original, ratio=0.3, bake=True)
     (material,) = found.mesh.texture.materials
     assert material.base_color is None
     assert color_difference(found.mesh, original) < 5

@@ -535,7 +535,7 @@ def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_paramet
     assert simplify(mesh, ratio=0.5, keep_uv=True).method == "seams"
     assert simplify(mesh, ratio=0.5, max_seam_drift=0.05).method == "seams"
     assert simplify(mesh, ratio=0.5, record=True).method == "seams"
-    assert simplify(mesh, ratio=0.5).method == "quadric"
+    assert simplify(mesh, ratio=0.5, bake=True).method == "quadric"
     assert simplify(mesh.with_(texture=None), ratio=0.5).method == "quadric"
     assert simplify(mesh.with_(texture=None), ratio=0.5, similar_distance=0.0).method == "seams"
     assert simplify(mesh, max_shape=0.05).method == "certified"
