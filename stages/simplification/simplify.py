@@ -21,7 +21,13 @@ from stages.simplification.params import AUTO, SimplifyParams
 from stages.simplification.regions import Region, resolve_control
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
-from stages.simplification.textured import choose_texture, derive_max_shape, has_texture_images, plan_baking
+from stages.simplification.textured import (
+    choose_texture,
+    derive_max_shape,
+    has_texture_images,
+    is_visibly_different,
+    plan_baking,
+)
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.topology import require_measurable
 
@@ -255,7 +261,8 @@ def _has_alternative(params: SimplifyParams, baked: Simplified[Any]) -> bool:
     is_count = params.triangles is not None or params.ratio is not None
     is_open = params.method == AUTO and params.bake is None
     is_bounded = params.max_shape is not None
-    return is_open and is_count and not is_bounded and baked.stopped_by != "request"
+    is_done = baked.stopped_by != "request"
+    return is_open and is_count and not is_bounded and is_done and is_visibly_different(baked)
 
 
 def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:

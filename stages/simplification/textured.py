@@ -42,10 +42,10 @@ _SHAPE_PER_SIZE = 1e-3
 _SMOOTH = 0.996
 # Copies of a vertex are nearer than this share of the median side.
 _SIMILAR_PER_SIDE = 0.01
-# To a count, the model's own texture is kept where baking loses visibly (an RMS of more levels than this), its
-# colour error is below this share of the baked one, and its shape error is at most this many times as large, or
-# below this share of the diagonal. A can with small print on it has 44 dB with its own images at 10 %, and 34 dB
-# with as many new texels.
+# To a count, the model's own texture is kept where baking loses visibly (an RMS of more levels than this),
+# its colour error is below this share of the baked one, and its shape error is at most this many times as
+# large, or below this share of the diagonal. A can with small print on it has 44 dB with its own images at
+# 10 %, and 34 dB with as many new texels.
 _VISIBLE_COLOR = 3.0
 _MAX_COLOR_RATIO = 0.35
 _MAX_SHAPE_RATIO = 2.5
@@ -136,6 +136,11 @@ def plan_baking(mesh: Mesh, params: SimplifyParams, *, record: bool) -> tuple[Ba
     return BakePlan(mesh, _strip_texture(mesh, class_ids, classes), class_ids, classes), None
 
 
+def is_visibly_different(found: Simplified[Any]) -> bool:
+    """Return whether baked images differ visibly from the model's own."""
+    return found.baked is not None and found.baked.color.rmse > _VISIBLE_COLOR
+
+
 def choose_texture(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -> Simplified[Any]:
     """Choose between baked images and the model's own by colour and shape error.
 
@@ -147,7 +152,7 @@ def choose_texture(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) ->
     if len(kept.mesh.triangles) > _MAX_COUNT_RATIO * len(baked.mesh.triangles):
         return baked
     of_baked, of_kept = (compare(mesh, one.mesh, samples=_COMPARED) for one in (baked, kept))
-    if of_baked.color is None or of_kept.color is None or of_baked.color.rmse <= _VISIBLE_COLOR:
+    if of_baked.color is None or of_kept.color is None:
         return baked
     max_shape = max(_MAX_SHAPE_RATIO * of_baked.symmetric.rms, _INVISIBLE_SHAPE * of_kept.diagonal)
     if of_kept.color.rmse >= _MAX_COLOR_RATIO * of_baked.color.rmse or of_kept.symmetric.rms > max_shape:
