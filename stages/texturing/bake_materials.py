@@ -737,6 +737,9 @@ def _apply_tint(texels: Pixels, color: tuple[float, ...]) -> Pixels:
     """Multiply sRGB colours (n, 3 or 4) by a factor in linear light."""
     import cv2
 
+    if not len(texels):
+        # OpenCV refuses empty arrays.
+        return texels
     factor = linear_from_srgb(np.array(color[:3]))
     light = linear_from_srgb(_SRGB_LEVELS)[:, None] * factor
     table = np.rint(255 * srgb_from_linear(light)).clip(0, 255).astype(np.uint8)
