@@ -92,7 +92,7 @@ def simplified(
         np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
         task.importance[mesh.triangles].mean(axis=1) if len(task.importance) else task.importance,
         lock,
-        knobs=_knobs(params, attributes.uv_scale, side, expected),
+        knobs=_knobs(params, texture, attributes.uv_scale, expected),
         fit=params.fit and within is None,
         within=within,
         running=task.running(REGION_TRIANGLES),
@@ -240,11 +240,13 @@ def _largest_side(texture: Texture | None) -> int | None:
     return max((max(size) for size in sizes if size is not None), default=None)
 
 
-def _knobs(params: SeamsParams, uv_scale: float, side: int | None, target: int) -> _kernels.SeamKnobs:
+def _knobs(params: SeamsParams, texture: Texture | None, uv_scale: float, target: int) -> _kernels.SeamKnobs:
     if params.max_seam_drift is None:
-        drift = min(SEAM_DRIFT_EDGES * _edge_of_triangle(1 / max(target, 1)), MAX_SEAM_DRIFT_RATIO)
+        # An image that repeats covers the surface several times.
+        covered = 1.0 if texture is None else max(float(np.abs(signed_areas(texture.uvs)).sum()), 1.0)
+        drift = min(SEAM_DRIFT_EDGES * _edge_of_triangle(covered / max(target, 1)), MAX_SEAM_DRIFT_RATIO)
     else:
-        drift = params.max_seam_drift / (side or ASSUMED_SIDE)
+        drift = params.max_seam_drift / (_largest_side(texture) or ASSUMED_SIDE)
     return _kernels.SeamKnobs(
         across_materials=params.across_textures,
         across_parts=params.across_parts,
