@@ -58,7 +58,7 @@ def simplify(
         ),
     ] = False,
 ) -> None:
-    """Make a mesh light: collapse edges to a number of triangles, or within bounds on shape and colour.
+    """Simplify a mesh to a number of triangles, or within bounds on shape and colour.
 
     With --triangles or --ratio: to that number, with the least error.
     With --max-shape, --max-color or both: as far as these are proven to hold at every point.

@@ -186,7 +186,7 @@ def simplify(
         bound = derive_max_shape(mesh)
         params = resolve(SimplifyParams, params, {"max_shape": bound})
     if plan is not None and params.max_shape is not None:
-        # What is proven of joined copies of vertices holds for the mesh as it was given, too.
+        # The proof is about joined copies of vertices; the smaller bound makes it hold for the given mesh.
         params = resolve(SimplifyParams, params, {"max_shape": max(params.max_shape - plan.shift, 0.0)})
     shape, notes = mesh if plan is None else plan.shape, lines_left_out(mesh)
     if reason is not None:

@@ -115,7 +115,7 @@ struct Rounds<'a, const D: usize, R: Records<D>> {
     round: usize,
     /// Rounds in a row in which nothing happened.
     idle: u32,
-    /// Whether the last round collapsed no edge.
+    /// True if the last round collapsed no edge.
     is_stalled: bool,
     /// Priorities of the edges that were left to wait by the last round.
     waiting: Option<Histogram>,

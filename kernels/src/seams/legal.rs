@@ -159,7 +159,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
     }
 }
 
-/// Whether a place is no farther from the middle of the star than its spokes reach.
+/// Check that a position is no farther from the middle of the star than the ends of its spokes.
 ///
 /// Planes that are nearly parallel meet far away, where their quadric is small and the surface is not.
 fn is_within_reach(star: &Star<3>, place: &Vec3) -> bool {

@@ -100,8 +100,8 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             cost += self.knobs.shape * plan.shape.error(&place);
         }
         cost += self.input_error(ends, &place);
-        // How far the seam would move in the image is bounded, but costs nothing: what is visible of it, the shift of the
-        // texture beside the seam, is in the quadrics.
+        // Seam drift is bounded, but costs nothing: its visible part, the shift of the texture next to the seam, is in the
+        // quadrics of the wedges.
         let mut drift: f64 = 0.0;
         if !self.is_seam[edge.index()] {
             let runs = self.follow_tips(mesh, edge, plan, &place, keep);

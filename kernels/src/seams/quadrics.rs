@@ -1,6 +1,6 @@
 //! Quadrics of a surface with seams, kept up to date as edges collapse.
 //!
-//! They are those of the current triangles, not of the input's: "memoryless" (Lindstrom and Turk, "Fast and memory
+//! Quadrics sum over the current triangles, not over the input's: "memoryless" (Lindstrom and Turk, "Fast and memory
 //! efficient polygonal simplification", 1998), as in [`crate::quadric`]. With quadrics summed over the input's triangles,
 //! shape errors are a quarter larger, and the walls on a boundary keep the weight of edges that are long gone, so that
 //! areas outweigh them late in the run. The input's triangles have a say in the cost all the same: see `MEMORY`.
@@ -35,7 +35,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// Subtract the triangles that a collapse removes from the corners across from its edge.
     pub(super) fn remove_vanished(&mut self, connectivity: &Connectivity, star: &Star<3>) {
         for (side, &(t, _, apex_point)) in star.vanishing.iter().enumerate() {
-            // What is dead has its edge still.
+            // Removed halfedges keep the index of their edge.
             let Some(h) = corners_of(t).into_iter().find(|&h| connectivity.edge(h) == star.edge) else {
                 continue;
             };
@@ -106,8 +106,8 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         connectivity.spokes(v).for_each(|(_, other)| shape[other.index()] = None);
     }
 
-    /// Add the walls that stand on an edge, one for each triangle beside it, where the image is torn at both of its ends.
-    /// Nothing holds a seam where it ends inside a chart.
+    /// Add a wall on an edge for each of its triangles if the wedges differ at both ends: a seam that ends inside a chart
+    /// may be pulled back.
     fn add_walls(&self, mesh: &Mesh<3>, edge: EdgeId, quadric: &mut Quadric<0>) {
         let connectivity = &mesh.connectivity;
         let first = connectivity.halfedge(edge);

@@ -1,6 +1,6 @@
-//! State of the whole surface between rounds: wedges, and how far seams have drifted.
+//! State of the whole surface between rounds: wedges and seam drift.
 //!
-//! Quadrics are those of the current triangles, so each region computes its own when it is loaded.
+//! Quadrics are not stored: a region computes them from its current triangles when it is loaded.
 
 use std::cell::RefCell;
 

@@ -81,7 +81,7 @@ pub struct Seams<'a, const D: usize, const K: usize> {
     pub(super) knobs: Knobs,
     pub(super) charts: &'a Charts,
     pub(super) wedges: Wedges<K>,
-    /// Shape quadrics of vertices beside seams, computed when first asked for after a change.
+    /// Cache of the shape quadrics of vertices near seams; none after a change.
     pub(super) shape: RefCell<Vec<Option<Quadric<0>>>>,
     /// Quadrics of shape and attributes, by wedge.
     pub(super) quadrics: Vec<Quadric<K>>,

@@ -9,7 +9,7 @@ from stages.printing import by_fields, table
 from stages.simplification.crowding import crowded_by_locks, crowded_by_topology
 from stages.simplification.result import Details, Simplified
 
-# A texture that is shifted by more texels than this beside a seam is noticed.
+# Shifts of the texture by more texels than this are visible next to a seam.
 _VISIBLE_DRIFT_TEXELS = 16
 
 
