@@ -184,7 +184,7 @@ def read_model(path: Path) -> Mesh:
 
 
 def measure(tool: str, mesh: Mesh, triangles: int, prepare: Simplifier, samples: int) -> Row | str:
-    """Run a tool and measure its result, or return the reason why there is none."""
+    """Run a tool and measure its result, or return the reason for its failure."""
     try:
         work, unpack = prepare(mesh, triangles)
         start = time.process_time()
@@ -274,12 +274,12 @@ def print_summary(summary: list[tuple[str, float, int, list[Row]]]) -> None:
 
 
 def is_better_in_both(peer: Row, ours: Row) -> bool:
-    """Return whether one peer is better than ours in shape and in colour, as printed."""
+    """Check if one peer is better than ours in shape and in colour, as printed."""
     return round(peer.rms, 1) < round(ours.rms, 1) and round(peer.psnr or 0.0, 1) > round(ours.psnr or 0.0, 1)
 
 
 def is_comparable(row: Row, target: int) -> bool:
-    """Return whether a tool reached the target and kept the texture."""
+    """Check that a tool reached the target and kept the texture."""
     return row.psnr is not None and row.triangles <= max(TOLERATED * target, target + 2)
 
 
