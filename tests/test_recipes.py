@@ -114,3 +114,17 @@ def test_the_snakefile_calls_run_with_words_it_understands() -> None:
 
 def test_pictures_of_recipes_are_small() -> None:
     assert all(path.stat().st_size < 150_000 for path in RECIPES.glob("*.png"))
+
+
+@pytest.mark.slow
+def test_frames_from_arrays_become_a_textured_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    [code] = re.findall(r"```python\n(.*?)```", (RECIPES / "arrays.md").read_text(encoding="utf-8"), re.S)
+    assert len(code.splitlines()) <= 30
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "samples").symlink_to(ROOT / "samples")
+    exec(compile(code, "arrays.md", "exec"), {"__name__": "arrays"})
+    mesh = read_mesh(tmp_path / "textured.glb")
+    assert mesh.texture is not None
+    assert 500 < len(mesh.triangles) < 20_000
+    # Metres: the sample is a table of about half a metre.
+    assert 0.1 < np.ptp(mesh.vertices, axis=0).max() < 5

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scans.scan import Pose
+
+Pose = NDArray[np.float64]
 
 # How far a rotation may be from orthonormal: files round to about six digits.
 _RIGID_TOLERANCE = 1e-3
@@ -48,7 +49,7 @@ def meant(pose: Pose, convention: str) -> Pose:
     return from_opengl(pose) if convention in (Y_UP, WORLD_TO_CAMERA_Y_UP) else pose
 
 
-def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | None:
+def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pose | None:
     """Return a valid 4x4 rigid pose from a 3x4 or 4x4 matrix; None when all of it is infinite or NaN (lost).
 
     Raises

@@ -6,21 +6,33 @@ Camera axes are x right, y down, z forward. Pixel centres are at whole numbers: 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from stages.errors import InputError
 from stages.printing import counted, line, table
+from stages.scans.arrays import (
+    check_color,
+    check_depth,
+    check_distortion,
+    check_gray,
+    check_intrinsics,
+    check_pose,
+)
 from stages.scans.thumbnail import thumbnail
 from stages.scans.world import Scale, WorldUp
 
 Pose = NDArray[np.float64]
 ColorImage = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
+
+# Ratio by which the shapes of colour and depth image may differ: rounding of their sizes.
+_SAME_SHAPE = 0.02
 
 
 @dataclass(frozen=True)
@@ -189,6 +201,105 @@ class Frame:
     up: NDArray[np.float64] | None = None
     shutter_turn: NDArray[np.float64] | None = None
 
+    def __post_init__(self) -> None:
+        pose, depth = self.world_from_camera, self.depth
+        if pose is not None and not (isinstance(pose, np.ndarray) and pose.shape == (4, 4)):
+            raise InputError(
+                "world_from_camera must be a (4, 4) array; Frame.from_arrays takes other forms.",
+                f"frame {self.name}",
+            )
+        if isinstance(depth, np.ndarray) and not np.issubdtype(depth.dtype, np.floating):
+            raise InputError(
+                f"a depth array must be floats in metres, not {depth.dtype}; Frame.from_arrays takes "
+                "integers with depth_scale.",
+                f"frame {self.name}",
+            )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        color: ArrayLike | None = None,
+        depth: ArrayLike | None = None,
+        intrinsics: Camera | ArrayLike | None = None,
+        world_from_camera: ArrayLike | None = None,
+        *,
+        depth_scale: float | None = None,
+        right: ArrayLike | None = None,
+        color_intrinsics: Camera | ArrayLike | None = None,
+        color_from_depth: ArrayLike | None = None,
+        mask: ArrayLike | None = None,
+        confidence: ArrayLike | None = None,
+        least_confidence: int = 0,
+        timestamp: int | None = None,
+        name: str = "",
+    ) -> Frame:
+        """Create a frame from arrays in memory.
+
+        Parameters
+        ----------
+        color : (h, w, 3) uint8 RGB, or (h, w) grey. OpenCV reads BGR: reverse its channels.
+        depth : (h, w) along the optical axis, floats in metres or integers; 0, NaN and infinity are missing.
+        intrinsics : of the depth image, or of the colour image where there is no depth: (3, 3) camera matrix,
+            fx, fy, cx, cy in pixels, or a `Camera`, which may have lens distortion.
+        world_from_camera : (4, 4) or (3, 4) rigid, metres, OpenCV axes; it takes points of the camera to the
+            world. Open3D's `extrinsic` is its inverse.
+        depth_scale : units of `depth` in one metre; default 1000 for integers, 1 for floats.
+        right : right image of a stereo pair, as `color`.
+        color_intrinsics : of the colour image; default: it shows what the depth image shows.
+        color_from_depth : (4, 4) or (3, 4) rigid, metres; it takes points of the depth camera to the colour
+            camera. Default: both cameras are at one position.
+        mask : (h, w) uint8 or bool, 0 where the image shows nothing of the scene.
+        confidence : (h, w) uint8; depth of less than `least_confidence` is missing.
+        timestamp : nanoseconds.
+        name : for messages; `Scan.from_frames` numbers frames that have none.
+
+        Raises
+        ------
+        InputError
+            For an array of another shape or dtype, and for values that cannot be right.
+        """
+        where = f"frame {name}" if name else "frame"
+        if color is None and depth is None:
+            raise InputError("a frame needs a colour image or a depth image.", where)
+        colors = None if color is None else check_color(color, where)
+        depths = None if depth is None else check_depth(depth, depth_scale, where)
+        reference = depths if depths is not None else colors
+        assert reference is not None
+        if intrinsics is None:
+            raise InputError(
+                "intrinsics are missing: a (3, 3) camera matrix, a Camera, or fx, fy, cx, cy in pixels.",
+                where,
+            )
+        camera = _create_camera(intrinsics, reference, where)
+        color_camera = None
+        if colors is not None and depths is not None:
+            if color_intrinsics is not None:
+                color_camera = _create_camera(color_intrinsics, colors, where)
+            elif abs(colors.shape[0] * camera.width / (colors.shape[1] * camera.height) - 1) > _SAME_SHAPE:
+                raise InputError(
+                    f"the colour image of {colors.shape[1]} × {colors.shape[0]} px and the depth image of "
+                    f"{camera.width} × {camera.height} px differ in shape. Give color_intrinsics, and "
+                    "color_from_depth if the cameras are apart.",
+                    where,
+                )
+        rights = None if right is None else check_color(right, where)
+        if rights is not None and (colors is None or rights.shape[:2] != colors.shape[:2]):
+            raise InputError("the right image needs a left image, color, of the same size.", where)
+        return cls(
+            name=name,
+            camera=camera,
+            color=colors,
+            right=rights,
+            depth=depths,
+            world_from_camera=check_pose(world_from_camera, "world_from_camera", where),
+            timestamp=timestamp,
+            color_camera=color_camera,
+            color_from_depth=check_pose(color_from_depth, "color_from_depth", where),
+            confidence=None if confidence is None else check_gray(confidence, "confidence", where),
+            least_confidence=least_confidence,
+            mask=None if mask is None else check_gray(mask, "a mask", where),
+        )
+
     def __repr__(self) -> str:
         parts = {
             "colour": self.color,
@@ -262,6 +373,62 @@ class Scan:
     scale: Scale | None = None
     read_from: frozenset[Path] = frozenset()
 
+    @classmethod
+    def from_frames(
+        cls,
+        frames: Iterable[Frame],
+        *,
+        rig: StereoRig | None = None,
+        up: ArrayLike | None = None,
+        is_metric: bool = True,
+        held_out: Iterable[Frame] = (),
+    ) -> Scan:
+        """Create a scan from frames in memory, such as those of `Frame.from_arrays`.
+
+        Parameters
+        ----------
+        frames : in the order they were taken; all with depth, all with a right image, or all with neither.
+        rig : the two cameras of stereo pairs.
+        up : (3,) up direction in the world of the poses; default: it is estimated where a stage needs it.
+        is_metric : whether lengths are metres.
+        held_out : frames that no stage uses, to judge results by.
+
+        Raises
+        ------
+        InputError
+            For no frames, frames of several kinds, right images without a rig, and views without poses.
+        """
+        numbered = [
+            frame if frame.name else replace(frame, name=f"{number:06d}")
+            for number, frame in enumerate(frames)
+        ]
+        if not numbered:
+            raise InputError("a scan needs at least one frame.", "scan")
+        kinds = [(frame.depth is not None, frame.right is not None) for frame in numbered]
+        for frame, kind in zip(numbered, kinds, strict=True):
+            if kind != kinds[0]:
+                raise InputError(
+                    f"it has {_describe_kind(kind)}, but frame {numbered[0].name} has "
+                    f"{_describe_kind(kinds[0])}.",
+                    f"frame {frame.name}",
+                )
+        has_depth, has_right = kinds[0]
+        if has_right and not has_depth and rig is None:
+            raise InputError("stereo pairs need rig, a StereoRig with both cameras.", "scan")
+        if not (has_depth or has_right) and not any(f.world_from_camera is not None for f in numbered):
+            raise InputError("single images need poses: give world_from_camera to each frame.", "scan")
+        return cls(
+            layout="arrays",
+            frames=numbered,
+            rig=None if has_depth else rig,
+            held_out=[
+                frame if frame.name else replace(frame, name=f"held-out-{number:06d}")
+                for number, frame in enumerate(held_out)
+            ],
+            up=None if up is None else _check_up(up),
+            is_metric=is_metric,
+        )
+
     def __repr__(self) -> str:
         return line(
             self,
@@ -316,3 +483,37 @@ class Scan:
     def is_views(self) -> bool:
         """Return whether depth must still be computed from single images with poses, without a rig."""
         return self.rig is None and not any(frame.depth is not None for frame in self.frames)
+
+
+def _create_camera(
+    intrinsics: Camera | ArrayLike, image: NDArray[np.uint8] | NDArray[np.float32], where: str
+) -> Camera:
+    """Create the camera of an image, or check that a given one fits it."""
+    height, width = image.shape[:2]
+    if not isinstance(intrinsics, Camera):
+        return Camera(width, height, *check_intrinsics(intrinsics, (width, height), where))
+    if (intrinsics.width, intrinsics.height) != (width, height):
+        raise InputError(
+            f"the camera is for images of {intrinsics.width} × {intrinsics.height} px, but the image has "
+            f"{width} × {height} px.",
+            where,
+        )
+    check_intrinsics((intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy), (width, height), where)
+    return replace(intrinsics, distortion=check_distortion(intrinsics.distortion, where))
+
+
+def _describe_kind(kind: tuple[bool, bool]) -> str:
+    """Describe which images a frame has beside colour."""
+    has_depth, has_right = kind
+    names = [name for name, has in (("depth", has_depth), ("a right image", has_right)) if has]
+    return " and ".join(names) or "neither depth nor a right image"
+
+
+def _check_up(up: ArrayLike) -> WorldUp:
+    """Return the up direction with length 1."""
+    vector = np.asarray(up, np.float64).reshape(-1)
+    length = float(np.linalg.norm(vector))
+    if vector.shape != (3,) or not (np.isfinite(length) and length > 0):
+        raise InputError("up must be a direction of three numbers.", "scan")
+    x, y, z = (vector / length).tolist()
+    return WorldUp((x, y, z), "given")
