@@ -62,7 +62,8 @@ def _step_count(accessor: Tree) -> int:
     is_count = accessor["componentType"] in (_UNSIGNED_BYTE, _UNSIGNED_SHORT)
     if not is_count or accessor.get("normalized") or "max" not in accessor:
         return MAX_STEPS
-    return max(int(value) for value in accessor["max"])
+    steps: int = max(map(int, accessor["max"]))
+    return steps
 
 
 def stored_bytes(path: Path, mesh: Mesh) -> int:
