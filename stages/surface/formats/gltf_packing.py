@@ -24,7 +24,7 @@ VERTICES, INDICES = 34962, 34963  # what a buffer view is for
 
 # Bits of a number: of positions at most, of texture coordinates where nothing else is asked for.
 _BITS = 16
-MAX_STEPS = 2**_BITS - 1
+MAX_STEPS: int = 2**_BITS - 1
 _UNIT = 127
 
 Floats = NDArray[np.float64]
