@@ -151,7 +151,7 @@ def simplify(
         out.unmet(f"{target}: {sentence}")
     text = _text(simplified, figures)
     if simplified.default_max_shape is not None:
-        text += f"\n\n{_default_bound(simplified.default_max_shape)}"
+        text += f"\n\n{_default_bound(simplified)}"
     if simplified.kept_images is not None:
         kept = simplified.kept_images
         text += (
@@ -195,11 +195,14 @@ def _fit_packing(
     return resolve(SimplifyParams, params, {"max_shape": params.max_shape - rounding}), packing
 
 
-def _default_bound(metres: float) -> str:
-    return (
-        f"No number and no bound was given: the shape stays within {at_most(metres)} m, 1/1000 of the "
-        "model's size. Give --max-shape or --ratio for another goal."
-    )
+def _default_bound(simplified: Simplified[Any]) -> str:
+    assert simplified.default_max_shape is not None
+    goal, details = at_most(simplified.default_max_shape), simplified.details
+    kept = f"the shape stays within {goal} m, 1/1000 of the model's size"
+    if not details.proven:
+        proven = at_most(details.shape_bound_m)
+        kept = f"the goal is {goal} m, 1/1000 of the model's size, and {proven} m are proven"
+    return f"No number and no bound was given: {kept}. Give --max-shape or --ratio for another goal."
 
 
 def _is_table(value: Any) -> bool:

@@ -234,6 +234,7 @@ def simplify(
             progress=at_end,
         )
 
+    note: str | None = None
     if plan is None:
         target = task.triangles
         is_missed = target is not None and misses_count(found, target) and found.stopped_by == "bounds"
@@ -245,14 +246,11 @@ def simplify(
             return found
         if not is_better_baked(mesh, remade, found):
             return found
-        return _with_notes(
-            remade,
-            (
-                f"with its own images the model keeps {len(found.mesh.triangles):,} triangles along texture "
-                "seams and differs more from the input: new images are baked; keep_uv=True keeps the old.",
-            ),
+        note = (
+            f"with its own images the model keeps {len(found.mesh.triangles):,} triangles along texture "
+            "seams and differs more from the input: new images are baked; keep_uv=True keeps the old."
         )
-    note: str | None = None
+        return _with_notes(remade, (note,))
     baked: Simplified[Any] | None = None
     try:
         baked = plan.bake(found)

@@ -12,8 +12,9 @@ import stages
 from stages.errors import MeshError, UsageError
 from stages.simplification import textured
 from stages.simplification.result import Simplified
-from stages.simplification.simplify import simplify
+from stages.simplification.simplify import SimplifyParams, simplify
 from stages.simplification.textured import derive_max_shape, is_better_baked
+from stages.simplification.unmet import unmet
 from stages.surface.mesh import Image, Material, Mesh, Texture
 
 
@@ -53,6 +54,13 @@ def test_without_options_the_bound_follows_from_the_size() -> None:
     # What has no image has the default that it had.
     assert simplify(mesh.with_(texture=None)).method == "jia01"
     assert simplify(mesh.with_(texture=None)).default_max_shape is None
+
+
+def test_a_default_bound_that_is_not_proven_is_no_unmet_requirement() -> None:
+    details = {"proven": False, "shape_bound_m": 0.2, "color_bound_levels": None}
+    figures = {"details": details, "triangles_before": 10, "triangles": 5, "stopped_by": "unproven"}
+    assert unmet(SimplifyParams(), {**figures, "default_max_shape_m": 0.1}) == ()
+    assert len(unmet(SimplifyParams(max_shape=0.1), figures)) == 1
 
 
 def test_the_size_does_not_follow_from_a_stray_triangle() -> None:
