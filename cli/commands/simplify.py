@@ -7,22 +7,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 import stages
 from cli.baked import TEXTURED_SUFFIXES, baked_text
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, write_file
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, tell_written, write_file
 from cli.options import option_name
 from cli.output import Output, lines_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.written_bounds import SaveBounds, write_bounds
-from stages import Simplified, SimplifyParams, UsageError
+from stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
+from stages.exporting.export import GLTF
+from stages.exporting.same_packing import same_packing, stored_bytes
+from stages.params import resolve
 from stages.printing import at_most
 from stages.simplification.auto import chosen
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.methods import METHODS
 from stages.simplification.regions import parse_region
 from stages.simplification.unmet import unmet
+from stages.surface.formats.gltf_packing import lattice_of
 
 
 def simplify(
@@ -69,6 +74,8 @@ def simplify(
     --keep-uv keeps images and texture coordinates as they are, at the cost of shape. To a number, they are
     also kept where baking loses much more colour; --bake bakes all the same.
 
+    A glTF file that is quantized or compressed by meshopt stays so if OUT is glTF.
+
     --close-bounds and --save-bounds go with bounds. --method says what each method is for, and which one is
     taken. Most want a manifold mesh; run `scanloom clean` on it first when it is not.
 
@@ -98,6 +105,8 @@ def simplify(
             raise UsageError(f"--save-bounds is for bounds that are proven; {_how_to_prove()}.")
     regions = [parse_region(text) for text in region or ()]
     mesh = read_file(source, out)
+    packing = same_packing(source, mesh) if target.suffix.lower() in GLTF else ExportParams()
+    params, packing = _fit_packing(mesh, params, packing)
     with about_file(source), out.progress("simplify", "triangles") as progress:
         simplified = stages.simplify(
             mesh,
@@ -107,14 +116,30 @@ def simplify(
             partial=partial,
             progress=progress,
         )
-    write_file(target, simplified.mesh, out, original=None if holds_texture else mesh)
+    rounding = 0.0
+    source_bytes = stored_bytes(source, mesh)
+    if packing.compress == "none":
+        write_file(target, simplified.mesh, out, original=None if holds_texture else mesh)
+    else:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        rounding = stages.export(simplified.mesh, target, packing).position_error
+        tell_written(target, simplified.mesh, out)
     if simplified.record is not None and save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)
     if save_bounds is not None:
         proven = simplified.details
         write_bounds(save_bounds, simplified.mesh, proven.shape_bound, proven.color_bound, out)
-    figures = {"output": str(target), **simplified.figures()}
+    target_bytes = stored_bytes(target, simplified.mesh)
+    figures = {
+        "output": str(target),
+        **simplified.figures(),
+        "input_bytes": source_bytes,
+        "output_bytes": target_bytes,
+        **({"position_error_m": rounding} if rounding else {}),
+    }
+    if target_bytes > source_bytes and source.suffix.lower() == target.suffix.lower():
+        out.warn(f"{target}: larger than the input, {target_bytes:,} bytes instead of {source_bytes:,}.")
     notes = simplified.mesh.notes[len(mesh.notes) :]
     if not holds_texture:
         # The format says that it has no colours.
@@ -126,7 +151,7 @@ def simplify(
         out.unmet(f"{target}: {sentence}")
     text = _text(simplified, figures)
     if simplified.default_max_shape is not None:
-        text += f"\n\n{_default_bound(simplified.default_max_shape)}"
+        text += f"\n\n{_default_bound(simplified)}"
     if simplified.kept_images is not None:
         kept = simplified.kept_images
         text += (
@@ -135,6 +160,11 @@ def simplify(
         )
     if simplified.baked is not None:
         text += f"\n\n{baked_text(simplified.baked.figures())}"
+    if rounding:
+        text += (
+            f"\n\nOUT is compressed as IN is ({packing.compress}): positions are rounded by at most "
+            f"{at_most(rounding)} m."
+        )
     if simplified.details.text():
         text += f"\n\n{simplified.details.text()}"
     out.result(figures, text)
@@ -148,11 +178,31 @@ def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
     return lines_of({name: value for name, value in shown.items() if not _is_table(value)})
 
 
-def _default_bound(metres: float) -> str:
-    return (
-        f"No number and no bound was given: the shape stays within {at_most(metres)} m, 1/1000 of the "
-        "model's size. Give --max-shape or --ratio for another goal."
-    )
+def _fit_packing(
+    mesh: Mesh, params: SimplifyParams, packing: ExportParams
+) -> tuple[SimplifyParams, ExportParams]:
+    """Subtract the rounding of positions in a compressed file from the bound on shape.
+
+    A file is not compressed if rounding alone exceeds the bound.
+    """
+    if packing.compress == "none" or params.max_shape is None:
+        return params, packing
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    margin = params.max_shape
+    rounding = lattice_of(np.stack([low - margin, high + margin]), packing.position_bits).farthest
+    if rounding >= params.max_shape:
+        return params, ExportParams()
+    return resolve(SimplifyParams, params, {"max_shape": params.max_shape - rounding}), packing
+
+
+def _default_bound(simplified: Simplified[Any]) -> str:
+    assert simplified.default_max_shape is not None
+    goal, details = at_most(simplified.default_max_shape), simplified.details
+    kept = f"the shape stays within {goal} m, 1/1000 of the model's size"
+    if not details.proven:
+        proven = at_most(details.shape_bound_m)
+        kept = f"the goal is {goal} m, 1/1000 of the model's size, and {proven} m are proven"
+    return f"No number and no bound was given: {kept}. Give --max-shape or --ratio for another goal."
 
 
 def _is_table(value: Any) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.simplification.result import Simplified
-from stages.simplification.seams.similar import may_have_equal, similar_sets
+from stages.simplification.seams.similar import equal_sets, may_have_equal
 from stages.surface.mesh import Mesh, Triangles
 from stages.surface.topology import repeats_vertex
 
@@ -31,8 +31,8 @@ def grown_together(mesh: Mesh, light: Simplified[Any]) -> NDArray[np.bool_]:
     stays = np.zeros(len(mesh.vertices), bool)
     if not may_have_equal(left.vertices):
         return stays
-    place = similar_sets(mesh.vertices, mesh.triangles, 0.0)[0]
-    own = similar_sets(left.vertices, left.triangles, 0.0)[0]
+    place = equal_sets(mesh.vertices)
+    own = equal_sets(left.vertices)
     # What has not moved is at the place it had; only there can sheets touch.
     of_source = np.zeros(int(own.max(initial=-1)) + 1, np.int64)
     of_source[own] = place[light.vertex_source]

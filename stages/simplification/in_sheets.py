@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.simplification.grown_together import grown_together
 from stages.simplification.result import Details, Simplified
-from stages.simplification.seams.similar import may_have_equal, similar_sets
+from stages.simplification.seams.similar import equal_sets, may_have_equal
 from stages.simplification.task import Task
 from stages.surface.mesh import Mesh
 from stages.surface.sheets import Sheets, taken_apart
@@ -98,7 +98,7 @@ def joined(mesh: Mesh) -> Sheets | None:
 
 def sheets_of(mesh: Mesh) -> Sheets:
     """Return the sheets of a mesh, vertices in one place being one."""
-    return taken_apart(mesh.triangles, similar_sets(mesh.vertices, mesh.triangles, 0.0)[0])
+    return taken_apart(mesh.triangles, equal_sets(mesh.vertices))
 
 
 def is_split(mesh: Mesh, sheets: Sheets) -> NDArray[np.bool_]:

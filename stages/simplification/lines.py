@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.simplification.seams.similar import may_have_equal, similar_sets
+from stages.simplification.seams.similar import equal_sets, may_have_equal
 from stages.surface.mesh import Mesh
 from stages.surface.topology import repeats_vertex
 
@@ -18,7 +18,7 @@ def lost_lines(mesh: Mesh) -> NDArray[np.bool_]:
     lost = np.zeros(len(mesh.triangles), np.bool_)
     if not (repeats_vertex(mesh.triangles).any() or may_have_equal(mesh.vertices)):
         return lost
-    sets, _ = similar_sets(mesh.vertices, mesh.triangles, 0.0)
+    sets = equal_sets(mesh.vertices)
     corners = sets[mesh.triangles].astype(np.int64)
     is_line = repeats_vertex(corners)
     if not is_line.any():

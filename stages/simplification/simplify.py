@@ -25,7 +25,9 @@ from stages.simplification.textured import (
     choose_texture,
     derive_max_shape,
     has_texture_images,
+    is_better_baked,
     is_visibly_different,
+    misses_count,
     plan_baking,
 )
 from stages.surface.convert import MeshLike, as_mesh
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RESULT_VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-RESULT_VERSION = 13
+RESULT_VERSION = 14
 
 
 @overload
@@ -218,9 +220,37 @@ def simplify(
                 "mesh",
             ) from error
         raise MeshError(f"{error}.", "mesh") from error
-    if plan is None:
-        return found
+
+    def at_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
+        return progress(found.collapses, found.collapses)
+
+    def simplify_again(**changes: bool) -> Simplified[Any]:
+        return simplify(
+            mesh,
+            resolve(SimplifyParams, params, changes),
+            lock=locked,
+            importance=factors if len(factors) else None,
+            partial=partial,
+            progress=at_end,
+        )
+
     note: str | None = None
+    if plan is None:
+        target = task.triangles
+        is_missed = target is not None and misses_count(found, target) and found.stopped_by == "bounds"
+        if reason is None or not is_missed or params.max_shape is not None:
+            return found
+        try:
+            remade = simplify_again(bake=True)
+        except MeshError:
+            return found
+        if not is_better_baked(mesh, remade, found):
+            return found
+        note = (
+            f"with its own images the model keeps {len(found.mesh.triangles):,} triangles along texture "
+            "seams and differs more from the input: new images are baked; keep_uv=True keeps the old."
+        )
+        return _with_notes(remade, (note,))
     baked: Simplified[Any] | None = None
     try:
         baked = plan.bake(found)
@@ -233,19 +263,8 @@ def simplify(
         note = f"the images are kept with their seams, as they could not be baked anew: {error}"
     if baked is not None and not _has_alternative(params, baked):
         return baked
-
-    def at_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
-        return progress(found.collapses, found.collapses)
-
     try:
-        kept = simplify(
-            mesh,
-            resolve(SimplifyParams, params, {"keep_uv": True}),
-            lock=locked,
-            importance=factors if len(factors) else None,
-            partial=partial,
-            progress=at_end,
-        )
+        kept = simplify_again(keep_uv=True)
     except MeshError:
         # Texture coordinates that cannot be weighed against the shape do not matter to baked images.
         if baked is None:

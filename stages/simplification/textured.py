@@ -141,6 +141,27 @@ def is_visibly_different(found: Simplified[Any]) -> bool:
     return found.baked is not None and found.baked.color.rmse > _VISIBLE_COLOR
 
 
+def misses_count(found: Simplified[Any], triangles: int) -> bool:
+    """Return whether a result has visibly more triangles than a goal."""
+    return len(found.mesh.triangles) > _MAX_COUNT_RATIO * triangles
+
+
+def is_better_baked(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -> bool:
+    """Return whether a mesh with baked images has fewer triangles and no larger errors.
+
+    Parameters
+    ----------
+    mesh : the input.
+    baked, kept : with baked images, and with the model's own.
+    """
+    if len(baked.mesh.triangles) >= len(kept.mesh.triangles):
+        return False
+    of_baked, of_kept = (compare(mesh, one.mesh, samples=_COMPARED) for one in (baked, kept))
+    if of_baked.color is None or of_kept.color is None:
+        return False
+    return bool(of_baked.color.rmse <= of_kept.color.rmse and of_baked.symmetric.rms <= of_kept.symmetric.rms)
+
+
 def choose_texture(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -> Simplified[Any]:
     """Choose between baked images and the model's own by colour and shape error.
 

@@ -17,7 +17,7 @@ def unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> tuple[str, ...]
 
     A number of triangles is asked for where no bound is: with both, whichever comes first ends the work. Who
     asked for what there is by then (`stopped_by` is "request") asked for no number any more; bounds have to
-    be proven all the same.
+    be proven all the same. A default bound was not asked for: a warning says how much of it is proven.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> tuple[str, ...]
     """
     said = []
     details = figures["details"]
-    if details.get("proven") is False:
+    if details.get("proven") is False and figures.get("default_max_shape_m") is None:
         most = f"{at_most(details['shape_bound_m'])} m"
         if details["color_bound_levels"] is not None:
             most += f" and {at_most(details['color_bound_levels'])} levels"

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from seamed_meshes import edge_counts, welded, wrapped_ball
 
+from stages.exporting.export import export
+from stages.exporting.same_packing import same_packing
 from stages.surface.mesh import Image, Material, Mesh, Texture
 from stages.surface.mesh_files import read_mesh, write_mesh
 
@@ -137,3 +139,65 @@ def test_formats_with_images_hold_the_baked_one(
     assert ran.exit_code == 0, ran.stderr
     color = scanloom("compare", textured, target, "--samples", 20_000, "--json").json["color"]
     assert color["a_to_b"]["rmse_levels"] == pytest.approx(ran.json["baked"]["color"]["rmse_levels"], rel=0.3)
+
+
+@pytest.mark.parametrize("compress", ["quantize", "meshopt"])
+def test_a_compressed_file_stays_compressed_and_gets_no_larger(
+    scanloom: Run, textured: Path, tmp_path: Path, compress: str
+) -> None:
+    source, target = tmp_path / "small.glb", tmp_path / "light.glb"
+    export(read_mesh(textured), source, compress=compress, position_bits=14, texel_steps=2)
+    mesh = read_mesh(source)
+    packing = same_packing(source, mesh)
+    assert (packing.compress, packing.position_bits, packing.texel_steps) == (compress, 14, 4)
+    ran = scanloom("simplify", source, target, "--ratio", 0.7, "--keep-uv", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert same_packing(target, read_mesh(target)).compress == compress
+    assert ran.json["input_bytes"] == source.stat().st_size
+    assert ran.json["output_bytes"] == target.stat().st_size < source.stat().st_size
+    assert 0 < ran.json["position_error_m"] < 3e-4
+    assert not any("larger" in warning for warning in ran.json["warnings"])
+
+
+def test_rounding_of_a_compressed_file_is_part_of_the_bound(
+    scanloom: Run, textured: Path, tmp_path: Path
+) -> None:
+    source, target = tmp_path / "small.glb", tmp_path / "light.glb"
+    export(read_mesh(textured), source, compress="quantize", position_bits=10)
+    ran = scanloom("simplify", source, target, "--max-shape", 0.02, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    rounding = ran.json["position_error_m"]
+    assert rounding > 1e-3
+    assert ran.json["details"]["max_shape_m"] + rounding <= 0.02 + 1e-12
+    # Rounding alone exceeds this bound, so the file is not compressed.
+    ran = scanloom("simplify", source, target, "--max-shape", 0.001, "--json")
+    assert "position_error_m" not in ran.json
+    assert same_packing(target, read_mesh(target)).compress == "none"
+
+
+def test_a_file_that_grows_is_named_with_its_bytes(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+    source, target = tmp_path / "small.off", tmp_path / "light.off"
+    plain = read_mesh(textured)
+    rounded = np.rint(plain.vertices * 100)
+    lines = ["OFF", f"{len(rounded)} {len(plain.triangles)} 0"]
+    lines += [" ".join(f"{value:.0f}" for value in row) for row in rounded]
+    lines += [f"3 {a} {b} {c}" for a, b, c in plain.triangles]
+    source.write_text("\n".join(lines))
+    ran = scanloom("simplify", source, target, "--ratio", 0.9, "--json")
+    assert ran.json["output_bytes"] == target.stat().st_size > source.stat().st_size
+    assert any(
+        f"larger than the input, {target.stat().st_size:,} bytes instead of {source.stat().st_size:,}" in text
+        for text in ran.json["warnings"]
+    )
+
+
+def test_bytes_of_files_with_images_beside(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+    for suffix in (".gltf", ".obj", ".ply"):
+        folder = tmp_path / suffix[1:]
+        folder.mkdir()
+        target = folder / f"light{suffix}"
+        ran = scanloom("simplify", textured, target, "--ratio", 0.5, "--json")
+        assert ran.exit_code == 0, ran.stderr
+        files = [path for path in folder.iterdir() if path.suffix != ".mtl"]
+        assert len(files) > 1
+        assert ran.json["output_bytes"] == sum(path.stat().st_size for path in files)

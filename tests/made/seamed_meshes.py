@@ -91,6 +91,36 @@ def two_cubes(gap: float) -> Mesh:
     return Mesh(vertices, triangles.astype(np.int32), part_ids=parts, part_names=("left", "right"))
 
 
+def touching_parts(rng: np.random.Generator, gap: float) -> Mesh:
+    """Two to five boxes, prisms and open sheets whose faces, edges or corners nearly touch."""
+    import trimesh
+
+    vertices: list[NDArray[np.float64]] = []
+    triangles: list[NDArray[np.int64]] = []
+    for _ in range(rng.integers(2, 6)):
+        kind = rng.integers(3)
+        if kind == 0:
+            solid = trimesh.creation.box((1, 1, 1))
+            for _ in range(rng.integers(3)):
+                solid = solid.subdivide()
+        elif kind == 1:
+            solid = trimesh.creation.cylinder(0.5, 1, sections=int(rng.integers(4, 12)))
+        else:
+            solid = trimesh.creation.box((1, 1, 1)).subdivide().subdivide()
+            faces = solid.faces[np.isclose(solid.triangles_center[:, rng.integers(3)], 0.5)]
+            solid = trimesh.Trimesh(solid.vertices, faces)
+        noise = gap * rng.integers(2) * rng.normal(size=solid.vertices.shape)
+        triangles.append(solid.faces + sum(len(part) for part in vertices))
+        vertices.append(solid.vertices + rng.integers(0, 2, 3) + noise)
+    parts = np.repeat(np.arange(len(triangles), dtype=np.int32), [len(t) for t in triangles])
+    return Mesh(
+        np.concatenate(vertices),
+        np.concatenate(triangles).astype(np.int32),
+        part_ids=parts,
+        part_names=tuple(f"part {index}" for index in range(len(triangles))),
+    )
+
+
 def welded(mesh: Mesh) -> NDArray[np.int64]:
     """Return triangles whose corners are numbered by position."""
     _, number = np.unique(mesh.vertices, axis=0, return_inverse=True)

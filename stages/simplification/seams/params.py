@@ -37,7 +37,8 @@ class SeamsParams:
     )
     similar_distance: float | None = param(
         None,
-        "Vertices closer than this are one. A larger one joins parts that only touch. Default: "
+        "Vertices closer than this are one, unless an edge would get more than two triangles. A larger "
+        "distance closes cracks between parts. Default: "
         f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal, at most a hundredth of the median side of "
         "triangles.",
         unit="m",

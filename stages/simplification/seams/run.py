@@ -23,7 +23,7 @@ from stages.simplification.seams.params import (
     SIMILAR_DISTANCE,
     SeamsParams,
 )
-from stages.simplification.seams.similar import joinable_sets, similar_sets
+from stages.simplification.seams.similar import joinable_sets
 from stages.simplification.task import Task
 from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
@@ -31,7 +31,7 @@ from stages.surface.raycasting import bounding_box
 from stages.surface.texture import Texture, signed_areas
 from stages.surface.topology import areas
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
 # Triangles worked on at a time: with all that is known of them they fit into the caches.
 REGION_TRIANGLES = 2048
@@ -70,13 +70,10 @@ def simplified(
     mesh, params, lock = task.mesh, task.params, task.lock
     low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
     origin = 0.5 * low + 0.5 * high
-    distance = params.similar_distance
-    if distance is None:
-        distance = _similar_distance(mesh, float(np.linalg.norm(high - low)))
-        sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
-        lock = lock | apart
-    else:
-        sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
+    copy_distance = _similar_distance(mesh, float(np.linalg.norm(high - low)))
+    distance = copy_distance if params.similar_distance is None else params.similar_distance
+    sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance, copy_distance)
+    lock = lock | apart
     attributes = _attributes(task, positions, origin, expected)
     texture = mesh.texture
     side = _largest_side(texture)

@@ -13,6 +13,9 @@ from stages.surface.sheets import taken_apart
 
 # Pairs a vertex may have on average before `similar_distance` is taken for a mistake.
 _MOST_PAIRS = 64
+# Factor between the distances at which vertices are joined, and the maximum number of these distances.
+_STEP = 2
+_MOST_REACHES = 12
 # Vertices that are asked how many there are, before all are.
 _ASKED = 4096
 # A direction that edges and axes of models do not have, and neighbours along it that are looked at.
@@ -20,22 +23,33 @@ _SKEW = np.array([0.6180339887, 0.5346801132, 0.5763518722])
 _MOST_STEPS = 32
 
 
-def similar_sets(
-    vertices: Vertices, triangles: Triangles, distance: float
-) -> tuple[NDArray[np.int32], Vertices]:
-    """Find the sets of similar vertices (Feng, Ni and Luo 2012, section 2.1).
+def equal_sets(vertices: Vertices) -> NDArray[np.int32]:
+    """Return the set of equal vertices each vertex is in, numbered from 0 in the order of first vertices."""
+    return _equal(vertices)[0]
+
+
+def joinable_sets(
+    vertices: Vertices, triangles: Triangles, distance: float, copy_distance: float | None = None
+) -> tuple[NDArray[np.int32], Vertices, NDArray[np.bool_]]:
+    """Find the sets of similar vertices that can be joined (Feng, Ni and Luo 2012, section 2.1).
 
     Two vertices are similar if they are closer than `distance`, or a chain of such steps leads from one to
-    the other. The ends of an edge are not similar for being close.
+    the other. The ends of an edge are not similar for being close. Vertices of different positions are joined
+    only if the surface around them stays a manifold and no vertex moves by more than `distance`. Where a part
+    stands on another or sheets lie on each other, vertices are joined within a smaller distance, or not at
+    all.
 
     Parameters
     ----------
     distance : metres, at least 0; 0 for equal positions.
+    copy_distance : metres, vertices closer than this are copies of one vertex; None for `distance`.
 
     Returns
     -------
     sets : (n,) int32, the set of each vertex, numbered from 0 in the order of their first vertices.
     positions : (n, 3) float64, the mean position of each vertex's set; where all are equal, that to the bit.
+    apart : (n,) bool, vertices that are not in one set with all their copies. Surfaces touch there, and come
+        apart where only one of them moves.
 
     Raises
     ------
@@ -43,40 +57,54 @@ def similar_sets(
         If `distance` is so large that most of the mesh would be one.
     """
     equal, first = _equal(vertices)
-    sets = _similar(vertices[first], equal, triangles, distance)
-    return sets, _means(vertices, sets) if sets is not equal else vertices[first][sets]
+    links, lengths = _links(vertices[first], equal, triangles, distance)
+    if not len(links):
+        return equal, vertices[first][equal], np.zeros(len(equal), bool)
+    copies = sets = equal
+    # Sets that cannot be joined within a distance stay as they are within the one before.
+    for reach in _reaches(distance, copy_distance):
+        chained = _chained(links[lengths <= reach], equal, len(first))
+        if reach <= (distance if copy_distance is None else copy_distance):
+            copies = chained
+        sets = _without_touching(vertices, triangles, chained, sets, reach)
+    pairs = np.unique(np.stack([copies, sets]), axis=1)
+    apart = np.bincount(pairs[0], minlength=len(first))[copies] > 1
+    return sets, _means(vertices, sets), apart
 
 
-def joinable_sets(
-    vertices: Vertices, triangles: Triangles, distance: float
-) -> tuple[NDArray[np.int32], Vertices, NDArray[np.bool_]]:
-    """Find similar sets as `similar_sets` does, but join vertices of different positions to a surface only.
+def _reaches(distance: float, copy_distance: float | None) -> list[float]:
+    """Return the distances at which vertices are joined, from small to large."""
+    if copy_distance is None or copy_distance >= distance:
+        return [distance]
+    steps = [distance / _STEP**power for power in range(_MOST_REACHES)]
+    return [copy_distance, *sorted(step for step in steps if step > copy_distance)]
 
-    Where triangles would meet that cannot be joined, as where a part stands on another or sheets lie on each
-    other, vertices keep the positions they have.
 
-    Returns
-    -------
-    sets, positions : as of `similar_sets`.
-    apart : (n,) bool, vertices that are similar to others and nevertheless not in one set with them. Surfaces
-        touch there, and come apart where only one of them moves.
+def _without_touching(
+    vertices: Vertices, triangles: Triangles, sets: NDArray[np.int32], before: NDArray[np.int32], reach: float
+) -> NDArray[np.int32]:
+    """Return `sets` (n,), but those of `before` where surfaces touch that cannot be joined.
+
+    Parameters
+    ----------
+    before : (n,) sets of which each one of `sets` has one or more.
+    reach : metres that a vertex may move.
     """
-    equal, first = _equal(vertices)
-    sets = _similar(vertices[first], equal, triangles, distance)
-    apart = np.zeros(len(sets), bool)
-    if sets is equal:
-        return sets, vertices[first][sets], apart
-    # What is taken apart may leave its neighbours in a set that cannot be joined any more.
     while True:
-        is_uneven = np.bincount(sets[first], minlength=len(first))[sets] > 1
+        # A set that is taken apart may leave its neighbours in a set that cannot be joined any more.
+        pairs = np.unique(np.stack([sets, before]), axis=1)
+        is_joined = np.bincount(pairs[0])[sets] > 1
+        if not is_joined.any():
+            return sets
         sheets = taken_apart(triangles, sets)
-        touches = np.zeros(len(sets), bool)
-        touches[sets[sheets.vertex_source[sheets.touches]]] = True
-        taken = is_uneven & touches[sets]
+        is_refused = np.zeros(len(sets), bool)
+        is_refused[sets[sheets.vertex_source[sheets.touches]]] = True
+        offsets = _means(vertices, sets) - vertices
+        is_refused[sets[(offsets * offsets).sum(axis=1) > reach * reach]] = True
+        taken = is_joined & is_refused[sets]
         if not taken.any():
-            return sets, _means(vertices, sets), apart
-        apart |= taken
-        sets = _ranked(np.where(taken, len(sets) + equal, sets))
+            return sets
+        sets = _ranked(np.where(taken, len(sets) + before, sets))
 
 
 def _equal(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[Any]]:
@@ -120,28 +148,33 @@ def _firsts(sets: NDArray[np.int32]) -> NDArray[Any]:
     return first
 
 
-def _similar(
+def _links(
     positions: Vertices, equal: NDArray[np.int32], triangles: Triangles, distance: float
-) -> NDArray[np.int32]:
-    """Return the set of similar vertices each one is in; `equal` itself if no `positions` of its sets are."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
+) -> tuple[NDArray[np.integer[Any]], NDArray[np.float64]]:
+    """Return pairs (k, 2) of positions within `distance` that are no edges, and their lengths."""
     count = len(positions)
     if distance == 0 or count < 2:
-        return equal
+        return np.empty((0, 2), np.int64), np.empty(0)
     pairs = _few_pairs(positions, distance)
     if pairs is None:
         pairs = _pairs_in_tree(positions, distance)
-    if not len(pairs):
-        return equal
-    close = np.zeros(count, bool)
-    close[pairs] = True
-    edges = equal[triangles][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-    edges = np.sort(edges[close[edges].all(axis=1)], axis=1)
-    pairs = pairs[~np.isin(pairs @ [count, 1], edges @ [count, 1])]
-    links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    return _ranked(connected_components(links, directed=False)[1][equal])
+    if len(pairs):
+        close = np.zeros(count, bool)
+        close[pairs] = True
+        edges = equal[triangles][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+        edges = np.sort(edges[close[edges].all(axis=1)], axis=1)
+        pairs = np.sort(pairs, axis=1)
+        pairs = pairs[~np.isin(pairs @ [count, 1], edges @ [count, 1])]
+    return pairs, np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1)
+
+
+def _chained(links: NDArray[np.integer[Any]], equal: NDArray[np.int32], count: int) -> NDArray[np.int32]:
+    """Return the set of each vertex that chains of links between `count` positions make."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(count, count))
+    return _ranked(connected_components(graph, directed=False)[1][equal])
 
 
 def _few_pairs(positions: Vertices, distance: float) -> NDArray[np.integer[Any]] | None:

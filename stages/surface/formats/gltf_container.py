@@ -25,7 +25,7 @@ Tree = dict[str, Any]
 
 # What is not read: a codec of meshes, of which there is no well-kept package without a compiler.
 COMPRESSED = ("KHR_draco_mesh_compression",)
-_PACKED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+PACKED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 # Where `asset.extras` of a file holds the turn that was given to it so that it stands.
 SCAN_FROM_WORLD = "scan_from_world"
@@ -152,7 +152,7 @@ class Gltf:
 def packing_of(view: Tree) -> Tree | None:
     """Return what a buffer view says of how it is packed; None if it is not."""
     extensions = view.get("extensions", {})
-    return next((extensions[name] for name in _PACKED if name in extensions), None)
+    return next((extensions[name] for name in PACKED if name in extensions), None)
 
 
 def natural(value: Any) -> int:
@@ -186,7 +186,7 @@ def read_container(path: Path) -> Gltf:
     # First of all: a buffer that is there for its size only is no damage.
     _require_uncompressed(gltf)
     for number, buffer in enumerate(gltf.items("buffers")):
-        if any(buffer.get("extensions", {}).get(name, {}).get("fallback") for name in _PACKED) and (
+        if any(buffer.get("extensions", {}).get(name, {}).get("fallback") for name in PACKED) and (
             "uri" not in buffer
         ):
             gltf.buffers.append(b"")

@@ -24,7 +24,7 @@ VERTICES, INDICES = 34962, 34963  # what a buffer view is for
 
 # Bits of a number: of positions at most, of texture coordinates where nothing else is asked for.
 _BITS = 16
-_STEPS = 2**_BITS - 1
+MAX_STEPS: int = 2**_BITS - 1
 _UNIT = 127
 
 Floats = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Lattice:
 
     def steps(self, vertices: Floats) -> NDArray[np.uint16]:
         """Return places (n, 4), of which the last is filling."""
-        found = np.rint((vertices - self.low) / self.step).clip(0, _STEPS)
+        found = np.rint((vertices - self.low) / self.step).clip(0, MAX_STEPS)
         return np.pad(found.astype(np.uint16), ((0, 0), (0, 1)))
 
     @property
@@ -72,7 +72,7 @@ def quantized_unit(normals: NDArray[np.float32]) -> NDArray[np.int8]:
     return np.pad(np.rint(normals * _UNIT).astype(np.int8), ((0, 0), (0, 1)))
 
 
-def quantized_uvs(uvs: Floats, steps: tuple[int, int] = (_STEPS, _STEPS)) -> NDArray[np.uint16] | None:
+def quantized_uvs(uvs: Floats, steps: tuple[int, int] = (MAX_STEPS, MAX_STEPS)) -> NDArray[np.uint16] | None:
     """Return texture coordinates (n, 2) in steps of the image's sides; None if they go beyond the image.
 
     Parameters
@@ -80,7 +80,7 @@ def quantized_uvs(uvs: Floats, steps: tuple[int, int] = (_STEPS, _STEPS)) -> NDA
     steps : along u and v.
     """
     places = np.rint(uvs * steps)
-    if max(steps) > _STEPS or (places.size and (places.min() < 0 or (places > steps).any())):
+    if max(steps) > MAX_STEPS or (places.size and (places.min() < 0 or (places > steps).any())):
         return None
     return np.asarray(places, np.uint16)
 

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from seamed_meshes import wrapped_ball
@@ -8,8 +11,10 @@ from textured_models import as_jpeg, as_png, gltf_material, textured_ball, waves
 import stages
 from stages.errors import MeshError, UsageError
 from stages.simplification import textured
-from stages.simplification.simplify import simplify
-from stages.simplification.textured import derive_max_shape
+from stages.simplification.result import Simplified
+from stages.simplification.simplify import SimplifyParams, simplify
+from stages.simplification.textured import derive_max_shape, is_better_baked
+from stages.simplification.unmet import unmet
 from stages.surface.mesh import Image, Material, Mesh, Texture
 
 
@@ -49,6 +54,13 @@ def test_without_options_the_bound_follows_from_the_size() -> None:
     # What has no image has the default that it had.
     assert simplify(mesh.with_(texture=None)).method == "jia01"
     assert simplify(mesh.with_(texture=None)).default_max_shape is None
+
+
+def test_a_default_bound_that_is_not_proven_is_no_unmet_requirement() -> None:
+    details = {"proven": False, "shape_bound_m": 0.2, "color_bound_levels": None}
+    figures = {"details": details, "triangles_before": 10, "triangles": 5, "stopped_by": "unproven"}
+    assert unmet(SimplifyParams(), {**figures, "default_max_shape_m": 0.1}) == ()
+    assert len(unmet(SimplifyParams(max_shape=0.1), figures)) == 1
 
 
 def test_the_size_does_not_follow_from_a_stray_triangle() -> None:
@@ -207,3 +219,41 @@ def test_small_print_keeps_its_own_texels() -> None:
     assert found.kept_images is not None
     assert found.kept_images.rmse_levels < found.kept_images.baked_rmse_levels
     assert simplify(mesh, ratio=0.3, bake=True).baked is not None
+
+
+@pytest.mark.parametrize("is_better", [True, False])
+def test_images_that_repeat_are_baked_if_their_seams_hold_too_many_triangles(
+    monkeypatch: pytest.MonkeyPatch, is_better: bool
+) -> None:
+    asked: list[tuple[int, int]] = []
+
+    def compared(_mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -> bool:
+        asked.append((len(baked.mesh.triangles), len(kept.mesh.triangles)))
+        return is_better
+
+    monkeypatch.setattr("stages.simplification.simplify.is_better_baked", compared)
+    mesh = textured_ball(as_png(waves(64, 32)))
+    rng = np.random.default_rng(3)
+    # Each triangle is a chart of its own.
+    texture = replace(mesh.texture, uvs=rng.random(mesh.texture.uvs.shape))
+    found = simplify(mesh.with_(texture=texture), ratio=0.1)
+    ((baked_count, kept_count),) = asked
+    assert baked_count <= len(mesh.triangles) // 10 < kept_count
+    assert len(found.mesh.triangles) == (baked_count if is_better else kept_count)
+    assert (found.baked is not None) == is_better
+    assert any("new images are baked" in note for note in found.mesh.notes) == is_better
+    # What was asked for explicitly is not compared.
+    simplify(mesh.with_(texture=texture), ratio=0.1, keep_uv=True)
+    assert len(asked) == 1
+
+
+def test_a_baked_mesh_is_better_only_with_smaller_errors() -> None:
+    mesh = textured_ball(as_png(waves(64, 32)))
+    coarse = simplify(mesh, ratio=0.03, bake=True)
+    fine = simplify(mesh, ratio=0.3, keep_uv=True)
+    assert not is_better_baked(mesh, coarse, fine)
+    assert not is_better_baked(mesh, fine, coarse)
+    spoiled = replace(fine, mesh=fine.mesh.with_(vertices=fine.mesh.vertices * 1.5))
+    black = replace(spoiled.mesh.texture, uvs=np.full_like(spoiled.mesh.texture.uvs, 0.9))
+    spoiled = replace(spoiled, mesh=spoiled.mesh.with_(texture=black))
+    assert is_better_baked(mesh, coarse, spoiled)

@@ -16,20 +16,24 @@ from seamed_meshes import (
     outside_charts,
     overlapping,
     signed_areas,
+    touching_parts,
     two_cubes,
     welded,
     wrapped_ball,
 )
+from simplified_checks import assert_finite
+from simplified_checks import assert_sound as assert_near
 
 from stages import _kernels
 from stages.cleaning.clean import clean
 from stages.errors import UsageError
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
-from stages.simplification.seams.similar import joinable_sets, similar_sets
+from stages.simplification.seams.similar import equal_sets, joinable_sets
 from stages.simplification.simplify import SimplifyParams, simplify
 from stages.surface.mesh import Material, Mesh, Texture
 from stages.surface.mesh_files import read_mesh
+from stages.surface.topology import repeats_vertex
 
 DATA = Path(__file__).parents[5] / "shared" / "data" / "meshes"
 TEXTURED = (
@@ -351,34 +355,79 @@ def test_a_palette_whose_triangles_have_no_area_in_the_image() -> None:
 def test_similar_sets_are_chains_of_close_vertices() -> None:
     vertices = np.array([[0, 0, 0], [5, 0, 0], [0.9, 0, 0], [1.8, 0, 0], [5, 0, 0], [9, 9, 9]], float)
     none = np.zeros((0, 3), np.int32)
-    assert similar_sets(vertices, none, 0.0)[0].tolist() == [0, 1, 2, 3, 1, 4]
-    sets, positions = similar_sets(vertices, none, 1.0)
+    assert equal_sets(vertices).tolist() == [0, 1, 2, 3, 1, 4]
+    assert joinable_sets(vertices, none, 0.0)[0].tolist() == [0, 1, 2, 3, 1, 4]
+    sets, positions, _ = joinable_sets(vertices, none, 1.0)
     assert sets.tolist() == [0, 1, 0, 0, 1, 2]
     np.testing.assert_allclose(positions[[0, 2, 3]], [[0.9, 0, 0]] * 3)
     np.testing.assert_array_equal(positions[[1, 4, 5]], vertices[[1, 4, 5]])
     # The ends of an edge are not copies of each other.
-    assert similar_sets(vertices, np.array([[0, 2, 5]], np.int32), 1.0)[0].tolist() == [0, 1, 2, 2, 1, 3]
+    edge = np.array([[0, 2, 5]], np.int32)
+    assert joinable_sets(vertices, edge, 1.0)[0].tolist() == [0, 1, 2, 2, 1, 3]
 
 
-def test_similar_distance_joins_parts_that_only_touch() -> None:
-    mesh = two_cubes(gap=1e-3)
+def test_a_chain_is_joined_only_if_no_vertex_moves_farther_than_the_distance() -> None:
+    vertices = np.zeros((6, 3))
+    vertices[:, 0] = 0.9 * np.arange(6)
+    none = np.zeros((0, 3), np.int32)
+    sets, positions, _ = joinable_sets(vertices, none, 1.0)
+    assert len(np.unique(sets)) == 6
+    np.testing.assert_array_equal(positions, vertices)
+    assert joinable_sets(vertices, none, 3.0)[0].tolist() == [0] * 6
 
-    def bodies(light: Mesh) -> int:
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
 
-        t = welded(light)
-        ends = t[:, [0, 1, 1, 2]].reshape(-1, 2)
-        links = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(t.max() + 1,) * 2)
-        return int(connected_components(links, directed=False)[0])
+def bodies(light: Mesh) -> int:
+    """Count the components of a mesh whose vertices of equal position are one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
+    t = welded(light)
+    ends = t[:, [0, 1, 1, 2]].reshape(-1, 2)
+    links = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(t.max() + 1,) * 2)
+    return int(connected_components(links, directed=False)[0])
+
+
+def test_similar_distance_closes_cracks_between_parts() -> None:
+    mesh = folded_strips(24, 9)
+    cracked = mesh.vertices.copy()
+    upper = np.arange(len(cracked)) >= 24 * 5
+    cracked[upper, 1] += 0.05
+    mesh = mesh.with_(vertices=cracked)
     apart = simplify(mesh, method="seams", ratio=0.3)
     assert bodies(apart.mesh) == 2
-    joined = simplify(mesh, method="seams", ratio=0.3, similar_distance=2e-3)
+    assert apart.details.joined_vertices == 0
+    joined = simplify(mesh, method="seams", ratio=0.3, similar_distance=0.1)
     assert bodies(joined.mesh) == 1
-    assert joined.details.joined_vertices is not None
-    assert apart.details.joined_vertices is not None
-    assert joined.details.joined_vertices - apart.details.joined_vertices == 81
+    assert joined.details.joined_vertices == 24
+    assert edge_counts(welded(joined.mesh))[1] == 0
+
+
+def test_similar_distance_keeps_walls_that_face_each_other_apart() -> None:
+    mesh = two_cubes(gap=1e-3)
+    light = simplify(mesh, method="seams", ratio=0.3, similar_distance=2e-3)
+    assert bodies(light.mesh) == 2
+    assert light.stopped_by == "triangles"
+    assert edge_counts(welded(light.mesh)) == (0, 0)
+
+
+@given(seed=st.integers(0, 1 << 16), gap=st.floats(-8, -1.5), distance=st.floats(0, 0.2))
+@settings(max_examples=60, deadline=None)
+def test_no_distance_makes_edges_of_more_than_two_triangles(seed: int, gap: float, distance: float) -> None:
+    mesh = touching_parts(np.random.default_rng(seed), 10**gap)
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    before = edge_counts(welded(mesh))[1]
+    for ratio in (1.0, 0.3):
+        try:
+            light = simplify(mesh, method="seams", ratio=ratio, similar_distance=distance * diagonal).mesh
+        except UsageError:  # the distance is larger than many edges
+            return
+        t = welded(light)
+        assert not repeats_vertex(t).any()
+        if len(t):
+            assert edge_counts(t)[1] <= before
+        assert_finite(light)
+        if ratio == 1.0:
+            assert_near(light, mesh, max_shape=distance * diagonal)
 
 
 def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> None:

@@ -1,0 +1,91 @@
+"""Packing of glTF files: write a file with the compression of another one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+
+from stages.exporting.export import GLTF, ExportParams
+from stages.surface.formats.gltf_container import PACKED, Gltf, Tree, read_container
+from stages.surface.formats.gltf_packing import MAX_STEPS, QUANTIZED, lattice_of
+from stages.surface.mesh import Mesh
+
+_UNSIGNED_BYTE, _UNSIGNED_SHORT, _FLOAT = 5121, 5123, 5126
+_MIN_BITS = 8
+_TRANSFORM = "KHR_texture_transform"
+# Coordinates are rounded by at most an eighth of a texel, which is not visible.
+_STEPS_PER_TEXEL = 4
+
+
+def same_packing(path: Path, mesh: Mesh) -> ExportParams:
+    """Return the parameters that compress a glTF file as a given file is compressed.
+
+    The steps of positions are no larger than in that file, if 16 bits hold them.
+
+    Parameters
+    ----------
+    path : mesh file. Files of other formats are not compressed.
+    mesh : what the file holds.
+    """
+    if path.suffix.lower() not in GLTF:
+        return ExportParams()
+    gltf = read_container(path)
+    used = set(gltf.items("extensionsUsed"))
+    positions = [
+        gltf.item("accessors", primitive["attributes"]["POSITION"])
+        for mesh in gltf.items("meshes")
+        for primitive in mesh["primitives"]
+        if "POSITION" in primitive["attributes"]
+    ]
+    is_quantized = QUANTIZED in used and any(one["componentType"] != _FLOAT for one in positions)
+    if not used.intersection(PACKED) and not is_quantized:
+        return ExportParams()
+    steps = max((_step_count(one) for one in positions), default=MAX_STEPS)
+    size = float(np.ptp(mesh.vertices, axis=0).max(initial=0.0))
+    return ExportParams(
+        compress="meshopt" if used.intersection(PACKED) else "quantize",
+        position_bits=next(
+            (bits for bits in range(_MIN_BITS, 16) if lattice_of(mesh.vertices, bits).step * steps <= size),
+            16,
+        ),
+        texel_steps=_STEPS_PER_TEXEL if _TRANSFORM in used else 0,
+    )
+
+
+def _step_count(accessor: Tree) -> int:
+    """Return the number of steps along the longest side of an accessor of positions."""
+    is_count = accessor["componentType"] in (_UNSIGNED_BYTE, _UNSIGNED_SHORT)
+    if not is_count or accessor.get("normalized") or "max" not in accessor:
+        return MAX_STEPS
+    steps: int = max(map(int, accessor["max"]))
+    return steps
+
+
+def stored_bytes(path: Path, mesh: Mesh) -> int:
+    """Return the bytes of a mesh file with its buffers and images.
+
+    Parameters
+    ----------
+    mesh : what the file holds.
+    """
+    suffix = path.suffix.lower()
+    size = path.stat().st_size
+    if suffix == ".gltf":
+        return size + sum(file.stat().st_size for file in _named_files(path) if file.is_file())
+    if suffix == ".glb" or mesh.texture is None:
+        return size
+    return size + sum(len(image.file_bytes) for image in mesh.texture.images)
+
+
+def _named_files(path: Path) -> Iterator[Path]:
+    """Yield the files that a .gltf file names, each once."""
+    gltf = Gltf(path, json.loads(path.read_bytes()))
+    entries: list[Any] = [*gltf.items("buffers"), *gltf.items("images")]
+    for name in dict.fromkeys(entry["uri"] for entry in entries if "uri" in entry):
+        if not name.startswith("data:"):
+            yield path.parent / unquote(name)
