@@ -22,6 +22,7 @@ from stages.params import Described, described, hints_of, kinds_of, renamed, row
 
 _MAX_BYTES = 1 << 22
 S = TypeVar("S", bound="Sections")
+P = TypeVar("P")
 
 _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
 
@@ -121,6 +122,10 @@ class Sections:
     def dumps(self) -> str:
         """Write every parameter as commented TOML that `loads` reads back to the same configuration."""
         return "\n".join(_section_toml(name, getattr(self, name)) for name in self.types())
+
+    def get(self, kind: type[P]) -> P:
+        """Return the first section whose parameters are of a class."""
+        return next(params for name in self.types() if isinstance(params := getattr(self, name), kind))
 
     def canonical(self, section: str) -> dict[str, Any]:
         """Return the parameters of a section that decide its result, as JSON values.

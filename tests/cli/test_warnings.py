@@ -15,7 +15,7 @@ import pytest
 import stages
 from cli.output import Output
 from cli.watch import watching
-from pipeline.events import RunStarted, Waiting, Warned
+from pipeline.run.events import RunStarted, Waiting, Warned
 from stages import Mesh
 from stages.surface.formats.ply import write_ply
 

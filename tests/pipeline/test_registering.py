@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
-from pipeline.run import run
+from pipeline.run.run import run
 from stages.errors import InputError, UsageError
 from stages.params import RenamedWarning
 from stages.scans.formats.trajectories import read_tum

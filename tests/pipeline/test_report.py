@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.deviations import read_deviations
-from pipeline.report import ReportParams, make
+from pipeline.evaluation.deviations import read_deviations
+from pipeline.evaluation.measures import measure_and_draw as make
+from pipeline.evaluation.params import ReportParams
 from stages.comparing.compare import CompareParams, compare
 from stages.errors import InputError
 from stages.params import RenamedWarning
