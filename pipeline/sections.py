@@ -18,7 +18,7 @@ from typing import Any, ClassVar, TypeVar, get_args
 from stages.errors import UsageError
 from stages.files.documents import parse_toml
 from stages.files.opening import text_in
-from stages.params import Described, described, hints_of, kinds_of, renamed, row_length
+from stages.params import Described, described, hints_of, kinds_of, row_length
 
 _MAX_BYTES = 1 << 22
 S = TypeVar("S", bound="Sections")
@@ -114,7 +114,6 @@ class Sections:
                 )
             where = f"--set {assignment}"
             config._require_section(section, where)
-            ((key, text),) = renamed(config.types()[section], {key: text}, f"{section}.{{}}".format).items()
             kind = config._kind(section, key, where)
             config = config._with(section, {key: _from_word(text, kind, f"{where}: {name}")}, where)
         return config
@@ -157,7 +156,6 @@ class Sections:
         return hints_of(cls)[key]
 
     def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
-        values = renamed(self.types()[section], values, lambda name: f"{section}.{name}")
         changes = {key: _typed(value, self._kind(section, key, where)) for key, value in values.items()}
         try:
             changed = dataclasses.replace(getattr(self, section), **changes)

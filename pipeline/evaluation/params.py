@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.params import check, param, with_former_names
+from stages.params import check, param
 
 
-@with_former_names
 @dataclass(frozen=True, kw_only=True)
 class ReportParams:
     """What is measured on the result, and shown of it."""
@@ -20,9 +19,7 @@ class ReportParams:
     )
     pictures: bool = param(True, "Draw each stage's mesh, as PNG files.")
 
-    viewpoints: int = param(
-        3, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100, was="views"
-    )
+    viewpoints: int = param(3, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100)
     width: int = param(800, "Width of a picture.", unit="px", low=64, high=4096)
     photos: int = param(
         24,

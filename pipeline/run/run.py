@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import os
-import warnings as python_warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -34,7 +33,6 @@ from pipeline.steps.register import is_registered
 from stages import __version__
 from stages.errors import InputError, UsageError
 from stages.files.opening import content_of
-from stages.params import RenamedWarning
 from stages.picturing.show import Page
 from stages.printing import counted, line, rows_table
 from stages.scans.read import read_scan, require_complete
@@ -191,9 +189,6 @@ def wanted_of(
     require_stages([*force, *([] if until is None else [until])])
     scan = read_scan(scan_folder, config.scan, complete=False)
     require_complete(scan, scan_folder, posed=not is_registered(scan, config))
-    if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
-        message = "register.refine is called adjust.enabled now, which is on where frames have colour"
-        python_warnings.warn(message, RenamedWarning, stacklevel=3)
     plan = plan_for(scan, config)
     until = until or plan[-1].name
     absent = skip_reasons(scan, config)
@@ -202,6 +197,8 @@ def wanted_of(
             raise UsageError(f"{name} {absent[name]}.")
     names = [stage.name for stage in plan]
     warnings = list(scan.warnings)
+    if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
+        warnings.append("register.refine has no effect: adjust refines poses where frames have colour")
     if scan.skipped:
         first = scan.skipped[0]
         warnings.append(f"{len(scan.skipped)} frames cannot be used; the first, {first.name}: {first.reason}")

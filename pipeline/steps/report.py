@@ -53,8 +53,8 @@ class Inputs(PosedFrames):
 
 def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str, Any]:
     # Declaring the stage must not import the renderer.
-    from pipeline.evaluation.normal_mesh import report_levels
     from pipeline.evaluation import held_out, measures
+    from pipeline.evaluation.normal_mesh import report_levels
 
     compared = context.config.get(CompareParams)
     simplified = inputs.simplified_mesh.load()

@@ -136,16 +136,6 @@ def test_json_has_warnings_also_where_there_are_none(scanloom: Run, clean_ball: 
         assert (ran.exit_code, ran.stderr, ran.json["warnings"]) == (0, "", []), words
 
 
-def test_a_former_name_counts_as_a_warning(scanloom: Run, tmp_path: Path) -> None:
-    file = tmp_path / "old.toml"
-    file.write_text("[simplify]\nmax_texture = 20.0\n")
-    ran = scanloom("config", "--check", file, "--strict", "--quiet", "--json")
-    assert ran.exit_code == 1
-    (warning,) = ran.json["warnings"]
-    assert ran.stderr.splitlines()[0] == f"warning: {warning}"
-    assert scanloom("config", "--strict").exit_code == 0
-
-
 @pytest.mark.filterwarnings("default")
 def test_what_a_library_warns_of_is_a_line_too(
     scanloom: Run, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
