@@ -19,7 +19,7 @@ from markdown_tables import print_head, print_row
 import stages
 from pipeline.config import Config
 from pipeline.quality import QUALITIES
-from pipeline.run import run
+from pipeline.run.run import run
 from stages import Mesh
 
 HOLD_OUT = 10

@@ -24,7 +24,7 @@ import numpy as np
 from markdown_tables import print_head, print_row
 
 from pipeline.config import Config
-from pipeline.run import run
+from pipeline.run.run import run
 from stages.comparing.seen import seen_from
 from stages.scans.images import read_photo
 from stages.scans.read import read_scan

@@ -29,7 +29,7 @@ from pipeline.batch.heartbeat import Watch
 from pipeline.batch.queue import Job, Settings, new_queue, standing_queue
 from pipeline.batch.records import Records
 from pipeline.batch.supply import Supply
-from pipeline.digest import file_digest
+from pipeline.cache.digest import file_digest
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "made")]

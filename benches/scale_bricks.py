@@ -23,7 +23,7 @@ from typing import Any
 from building import make_building
 from markdown_tables import print_head, print_row
 
-from pipeline.digest import file_digest
+from pipeline.cache.digest import file_digest
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.read import read_scan
 

@@ -23,10 +23,11 @@ from pathlib import Path
 import numpy as np
 from markdown_tables import print_head, print_row
 
-from pipeline import adjusting, registering
+from pipeline.artifacts.adjusted_cameras import AdjustedCameras
+from pipeline.artifacts.poses import Poses
 from pipeline.config import Config
-from pipeline.holding_out import like_neighbours
-from pipeline.run import RunResult, run
+from pipeline.evaluation.held_out import like_neighbours
+from pipeline.run.run import RunResult, run
 from stages._open3d import open3d
 from stages.comparing.left_out import left_out
 from stages.progress import silent
@@ -100,9 +101,9 @@ def _used(scan: Scan, result: RunResult) -> Sequence[Frame]:
     """Return the frames as the later stages saw them."""
     folders = {one.stage: one.folder for one in result.stages}
     if "register" in folders:
-        scan = registering.placed(scan, folders["register"])
+        scan = Poses(folders["register"]).apply_to(scan)
     if "adjust" in folders:
-        scan = adjusting.placed(scan, folders["adjust"] / "adjusted")
+        scan = AdjustedCameras(folders["adjust"]).apply_to(scan)
     return scan.frames
 
 

@@ -28,7 +28,6 @@ from cli.options import with_options
 from cli.output import to_json, with_schema
 from stages import __version__
 from stages.errors import ScanloomError, is_lack_of_memory
-from stages.params import RenamedWarning
 
 # What the help lists under each heading, in this order. Each is a function in the file of its name in
 # cli/commands/, imported when it is meant: all of them take twice as long as one.
@@ -172,16 +171,15 @@ def run_command(arguments: Sequence[str]) -> int:
 
 @contextmanager
 def _warnings_in_a_line(debug: bool) -> Iterator[None]:
-    """Tell a person on stderr what libraries warn of, and which name an option or key has now.
+    """Print warnings of libraries on stderr, one line each.
 
     Python's own words are several lines, and name lines of code; they are there with `debug`.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("always", RenamedWarning)
         usual = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if debug and not issubclass(category, RenamedWarning):
+            if debug:
                 usual(message, category, *where, **more)
             else:
                 sys.stderr.write(one_line(f"warning: {message}") + "\n")

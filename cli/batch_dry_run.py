@@ -12,14 +12,14 @@ from stages.errors import ScanloomError
 if TYPE_CHECKING:
     from pipeline.batch.queue import Job, Settings
     from pipeline.config import Config
-    from pipeline.dry_run import DryRun
+    from pipeline.run.dry_run import DryRun
 
 
 def tell_dry_run(
     target: Path, what: Settings, queued: tuple[Job, ...], config: Config, more: dict[str, Any], out: Output
 ) -> None:
     """Print what a batch would do, scan by scan; what cannot be read is a row, too."""
-    from pipeline.dry_run import DryRun, foresee
+    from pipeline.run.dry_run import DryRun, foresee
 
     found: list[DryRun | ScanloomError] = []
     with out.progress("scans", "scans") as progress:

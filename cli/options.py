@@ -21,7 +21,7 @@ import typer
 
 from cli.output import Output
 from stages.errors import UsageError
-from stages.params import Described, described, hints_of, kinds_of, renamed, row_length
+from stages.params import Described, described, hints_of, kinds_of, row_length
 
 OUTPUT_PANEL = "Output"
 P = TypeVar("P")
@@ -106,7 +106,7 @@ def with_options(function: Callable[..., None], *, can_warn: bool = True) -> Cal
 
 def build(cls: type, values: dict[str, Any]) -> Any:
     """Build a parameter class from the options that were given (the others are None)."""
-    fields_given = renamed(cls, _given(cls, values), option_name)
+    fields_given = _given(cls, values)
     try:
         return cls(**fields_given)
     except UsageError as error:
@@ -121,16 +121,12 @@ def build(cls: type, values: dict[str, Any]) -> Any:
 def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
     """Return the fields whose options were given, checked."""
     params = build(cls, values)
-    names = {about.was: name for name, about in described(cls).items()}
-    return Changes(
-        {names.get(name, name): getattr(params, names.get(name, name)) for name in _given(cls, values)}
-    )
+    return Changes({name: getattr(params, name) for name in _given(cls, values)})
 
 
 def _given(cls: type, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of a class whose options were given, under the names that were used."""
-    names = [name for own, about in described(cls).items() for name in (own, about.was) if name]
-    return {name: values[name] for name in names if values.get(name) is not None}
+    """Return the values of a class whose options were given."""
+    return {name: values[name] for name in described(cls) if values.get(name) is not None}
 
 
 def option_name(field_name: str) -> str:
@@ -185,14 +181,12 @@ def _options(cls: type) -> list[inspect.Parameter]:
     hints = hints_of(cls)
     panel = cls.__name__.removesuffix("Params")
     return [
-        _keyword(name, _option(name, about, hints[own], default_of(cls, own), panel, hidden=name != own))
-        for own, about in described(cls).items()
-        for name in (own, about.was)
-        if name
+        _keyword(name, _option(name, about, hints[name], default_of(cls, name), panel))
+        for name, about in described(cls).items()
     ]
 
 
-def _option(name: str, about: Described, hint: Any, default: Any, panel: str, *, hidden: bool) -> Any:
+def _option(name: str, about: Described, hint: Any, default: Any, panel: str) -> Any:
     kind = _plain_type(hint)
     names = [option_name(name)]
     if kind is bool:
@@ -205,7 +199,6 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str, *,
             metavar="|".join(about.choices) or " ".join(row_length(hint) * ["<float>"]) or None,
             autocompletion=(lambda: list(about.choices)) if about.choices else None,
             show_default=False,
-            hidden=hidden,
             rich_help_panel=about.group or f"{panel} parameters",
         ),
     ]
@@ -242,7 +235,7 @@ def _output(values: dict[str, Any]) -> Output:
 
 @contextmanager
 def _warnings_counted(out: Output) -> Iterator[None]:
-    """Count what is warned of in Python's way, of former names too, which whoever runs the command shows."""
+    """Count warnings of Python, which the program shows."""
     usual = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from cli.exit_codes import DONE, FAILED
 from cli.one_line import one_line
-from pipeline.schema import SCHEMA
+from pipeline.run.schema import SCHEMA
 from stages.printing import name_and_value
 from stages.progress import Progress, silent
 

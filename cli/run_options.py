@@ -136,7 +136,7 @@ def bytes_or_none(size: str | None, option: str) -> int | None:
     UsageError
         If it is no size, or none at all.
     """
-    from pipeline.cache_size import bytes_of
+    from pipeline.cache.cache_size import bytes_of
 
     if size is None:
         return None

@@ -11,7 +11,8 @@ from typing import Any
 from cli.options import as_typed
 from cli.output import Output
 from cli.passing_bar import PassingBar
-from pipeline.events import (
+from pipeline.graph import find_stage
+from pipeline.run.events import (
     Event,
     Events,
     RunStarted,
@@ -23,42 +24,6 @@ from pipeline.events import (
 )
 from stages.printing import at_most
 from stages.progress import Progress
-from stages.simplification.methods import METHODS
-
-# What is counted while a stage works.
-_UNITS = {
-    "scan": "files",
-    "depth": "pairs",
-    "fuse": "frames",
-    "coverage": "frames",
-    "simplify": "triangles",
-    "remesh": "levels",
-    "lod": "triangles",
-    "tiles": "tiles",
-}
-# What came out of a stage and what was derived for it, in one line; all figures are in report.json. That of
-# simplify is with the method's details.
-_HEADLINES = {
-    "depth": "{frames_used} pairs; depth for {used_share:.0%} of the pixels, median {median_depth_m:.3g} m, "
-    "up to {max_depth_m:.3g} m",
-    "register": "{frames} frames of the {subject} placed; pieces: {pieces}",
-    "adjust": "{why}",
-    "fuse": "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, "
-    "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",
-    "clean": "{triangles:,} triangles; {islands:,} islands removed",
-    "upright": "what is up is told by: {up_source}",
-    "texture": "{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface seen, texels of "
-    "{texel_size_m:.2g} m",
-    "remesh": "{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
-    "{exceptions:,} exceptions; {file_bytes:,} bytes",
-    "lod": "{levels} levels above {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
-    "{file_bytes:,} bytes",
-    "tiles": "{tiles:,} tiles; {total_bytes:,} bytes, the root {root_bytes:,}",
-    "coverage": "{places} places to go again",
-    "report": "{pictures} pictures",
-}
-# Of a frame alone the pixels are joined, without voxels or a field.
-_JOINED = "{triangles:,} triangles, the pixels of a frame alone joined; depth up to {max_depth_m:.3g} m"
 
 # A figure in metres in such a line.
 _IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")
@@ -106,7 +71,9 @@ class _Watcher:
             self._out.warn(as_typed(warning))
 
     def _bar_of(self, stage: str) -> Progress:
-        return self.bar.show(stage, _UNITS.get(stage, "steps"))
+        known = find_stage(stage)
+        # Before the first stage, the files of the scan are read.
+        return self.bar.show(stage, "files" if known is None else known.progress_unit)
 
 
 def line_of(event: StageFinished, *, is_metric: bool = True) -> str:
@@ -119,16 +86,11 @@ def line_of(event: StageFinished, *, is_metric: bool = True) -> str:
 
 def headline(stage: str, figures: Mapping[str, Any], *, is_metric: bool = True) -> str:
     """Return the figures of a stage that say most, as one line; lengths in units where they are no metres."""
-    lines = _HEADLINES | {"simplify": _of_method(figures.get("method"))}
-    if figures.get("truncation_m") == 0:
-        lines["fuse"] = _JOINED
-    line = lines.get(stage, "")
+    known = find_stage(stage)
+    summary = "" if known is None else known.headline
+    line = summary if isinstance(summary, str) else summary(figures)
     line = line if is_metric else _IN_METRES.sub(r"\1 units", line)
     return _Figures({**figures, **figures.get("details", {})}).format(line)
-
-
-def _of_method(name: str | None) -> str:
-    return next((method.details.headline for method in METHODS if method.name == name), "")
 
 
 class _Figures(string.Formatter):

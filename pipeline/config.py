@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from pipeline.baking import BakeSection
-from pipeline.cache_size import CacheParams
-from pipeline.covering import CoverageSection
-from pipeline.exporting import ExportSection
-from pipeline.levels import LodSection
+from pipeline.cache.cache_size import CacheParams
+from pipeline.evaluation.params import ReportParams
 from pipeline.quality import QUALITIES
-from pipeline.remeshing import RemeshSection
-from pipeline.report import ReportParams
 from pipeline.sections import Sections
-from pipeline.texturing import TextureSection
-from pipeline.tiling import TilesSection
-from pipeline.upright import UprightSection
+from pipeline.steps.bake import BakeSection
+from pipeline.steps.coverage import CoverageSection
+from pipeline.steps.export import ExportSection
+from pipeline.steps.lod import LodSection
+from pipeline.steps.remesh import RemeshSection
+from pipeline.steps.texture import TextureSection
+from pipeline.steps.tiles import TilesSection
+from pipeline.steps.upright import UprightSection
 from stages.adjusting.adjust import AdjustParams
 from stages.cleaning.clean import CleanParams
 from stages.comparing.compare import CompareParams

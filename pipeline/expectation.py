@@ -11,6 +11,8 @@ from stages.scans.scan import Scan
 
 # What the process holds before any frame is read: the interpreter and the libraries.
 BASE_BYTES = 300_000_000
+# Memory of stages that process large meshes in parts, measured on a building of a hundred million triangles.
+MAX_BYTES_IN_PARTS = 1.7e9
 
 
 @dataclass(frozen=True)

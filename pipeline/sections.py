@@ -18,10 +18,11 @@ from typing import Any, ClassVar, TypeVar, get_args
 from stages.errors import UsageError
 from stages.files.documents import parse_toml
 from stages.files.opening import text_in
-from stages.params import Described, described, hints_of, kinds_of, renamed, row_length
+from stages.params import Described, described, hints_of, kinds_of, row_length
 
 _MAX_BYTES = 1 << 22
 S = TypeVar("S", bound="Sections")
+P = TypeVar("P")
 
 _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
 
@@ -113,7 +114,6 @@ class Sections:
                 )
             where = f"--set {assignment}"
             config._require_section(section, where)
-            ((key, text),) = renamed(config.types()[section], {key: text}, f"{section}.{{}}".format).items()
             kind = config._kind(section, key, where)
             config = config._with(section, {key: _from_word(text, kind, f"{where}: {name}")}, where)
         return config
@@ -121,6 +121,10 @@ class Sections:
     def dumps(self) -> str:
         """Write every parameter as commented TOML that `loads` reads back to the same configuration."""
         return "\n".join(_section_toml(name, getattr(self, name)) for name in self.types())
+
+    def get(self, kind: type[P]) -> P:
+        """Return the first section whose parameters are of a class."""
+        return next(params for name in self.types() if isinstance(params := getattr(self, name), kind))
 
     def canonical(self, section: str) -> dict[str, Any]:
         """Return the parameters of a section that decide its result, as JSON values.
@@ -152,7 +156,6 @@ class Sections:
         return hints_of(cls)[key]
 
     def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
-        values = renamed(self.types()[section], values, lambda name: f"{section}.{name}")
         changes = {key: _typed(value, self._kind(section, key, where)) for key, value in values.items()}
         try:
             changed = dataclasses.replace(getattr(self, section), **changes)

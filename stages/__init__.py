@@ -146,8 +146,6 @@ _NAMES_OF = {
     "texturing.texture": ("TextureParams", "Textured", "texture"),
 }
 _MODULE_OF = {name: f"stages.{module}" for module, names in _NAMES_OF.items() for name in names}
-# Understood for one version more.
-_NOW_CALLED = {"View": "Viewpoint"}
 
 __all__ = [
     "AdjustParams",
@@ -269,8 +267,6 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> Any:
         if name == "__version__":
             value = import_module("stages.files.written_by").installed_version()
-        elif name in _NOW_CALLED:
-            return _renamed(name)
         elif name in _MODULE_OF:
             value = getattr(import_module(_MODULE_OF[name]), name)
         else:
@@ -281,16 +277,3 @@ if not TYPE_CHECKING:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-def _renamed(name: str) -> Any:
-    """Return what had this name, and warn."""
-    from warnings import warn
-
-    from stages.params import RenamedWarning
-
-    now = _NOW_CALLED[name]
-    warn(
-        f"{name} is called {now} now; the old name goes with the next version.", RenamedWarning, stacklevel=3
-    )
-    return getattr(import_module(_MODULE_OF[now]), now)

@@ -7,10 +7,9 @@ help, the keys of the config file and the reference page. Every field carries it
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, wraps
+from functools import cache
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
@@ -19,10 +18,6 @@ from stages.errors import UsageError
 P = TypeVar("P")
 A = ParamSpec("A")
 R = TypeVar("R")
-
-
-class RenamedWarning(FutureWarning):
-    """A parameter was named as it used to be; the message says its name now."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +32,6 @@ class Described:
     choices: tuple[str, ...]
     invalidates: bool
     group: str
-    was: str
     is_path: bool
 
 
@@ -52,7 +46,6 @@ def param(
     choices: tuple[str, ...] = (),
     invalidates: bool = True,
     group: str = "",
-    was: str = "",
     is_path: bool = False,
 ) -> Any:
     """Declare a field of a parameter class.
@@ -60,14 +53,11 @@ def param(
     `None` as a default means "derived from the data"; `text` then says how. `low` and `high` are the
     allowed range, both included (`low_open` leaves `low` out). `invalidates=False` marks what cannot
     change the result (threads, previews), so that the cache ignores it. `group` is a heading for those that
-    belong together, in a help that has many. `was` is the name it had before, which is understood for one
-    version more. `is_path` marks the name of a file or folder.
+    belong together, in a help that has many. `is_path` marks the name of a file or folder.
     """
     return field(
         default=default,
-        metadata={
-            "param": Described(text, unit, low, high, low_open, choices, invalidates, group, was, is_path)
-        },
+        metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates, group, is_path)},
     )
 
 
@@ -166,64 +156,8 @@ def _check_range(name: str, value: float, about: Described) -> None:
         raise UsageError(f"{name} is {value:g}{unit}; it must be at most {about.high:g}{unit}.")
 
 
-def renamed(
-    cls: type, values: Mapping[str, Any], shown: Callable[[str], str] = lambda name: name
-) -> dict[str, Any]:
-    """Return values under the names their parameters have now, and warn of each that came under a former one.
-
-    Parameters
-    ----------
-    shown : how a person writes a name where these come from.
-
-    Raises
-    ------
-    UsageError
-        If one parameter is given under both of its names.
-    """
-    now = {about.was: name for name, about in described(cls).items() if about.was}
-    given = {name: value for name, value in values.items() if name not in now}
-    for former in now.keys() & values.keys():
-        name = now[former]
-        if name in given:
-            raise UsageError(f"{shown(name)} and {shown(former)} are one; leave {shown(former)} out.")
-        message = f"{shown(former)} is called {shown(name)} now; the old name goes with the next version."
-        warnings.warn(message, RenamedWarning, stacklevel=4)
-        given[name] = values[former]
-    return given
-
-
-def with_former_names(cls: type[P]) -> type[P]:
-    """Let a parameter class be made with the former names of its parameters too, with a warning."""
-    make = cls.__init__
-
-    @wraps(make)
-    def understanding(self: P, **values: Any) -> None:
-        make(self, **renamed(cls, values))
-
-    cls.__init__ = understanding  # type: ignore[assignment]
-    return cls
-
-
-def former_keyword(was: str, now: str) -> Callable[[Callable[A, R]], Callable[A, R]]:
-    """Let a function's argument be given under its former name for one version more, with a warning."""
-
-    def understood(function: Callable[A, R]) -> Callable[A, R]:
-        @wraps(function)
-        def call(*values: A.args, **named: A.kwargs) -> R:
-            if was in named:
-                message = f"{was} is called {now} now; the old name goes with the next version."
-                warnings.warn(message, RenamedWarning, stacklevel=2)
-                named[now] = named.pop(was)
-            return function(*values, **named)
-
-        return call
-
-    return understood
-
-
 def resolve(cls: type[P], params: P | None, changes: Mapping[str, object]) -> P:
     """Parameters of a call: those given (or the defaults), with the named changes applied."""
-    changes = renamed(cls, changes)
     unknown = sorted(set(changes) - set(described(cls)))
     if unknown:
         raise UsageError(f"unknown parameter {unknown[0]!r}; known are {', '.join(described(cls))}.")

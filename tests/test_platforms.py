@@ -35,12 +35,12 @@ import importlib, sys
 from pathlib import Path
 rooms = ("stages", "pipeline", "cli")
 files = [path for room in rooms for path in Path(room).rglob("*.py") if "node_modules" not in path.parts]
-others = {"pipeline.posix", "cli.__main__"}
+others = {"pipeline.cache.posix", "cli.__main__"}
 names = {".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in files} - others
 for name in sorted(names):
     importlib.import_module(name)
 assert all(sys.modules[name] is None for name in MISSING_MODULES)
-assert "pipeline.windows" in sys.modules and "pipeline.posix" not in sys.modules
+assert "pipeline.cache.windows" in sys.modules and "pipeline.cache.posix" not in sys.modules
 print(len(names))
 from stages.inspecting.machine import machine
 told = machine()

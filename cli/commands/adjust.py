@@ -36,7 +36,7 @@ def adjust(
 
     Example: scanloom adjust my_scan better
     """
-    from pipeline.adjusting import write
+    from pipeline.artifacts.adjusted_cameras import write_adjusted
 
     source = read_scan(folder, scan, out, complete=False)
     if source.is_stereo or source.is_views:
@@ -48,6 +48,6 @@ def adjust(
     require_complete(source, folder)
     with new_folder(target) as draft, out.progress("adjust", "steps") as progress:
         found = stages.adjust(source, params, progress=progress)
-        figures = write(draft, found)
+        figures = write_adjusted(draft, found)
     out.warn_of(figures)
     out.result({"output": str(target), **figures, "seconds": found.seconds})

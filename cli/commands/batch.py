@@ -135,7 +135,7 @@ def batch(
     from pipeline.batch.outputs import require_replaceable, withdraw_outputs
     from pipeline.batch.queue import Settings, jobs_of
     from pipeline.own_paths import from_there
-    from pipeline.run import cache_folder
+    from pipeline.run.run import cache_folder
 
     sizes = bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk")
     jobs_wanted(jobs)
@@ -224,7 +224,7 @@ def _portable(config: Config) -> Config:
 
 
 def _require_stages(until: str | None, force: list[str] | None) -> None:
-    from pipeline.run import require_stages
+    from pipeline.run.run import require_stages
 
     require_stages([*(force or ()), *([until] if until is not None else [])])
 

@@ -16,7 +16,7 @@ from stages import InputError, UsageError
 from stages.params import check, param
 
 if TYPE_CHECKING:
-    from pipeline.cache import Cache, Listed
+    from pipeline.cache.store import Cache, Listed
 
 
 CacheFolder = Annotated[
@@ -79,7 +79,7 @@ def prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
 
     Example: scanloom cache prune --max-size "20 GB"
     """
-    from pipeline.cache_size import bytes_of
+    from pipeline.cache.cache_size import bytes_of
 
     cache = _open(folder)
     removed = cache.prune(
@@ -93,8 +93,8 @@ def prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
 
 
 def _open(folder: Path | None) -> Cache:
-    from pipeline.cache import Cache
-    from pipeline.run import CACHE_VARIABLE, cache_folder
+    from pipeline.cache.store import Cache
+    from pipeline.run.run import CACHE_VARIABLE, cache_folder
 
     if folder is None and CACHE_VARIABLE not in os.environ:
         raise UsageError(

@@ -14,7 +14,7 @@ from cli.mesh_arguments import about_file, read_file_or_cloud, write_file
 from cli.output import Output
 from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
-from pipeline.comparison_page import page_of_comparison
+from pipeline.report.comparison_page import page_of_comparison
 from stages import ChangeParams, CompareParams, DeviationParams, Mesh, UsageError, ViewsParams
 from stages.files.replacing import replacing
 from stages.picturing.render import write_png

@@ -47,8 +47,8 @@ def coverage(
 
     Example: scanloom coverage my_mesh
     """
-    from pipeline.again import run_again
-    from pipeline.covering import FILE
+    from pipeline.run.again import run_again
+    from pipeline.steps.coverage import FILE
     from stages.files.documents import read_json
 
     if scan is not None:

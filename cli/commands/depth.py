@@ -32,11 +32,11 @@ def depth(
 
     Example: scanloom depth my_pairs my_depth --max-depth 30
     """
-    from pipeline.depth_maps import measure_of, write_depth_maps
+    from pipeline.artifacts.depth_maps import choose_matcher, write_depth_maps
 
     source = read_scan(folder, scan, out)
     # Depth that was measured needs no matching; a network may fill it in.
-    measure = stages.depth_scan if params.model is None and not source.is_views else measure_of(source)
+    measure = stages.depth_scan if params.model is None and not source.is_views else choose_matcher(source)
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
         figures = write_depth_maps(draft, measure(source, params, progress), source)
     tell_skipped(out, "depth", figures["frames_skipped"])

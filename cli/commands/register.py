@@ -34,7 +34,7 @@ def register(
 
     Example: scanloom register my_scan poses; scanloom fuse my_scan fused.ply --poses poses/trajectory.tum
     """
-    from pipeline.registering import write
+    from pipeline.artifacts.poses import write_poses
 
     source = read_scan(folder, scan, out, complete=False)
     if source.is_stereo:
@@ -45,7 +45,7 @@ def register(
         )
     require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:
-        figures = write(draft, stages.register(source, params, progress=progress))
+        figures = write_poses(draft, stages.register(source, params, progress=progress))
     tell_skipped(out, "register", figures["frames_skipped"])
     out.warn_of(figures)
     out.result({"output": str(target), **figures})

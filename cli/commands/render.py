@@ -16,7 +16,7 @@ from cli.output import Output
 from cli.paths import require_new_file
 from cli.scan_argument import read_scan
 from stages import Frame, Mesh, ScanParams, UsageError, Viewpoint
-from stages.params import check, param, with_former_names
+from stages.params import check, param
 from stages.picturing.lettering import ScaleBar
 from stages.picturing.panels import Panels
 from stages.picturing.render import write_png
@@ -34,14 +34,11 @@ _FIELD = 40.0
 Point = tuple[float, float, float]
 
 
-@with_former_names
 @dataclass(frozen=True, kw_only=True)
 class PictureParams:
     """How a picture of a mesh is taken."""
 
-    viewpoint: int = param(
-        1, "Which of the viewpoints around the mesh, counted from 1.", low=1, high=8, was="view"
-    )
+    viewpoint: int = param(1, "Which of the viewpoints around the mesh, counted from 1.", low=1, high=8)
     width: int = param(
         1200, "Width of the picture; of each, if there are several.", unit="px", low=16, high=8192
     )

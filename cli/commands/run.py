@@ -30,8 +30,8 @@ from cli.watch import watching
 from stages import ScanParams, UsageError
 
 if TYPE_CHECKING:
-    from pipeline.dry_run import DryRun
-    from pipeline.run import RunResult
+    from pipeline.run.dry_run import DryRun
+    from pipeline.run.run import RunResult
 
 
 def run(
@@ -89,9 +89,9 @@ def run(
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """
-    from pipeline.dry_run import foresee
-    from pipeline.limits import Limits
-    from pipeline.run import run as run_pipeline
+    from pipeline.run.dry_run import foresee
+    from pipeline.run.limits import Limits
+    from pipeline.run.run import run as run_pipeline
 
     require_scan(scan)
     if dry_run and plot is not None:

@@ -87,7 +87,7 @@ def _up_in(mesh: Mesh, scan: Scan, out: Output) -> NDArray[np.float64] | None:
     """Return what is up by the mesh itself, or by the scan; None if neither tells."""
     if mesh.up is not None:
         return np.array(mesh.up)
-    from pipeline.upright import up_in
+    from pipeline.steps.upright import up_in
 
     found = up_in(mesh, scan)
     for text in () if found is None else found.warnings:

@@ -22,13 +22,13 @@ from typing import Any, BinaryIO
 
 from pipeline.batch.figures import figures_of, written_by
 from pipeline.batch.records import DONE, FAILED, UNMET, UNUSABLE
-from pipeline.cache import Cache
+from pipeline.cache.store import Cache
 from pipeline.config import Config
-from pipeline.events import Event, RunStarted, StageProgress, StageStarted, Waiting, Warned
 from pipeline.failures import explained
-from pipeline.limits import Limits
-from pipeline.needs import expected_of
-from pipeline.run import RunResult, Wanted, run_wanted, wanted_of
+from pipeline.run.events import Event, RunStarted, StageProgress, StageStarted, Waiting, Warned
+from pipeline.run.limits import Limits
+from pipeline.run.needs import expected_of
+from pipeline.run.run import RunResult, Wanted, run_wanted, wanted_of
 from stages.errors import InputError, ScanloomError, UsageError, bug_explained
 
 # Seconds between two lines of progress.

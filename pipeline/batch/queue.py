@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.batch.whole import write_whole
-from pipeline.digest import digest
+from pipeline.cache.digest import digest
 from pipeline.failures import explained
 from pipeline.own_paths import from_there
 from stages import __version__
@@ -58,7 +58,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Settings:
-    """What is the same for all jobs of a batch; see `pipeline.run.run`.
+    """What is the same for all jobs of a batch; see `pipeline.run.run.run`.
 
     Attributes
     ----------

@@ -7,10 +7,10 @@ from pathlib import Path
 from statistics import median
 
 from pipeline.batch.queue import Queue
-from pipeline.cache import Cache
+from pipeline.cache.store import Cache
 from pipeline.config import Config
-from pipeline.needs import expected_of
-from pipeline.run import wanted_of
+from pipeline.run.needs import expected_of
+from pipeline.run.run import wanted_of
 from stages.errors import ScanloomError
 from stages.inspecting.system import memory_bytes
 

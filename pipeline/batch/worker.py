@@ -22,7 +22,7 @@ from pipeline.batch.records import FAILED, UNUSABLE, Record, Records
 from pipeline.batch.slot import Slot, Work
 from pipeline.batch.supply import Supply
 from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, untold
-from pipeline.cache import Cache
+from pipeline.cache.store import Cache
 from pipeline.failures import explained
 from stages.errors import StageError
 

@@ -28,7 +28,6 @@ from stages.surface.mesh import NOT_WRITTEN
 _MAGIC = b"SLOD"
 # 2 tells what was dropped; where nothing was, 1 says the same.
 _FORMAT_VERSION = 2
-_KNOWN = (1, _FORMAT_VERSION)
 # Magic, version, bytes of the tree, their checksum.
 _HEADER = struct.Struct("<4sIQI")
 _CHECKSUM = struct.Struct("<I")
@@ -117,8 +116,10 @@ def read_slod(path: Path | str) -> Hierarchy:
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
         raise InputError(f"{path}: this is no .slod file.")
     _, version, size, checksum = _HEADER.unpack_from(data)
-    if version not in _KNOWN:
-        raise InputError(f"{path}: this .slod file has version {version}; 1 and 2 are known.")
+    if version != _FORMAT_VERSION:
+        raise InputError(
+            f"{path}: this .slod file has version {version}; this scanloom reads version {_FORMAT_VERSION}."
+        )
     text = data[_HEADER.size : _HEADER.size + size]
     if len(text) < size or zlib.crc32(text) != checksum:
         raise InputError(f"{path}: the file is damaged or cut off before its first level.")
@@ -224,8 +225,8 @@ def _joined(
         base_color_bound=float(tree["base_color_bound"]),
         input_triangles=_natural(tree["input_triangles"]),
         notes=tuple(str(note) for note in tree["notes"]),
-        dropped_islands=_natural(tree.get("dropped_islands", 0)),
-        dropped_triangles=_natural(tree.get("dropped_triangles", 0)),
+        dropped_islands=_natural(tree["dropped_islands"]),
+        dropped_triangles=_natural(tree["dropped_triangles"]),
         up=_direction(tree["up"]) if "up" in tree else None,
     )
 

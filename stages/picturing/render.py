@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from stages._opencv import require_opencv
 from stages.errors import InputError
 from stages.files.replacing import replacing
-from stages.params import former_keyword
 from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.scans.scan import ColorImage
 from stages.surface.color import color_at, has_color
@@ -49,7 +48,6 @@ _AHEAD = 1e-3
 _TINY = np.finfo(np.float32).tiny
 
 
-@former_keyword("view", "viewpoint")
 def render(mesh: MeshLike, viewpoint: Viewpoint, *, shading: Shading = "color") -> ColorImage:
     """Draw a mesh from one viewpoint.
 

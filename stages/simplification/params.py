@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, fields, make_dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 from stages.errors import UsageError
-from stages.params import check, described, hints_of, param, with_former_names
+from stages.params import check, described, hints_of, param
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.shared_params import HOW_FAR
 
@@ -21,7 +21,7 @@ AUTO = "auto"
 
 _HOW = "How"
 # What may differ between methods that have the same parameter: what it means, and where the help shows it.
-_COMMON_TRAITS = ("unit", "low", "high", "low_open", "choices", "invalidates", "was")
+_COMMON_TRAITS = ("unit", "low", "high", "low_open", "choices", "invalidates")
 
 
 def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
@@ -144,18 +144,16 @@ if TYPE_CHECKING:
         def __getattr__(self, name: str) -> Any: ...
 
 else:
-    SimplifyParams = with_former_names(
-        make_dataclass(
-            "SimplifyParams",
-            _of_methods(),
-            bases=(_Goal,),
-            namespace={
-                "__module__": __name__,
-                "__doc__": "How, and how far, `simplify` goes.\n\n"
-                "Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first "
-                "ends the work. A parameter that is None has the default of the method that is taken.",
-            },
-            frozen=True,
-            kw_only=True,
-        )
+    SimplifyParams = make_dataclass(
+        "SimplifyParams",
+        _of_methods(),
+        bases=(_Goal,),
+        namespace={
+            "__module__": __name__,
+            "__doc__": "How, and how far, `simplify` goes.\n\n"
+            "Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first "
+            "ends the work. A parameter that is None has the default of the method that is taken.",
+        },
+        frozen=True,
+        kw_only=True,
     )

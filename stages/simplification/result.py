@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,57 +140,6 @@ class Simplified(Generic[D_co]):
             **derived,
             **of_baking,
         }
-
-    # Hidden from type checkers: to them, only the new names are there.
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            if name not in _FORMER:
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            now, otherwise = _FORMER[name]
-            warnings.warn(
-                f"{name} of a simplified mesh is details.{now} now; the old name goes with the next version.",
-                DeprecationWarning,
-                stacklevel=2,
-            )
-            return getattr(self.details, now, otherwise)
-
-
-# Where figures of single methods stood before `details`, for one version more: the name there, and what a
-# result of another method gave.
-_FORMER: dict[str, tuple[str, Any]] = {
-    name: (name, None)
-    for name in (
-        "shape_bound",
-        "color_bound",
-        "shape_bound_m",
-        "color_bound_levels",
-        "shape_attained_m",
-        "color_attained_levels",
-        "slack_m",
-        "color_slack_levels",
-        "proven",
-        "unproven_triangles",
-        "iterations",
-        "largest_shape_change_m",
-        "resolution_m",
-        "max_shape_m",
-        "similar_distance_m",
-        "joined_vertices",
-        "texture_scale_m",
-        "seam_drift",
-        "patches",
-        "triangle_patch",
-        "kept_patches",
-    )
-} | {
-    "attribute_scale_m_per_level": ("attribute_scale_m_per_level", 0.0),
-    "bounded": ("bounded", {}),
-    "fitted": ("fitted", False),
-    "largest_texture_change_levels": ("largest_color_change_levels", None),
-    "max_texture_levels": ("max_color_levels", None),
-    "splits": ("splits", 0),
-}
 
 
 def _plain(value: Any) -> Any:

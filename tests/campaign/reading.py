@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.cache import Cache
+from pipeline.cache.store import Cache
 from pipeline.config import Config
 from stages.inspecting.inspect import inspect
 from stages.normal_meshes.normal_mesh import decode

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from cli.options import build, with_options
 from cli.output import Output
 from stages.errors import UsageError
-from stages.params import RenamedWarning, check, param
+from stages.params import check, param
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class KnittingParams:
     rows: int | None = param(None, "Rows; the wool decides.", low=1, high=99)
     purl: bool = param(True, "Purl every second row.")
     corner: tuple[float, float] | None = param(None, "Where to begin.", unit="m")
-    yarn: str = param("wool", "What to knit with.", choices=("wool", "silk"), was="thread")
+    yarn: str = param("wool", "What to knit with.", choices=("wool", "silk"))
 
     def __post_init__(self) -> None:
         check(self)
@@ -95,23 +95,3 @@ def test_a_word_where_a_number_belongs_is_wrong_usage(knit: Any) -> None:
         result, call = knit("sock", *words)
         assert result.exit_code == 2
         assert call is None
-
-
-def test_a_former_name_is_understood_and_says_the_new_one(knit: Any) -> None:
-    with pytest.warns(RenamedWarning, match=r"^--thread is called --yarn now"):
-        _, (_, params, _) = knit("sock", "--thread", "silk")
-    assert params.yarn == "silk"
-
-
-def test_a_former_name_beside_the_new_one_is_refused() -> None:
-    with pytest.raises(UsageError, match="--yarn and --thread are one; leave --thread out"):
-        build(
-            KnittingParams,
-            {"yarn": "silk", "thread": "wool", "rows": None, "purl": None, "stitch_width": None},
-        )
-
-
-def test_help_shows_the_new_name_only(knit: Any) -> None:
-    result, _ = knit("--help")
-    assert "--yarn" in result.output
-    assert "--thread" not in result.output

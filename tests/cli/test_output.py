@@ -16,7 +16,7 @@ import stages
 from cli.errors import bug_of, failure_of
 from cli.one_line import one_line
 from cli.output import Output, lines_of, to_json
-from pipeline.schema import SCHEMA
+from pipeline.run.schema import SCHEMA
 from stages.errors import InputError, MeshError, StageError, UsageError, is_lack_of_memory
 
 

@@ -15,7 +15,7 @@ import pytest
 import stages
 from cli.output import Output
 from cli.watch import watching
-from pipeline.events import RunStarted, Waiting, Warned
+from pipeline.run.events import RunStarted, Waiting, Warned
 from stages import Mesh
 from stages.surface.formats.ply import write_ply
 
@@ -134,16 +134,6 @@ def test_json_has_warnings_also_where_there_are_none(scanloom: Run, clean_ball: 
     ):
         ran = scanloom(*words, "--json")
         assert (ran.exit_code, ran.stderr, ran.json["warnings"]) == (0, "", []), words
-
-
-def test_a_former_name_counts_as_a_warning(scanloom: Run, tmp_path: Path) -> None:
-    file = tmp_path / "old.toml"
-    file.write_text("[simplify]\nmax_texture = 20.0\n")
-    ran = scanloom("config", "--check", file, "--strict", "--quiet", "--json")
-    assert ran.exit_code == 1
-    (warning,) = ran.json["warnings"]
-    assert ran.stderr.splitlines()[0] == f"warning: {warning}"
-    assert scanloom("config", "--strict").exit_code == 0
 
 
 @pytest.mark.filterwarnings("default")

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
-from pipeline.report import ReportParams
-from pipeline.run import run
+from pipeline.evaluation.params import ReportParams
+from pipeline.run.run import run
 from stages.comparing.compare import CompareParams, compare
 from stages.surface.formats.ply import read_ply, write_ply_cloud
 from stages.surface.mesh import Mesh

@@ -35,6 +35,6 @@ def warnings() -> list[str]:
 @pytest.fixture
 def cache(tmp_path: Path, warnings: list[str]) -> Any:
     # Not before it is asked for: some runs of these tests change the system that it is imported on.
-    from pipeline.cache import Cache
+    from pipeline.cache.store import Cache
 
     return Cache(tmp_path / "cache", warnings.append)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import adjusting
+from pipeline.artifacts.adjusted_cameras import apply_adjusted, write_adjusted
 from pipeline.config import Config
-from pipeline.run import run
+from pipeline.run.run import run
 from stages import adjust
 from stages.adjusting.cameras import motion
 from stages.errors import InputError, UsageError
@@ -81,8 +81,8 @@ def test_what_is_written_gives_the_frames_back_to_the_bit(disturbed: Path, tmp_p
     scan = replace(scan, frames=scan.frames[::2])
     found = adjust(scan, camera=True)
     assert found.has_camera
-    adjusting.write(tmp_path, found)
-    read = adjusting.placed(scan, tmp_path)
+    write_adjusted(tmp_path, found)
+    read = apply_adjusted(scan, tmp_path)
     for one, other in zip(read.frames, found.frames, strict=True):
         np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
         np.testing.assert_array_equal(one.color_from_depth, other.color_from_depth)
@@ -96,8 +96,8 @@ def test_turns_that_are_written_come_back_to_their_frames(disturbed: Path, tmp_p
     turns = np.random.default_rng(5).normal(size=(4, 3)) / 50
     frames = [replace(frame, shutter_turn=turn) for frame, turn in zip(scan.frames, turns, strict=True)]
     found = replace(adjust(scan), frames=tuple(frames), places=(0, 2), accepted=True, has_turns=True)
-    adjusting.write(tmp_path, found)
-    placed = adjusting.placed(scan, tmp_path).frames
+    write_adjusted(tmp_path, found)
+    placed = apply_adjusted(scan, tmp_path).frames
     by_name = with_adjusted(scan, tmp_path / "cameras.json").frames
     for frames in (placed, by_name):
         for number in (0, 2):
@@ -132,9 +132,9 @@ def test_a_colour_camera_alone_is_written_and_comes_back(tmp_path: Path) -> None
     assert found.accepted
     assert found.camera_after.cx == pytest.approx(scan.frames[0].camera.cx + 4, abs=0.35)
     assert not found.places
-    adjusting.write(tmp_path, found)
+    write_adjusted(tmp_path, found)
     assert not (tmp_path / "trajectory.tum").exists()
-    for read in (adjusting.placed(scan, tmp_path), with_adjusted(scan, tmp_path / "cameras.json")):
+    for read in (apply_adjusted(scan, tmp_path), with_adjusted(scan, tmp_path / "cameras.json")):
         for one, other, given in list(zip(read.frames, found.frames, scan.frames, strict=True))[1:]:
             assert one.color_camera == other.color_camera
             np.testing.assert_array_equal(one.color_from_depth, np.eye(4))

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from coloured_meshes import sheet
 
-from pipeline.baking import BakeSection, make
 from pipeline.config import Config
-from pipeline.plan import left_out, plan_for
+from pipeline.graph import plan_for, skip_reasons
+from pipeline.steps.bake import BakeSection, write_baked
 from stages.comparing.compare import compare
 from stages.progress import silent
 from stages.scans.scan import Scan
@@ -23,7 +23,7 @@ def scan() -> Scan:
 def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
     original = sheet(n=20)
     light = simplify(original, ratio=0.1).mesh
-    figures = make(tmp_path, light, original, (0.0, -1.0, 0.0), BakeSection(), silent)
+    figures = write_baked(tmp_path, light, original, (0.0, -1.0, 0.0), BakeSection(), silent)
     baked = read_mesh(tmp_path / "baked.glb")
     found = compare(original, baked, samples=50_000).color_a_to_b
     assert found.rmse == pytest.approx(figures["color"]["rmse_levels"], rel=0.1)
@@ -32,7 +32,7 @@ def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
 
 
 def test_it_is_there_if_it_is_enabled():
-    assert "bake.enabled=true" in left_out(scan(), Config())["bake"]
+    assert "bake.enabled=true" in skip_reasons(scan(), Config())["bake"]
     stages = {stage.name: stage for stage in plan_for(scan(), Config().set(["bake.enabled=true"]))}
-    assert stages["bake"].reads == ("clean", "simplified", "standing")
+    assert stages["bake"].reads == ("clean_mesh", "simplified_mesh", "up_direction")
     assert "bake" not in {stage.name for stage in plan_for(scan(), Config())}

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, drafts, flip, make, stored
 
-from pipeline import cache as cache_module
-from pipeline.cache import Cache
-from pipeline.entry import Recipe
+from pipeline.cache import store as cache_module
+from pipeline.cache.entry import Recipe
+from pipeline.cache.store import Cache
 from stages.errors import StageError
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, make, stored
 
-from pipeline.entry import Recipe
+from pipeline.cache.entry import Recipe
 from stages.errors import StageError
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.cache_size import CacheParams, bytes_of
+from pipeline.cache.cache_size import CacheParams, bytes_of
 from pipeline.config import Config
 from stages.errors import UsageError
 

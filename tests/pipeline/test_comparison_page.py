@@ -15,7 +15,7 @@ from browsers import browser
 from clouds import cloud
 
 import stages
-from pipeline.comparison_page import page_of_comparison
+from pipeline.report.comparison_page import page_of_comparison
 from stages import Mesh
 
 pytestmark = pytest.mark.slow

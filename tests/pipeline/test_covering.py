@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from page_content import shown
 
-from pipeline.again import run_again
-from pipeline.asked import Asked, from_anywhere
-from pipeline.cache import Cache
+from pipeline.cache.store import Cache
 from pipeline.config import Config
-from pipeline.covering import VALUES
-from pipeline.run import CACHE_VARIABLE, run
+from pipeline.run.again import run_again
+from pipeline.run.asked import Asked, from_anywhere
+from pipeline.run.run import CACHE_VARIABLE, run
+from pipeline.steps.coverage import VALUES
 from stages.errors import InputError, UsageError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Camera, Frame
@@ -151,7 +151,7 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
 
 
 def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> None:
-    from pipeline.page import page_of_run
+    from pipeline.report.page import page_of_run
 
     out = here / "out"
     run_again(out, "coverage", {})

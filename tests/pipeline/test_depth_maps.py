@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pipeline.depth_maps import write_depth_maps
+from pipeline.artifacts.depth_maps import write_depth_maps
 from stages.errors import InputError
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
 

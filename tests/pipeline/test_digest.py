@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.digest import canonical, digest, file_digest, label_digests, scan_digest
+from pipeline.cache.digest import canonical, digest, file_digest, label_digests, scan_digest
 from stages.errors import StageError
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 

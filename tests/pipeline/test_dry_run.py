@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from pipeline.config import Config
-from pipeline.dry_run import DryRun, foresee
 from pipeline.expectation import BASE_BYTES, Cost, expected
-from pipeline.run import run
+from pipeline.run.dry_run import DryRun, foresee
+from pipeline.run.run import run
 from stages.errors import UsageError
 
 SCAN = Path(__file__).parents[2] / "samples" / "rgbd"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
-from pipeline.plan import left_out
-from pipeline.run import CACHE_VARIABLE, run
-from pipeline.upright import UprightSection, make
+from pipeline.graph import skip_reasons
+from pipeline.run.run import CACHE_VARIABLE, run
+from pipeline.steps.upright import UprightSection, estimate_up
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan
 from stages.surface.mesh_files import read_mesh
@@ -59,11 +59,11 @@ def test_without_a_texture_there_is_a_file_with_colours_of_vertices_that_stands(
 
 def test_it_has_nothing_to_do_beside_a_texture_unless_it_is_asked():
     scan = read_scan(SCAN)
-    assert "export.web=true" in left_out(scan, Config())["export"]
-    assert "export" not in left_out(scan, Config().set(["export.web=true"]))
-    assert "export" not in left_out(scan, Config().set(["texture.enabled=false"]))
+    assert "export.web=true" in skip_reasons(scan, Config())["export"]
+    assert "export" not in skip_reasons(scan, Config().set(["export.web=true"]))
+    assert "export" not in skip_reasons(scan, Config().set(["texture.enabled=false"]))
 
 
 def test_frames_without_poses_tell_nothing(tmp_path):
-    figures = make(tmp_path, sheet(), Scan("made", []), None, UprightSection())
+    figures = estimate_up(tmp_path, sheet(), Scan("made", []), None, UprightSection())
     assert figures == {"up": None, "up_source": "nothing", "warnings": []}

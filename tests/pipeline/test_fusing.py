@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from thing_on_table import BALL, frames
 
+from pipeline.artifacts.poses import Poses
 from pipeline.config import Config
-from pipeline.dry_run import foresee
-from pipeline.fusing import fuse_apart, make, up_from_plane
-from pipeline.run import RunResult, run
+from pipeline.run.dry_run import foresee
+from pipeline.run.run import RunResult, run
+from pipeline.steps.fuse import FusedMesh, fuse_separate, write_fused
 from stages.errors import UsageError
 from stages.fusion.params import FuseParams
 from stages.scans.layouts.scan_json import write_scan_json
@@ -94,8 +95,8 @@ def test_a_crop_that_leaves_nothing_stops_the_run(table: Path, tmp_path: Path) -
 
 def test_only_a_plane_that_was_left_out_tells_what_is_up(tmp_path: Path) -> None:
     scan = Scan("plain-rgbd", frames("ball")[::2])
-    fused = make(tmp_path, scan, FuseParams(voxel_size=0.03, radius=0.4), None)
-    assert up_from_plane(tmp_path) is None
+    fused = write_fused(tmp_path, scan, FuseParams(voxel_size=0.03, radius=0.4), None)
+    assert FusedMesh(tmp_path).load_plane_normal() is None
     assert len(read_ply(tmp_path / "fused.ply").triangles) == fused.figures()["triangles"]
 
 
@@ -104,10 +105,12 @@ def test_a_place_is_not_looked_for_in_a_piece_whose_world_is_another(tmp_path: P
     poses = {str(k): np.asarray(frame.world_from_camera).tolist() for k, frame in enumerate(scan.frames)}
     (tmp_path / "registration.json").write_text(json.dumps({"poses": {}, "apart": {"2": poses}}))
     given = FuseParams(box=(0, 0, 0, 1, 1, 1))
-    assert fuse_apart(tmp_path, scan, tmp_path, given) == [
+    assert fuse_separate(tmp_path, scan, Poses(tmp_path), given) == [
         "piece 2 is not fused: where the box or the center is in it is not known"
     ]
-    assert fuse_apart(tmp_path, scan, tmp_path, FuseParams(radius=0.01)) != []
+    assert fuse_separate(tmp_path, scan, Poses(tmp_path), FuseParams(radius=0.01)) != []
     assert not (tmp_path / "pieces").exists()
-    said = fuse_apart(tmp_path, scan, tmp_path, FuseParams(voxel_size=0.03, radius=0.3, center=None))
+    said = fuse_separate(
+        tmp_path, scan, Poses(tmp_path), FuseParams(voxel_size=0.03, radius=0.3, center=None)
+    )
     assert said == ["piece 2, of 16 frames, is fused apart: pieces/fused-2.ply"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from photographed import CAMERA, photo, pose
 
-from pipeline.holding_out import like_neighbours
+from pipeline.evaluation.held_out import like_neighbours
 from stages.scans.scan import Frame
 
 

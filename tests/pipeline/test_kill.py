@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from pipeline.cache import Cache
+from pipeline.cache.store import Cache
 
 pytestmark = pytest.mark.slow
 

@@ -12,10 +12,10 @@ from page_content import shown
 from sample_in_pieces import part_of_sample, small_pieces
 
 from pipeline.config import Config
-from pipeline.dry_run import foresee
-from pipeline.events import Warned
-from pipeline.report import SIGNED_SAMPLES
-from pipeline.run import RunResult, run
+from pipeline.evaluation.measures import SIGNED_SAMPLES
+from pipeline.run.dry_run import foresee
+from pipeline.run.events import Warned
+from pipeline.run.run import RunResult, run
 from stages import coverage, lod, read_scan
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare

@@ -11,10 +11,9 @@ from coloured_meshes import sheet
 from tiles_read import read_tiles
 
 from pipeline.config import Config
-from pipeline.graph import STAGES
-from pipeline.levels import LodSection, make
-from pipeline.plan import left_out, plan_for
-from pipeline.run import CACHE_VARIABLE, run
+from pipeline.graph import STAGES, plan_for, skip_reasons
+from pipeline.run.run import CACHE_VARIABLE, run
+from pipeline.steps.lod import LodSection, write_levels
 from stages import lod
 from stages.errors import UsageError
 from stages.progress import silent
@@ -101,15 +100,15 @@ def figures_of(result, stage: str = "lod") -> dict:
 
 def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
     plain = Scan(frames=(), folder=None, layout="none")
-    assert "lod.enabled=true" in left_out(plain, Config())["lod"]
-    assert "lod.enabled=true" in left_out(plain, Config())["tiles"]
+    assert "lod.enabled=true" in skip_reasons(plain, Config())["lod"]
+    assert "lod.enabled=true" in skip_reasons(plain, Config())["tiles"]
     assert not {"lod", "tiles"} & {stage.name for stage in plan_for(plain, Config())}
     stages = {stage.name: stage for stage in plan_for(plain, Config().set(["lod.enabled=true"]))}
-    assert stages["lod"].reads == ("frames", "posed", "clean", "simplified", "standing")
-    assert stages["tiles"].reads == ("standing", "levels")
+    assert stages["lod"].reads == ("frames", "poses", "clean_mesh", "simplified_mesh", "up_direction")
+    assert stages["tiles"].reads == ("up_direction", "levels")
     assert [stage.name for stage in STAGES][-4:] == ["tiles", "export", "coverage", "report"]
     without = Config().set(["lod.enabled=true", "tiles.enabled=false"])
-    assert "tiles.enabled=true" in left_out(plain, without)["tiles"]
+    assert "tiles.enabled=true" in skip_reasons(plain, without)["tiles"]
 
 
 @pytest.mark.slow
@@ -190,7 +189,7 @@ def read_tree(out: Path) -> dict:
 
 
 @pytest.mark.slow
-def test_left_out_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_path):
+def test_skip_reasons_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_path):
     out = tmp_path / "out"
     run(scan, out, quick())
     assert names(out) == PLAIN
@@ -226,9 +225,9 @@ def test_its_parameters_and_the_clean_mesh_decide_its_result_but_threads_do_not(
 def test_frames_that_tell_no_noise_give_the_clean_mesh_itself_and_a_warning(tmp_path):
     mesh = sheet(20)
     pose = np.eye(4)
-    wall = np.full((72, 96), 1000, np.uint16)
-    frame = Frame("0", CAMERA, None, depth=wall, world_from_camera=pose, depth_scale=1000)
-    figures = make(tmp_path, mesh, [frame], LodSection(cell_triangles=200, root_triangles=50), silent)
+    wall = np.ones((72, 96), np.float32)
+    frame = Frame("0", CAMERA, None, depth=wall, world_from_camera=pose)
+    figures = write_levels(tmp_path, mesh, [frame], LodSection(cell_triangles=200, root_triangles=50), silent)
     assert figures["base_triangles"] == len(mesh.triangles)
     assert (figures["base_error_m"], figures["base_error_source"]) == (0, "noise")
     assert "how exact their depth is" in figures["warnings"][0]

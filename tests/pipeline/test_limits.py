@@ -12,9 +12,9 @@ from small_scans import write_small_scan
 
 from pipeline.config import Config
 from pipeline.expectation import BASE_BYTES, Expectation
-from pipeline.limits import LimitGuard, Limits, within
-from pipeline.needs import expected_of
-from pipeline.run import run
+from pipeline.run.limits import LimitGuard, Limits, within
+from pipeline.run.needs import expected_of
+from pipeline.run.run import run
 from stages.errors import StageError
 from stages.scans.read import read_scan
 

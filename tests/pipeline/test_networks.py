@@ -11,8 +11,8 @@ import pytest
 from photographed import CAMERA, photos
 
 from pipeline.config import Config
-from pipeline.dry_run import foresee
-from pipeline.run import run
+from pipeline.run.dry_run import foresee
+from pipeline.run.run import run
 from stages import InputError, ScanParams, read_scan
 from stages.scans.images import read_depth
 from stages.scans.layouts.scan_json import write_scan_json

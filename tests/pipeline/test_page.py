@@ -13,8 +13,8 @@ import pytest
 from coloured_meshes import sheet
 from page_content import shown
 
-from pipeline.page import page_of_mesh, page_of_run
-from pipeline.photos import write_photos
+from pipeline.evaluation.photos import write_photos
+from pipeline.report.page import page_of_mesh, page_of_run
 from stages.errors import InputError
 from stages.scans.scan import Camera, Frame
 from stages.surface.formats.ply import write_ply

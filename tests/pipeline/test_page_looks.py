@@ -15,10 +15,10 @@ import pytest
 from coloured_meshes import sheet
 from page_content import shown
 
-import pipeline.page
-from pipeline.deviations import FIGURES, MESH, kept_of, read_deviations, write_deviations
-from pipeline.page import page_of_run
-from pipeline.photos import write_photos
+import pipeline.report.page
+from pipeline.evaluation.deviations import FIGURES, MESH, kept_of, read_deviations, write_deviations
+from pipeline.evaluation.photos import write_photos
+from pipeline.report.page import page_of_run
 from stages import Image, Material, Mesh, Texture, deviations
 from stages.errors import InputError
 from stages.scans.scan import Camera, Frame
@@ -117,7 +117,7 @@ def test_what_the_report_measured_is_not_measured_again(out: Path, monkeypatch: 
     found = deviations(sheet(N), light(), signed_samples=2000)
     write_deviations(out / "pictures", found)
     again = looks_of(page_of_run(out, 5_000_000, silent))
-    monkeypatch.setattr(pipeline.page.stages, "deviations", silent)
+    monkeypatch.setattr(pipeline.report.page.stages, "deviations", silent)
     assert looks_of(page_of_run(out, 5_000_000, silent))["deviation"] == again["deviation"]
     kept, read = kept_of(found), read_deviations(out / "pictures")
     assert read is not None

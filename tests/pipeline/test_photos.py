@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
-from pipeline.deviations import FIGURES, MESH
-from pipeline.photos import FILE, write_photos
-from pipeline.plan import left_out
-from pipeline.run import CACHE_VARIABLE, run
+from pipeline.evaluation.deviations import FIGURES, MESH
+from pipeline.evaluation.photos import FILE, write_photos
+from pipeline.graph import skip_reasons
+from pipeline.run.run import CACHE_VARIABLE, run
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame
 
@@ -122,5 +122,5 @@ def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
 
 
 def test_the_report_can_be_switched_off():
-    why = left_out(read_scan(SCAN), Config().set(["report.enabled=false"]))["report"]
+    why = skip_reasons(read_scan(SCAN), Config().set(["report.enabled=false"]))["report"]
     assert "report.enabled=true" in why

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
-from pipeline.run import run
+from pipeline.run.events import RunStarted
+from pipeline.run.run import run
 from stages.errors import InputError, UsageError
-from stages.params import RenamedWarning
 from stages.scans.formats.trajectories import read_tum
 from stages.scans.read import read_scan
 from stages.surface.formats.ply import read_ply
@@ -110,10 +110,16 @@ def test_poses_of_a_scan_are_refined(tmp_path: Path) -> None:
         np.testing.assert_allclose(pose, true.world_from_camera, atol=0.01)
 
 
-def test_to_refine_is_another_name_for_to_adjust(tmp_path: Path) -> None:
-    with pytest.warns(RenamedWarning, match=r"register\.refine is called adjust\.enabled now"):
-        made = run(SAMPLE, tmp_path / "out", config("register.refine=true"), until="fuse")
+def test_to_refine_has_no_effect_where_poses_are_adjusted(tmp_path: Path) -> None:
+    warned: list[str] = []
+
+    def listen(event: object) -> None:
+        if isinstance(event, RunStarted):
+            warned.extend(event.warnings)
+
+    made = run(SAMPLE, tmp_path / "out", config("register.refine=true"), until="fuse", events=listen)
     assert [outcome.stage for outcome in made.stages] == ["adjust", "fuse"]
+    assert any("register.refine has no effect" in text for text in warned)
 
 
 def test_a_scan_with_poses_has_no_such_stage_unless_asked_for(tmp_path: Path) -> None:

@@ -9,8 +9,9 @@ import pytest
 from coloured_meshes import MESHES
 
 from pipeline.config import Config
-from pipeline.remeshing import RemeshSection, make, read_levels, report
-from pipeline.run import CACHE_VARIABLE, run
+from pipeline.evaluation.normal_mesh import report_levels
+from pipeline.run.run import CACHE_VARIABLE, run
+from pipeline.steps.remesh import NormalMeshFiles, RemeshSection, write_normal_mesh
 from stages.comparing.compare import CompareParams
 from stages.normal_meshes.normal_mesh import decode
 from stages.normal_meshes.remesh import remesh
@@ -155,7 +156,7 @@ def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_p
     mesh = MESHES["ring"]()
     found = remesh(mesh, levels=2, base_triangles=100)
     view = viewpoints(mesh, 1, width=120)[0]
-    figures, pictures = report(tmp_path, mesh, found.levels, view, CompareParams(samples=20_000))
+    figures, pictures = report_levels(tmp_path, mesh, found.levels, view, CompareParams(samples=20_000))
     distances = [one["to_simplified"]["distance"]["symmetric"]["rms_m"] for one in figures["levels"]]
     assert distances == sorted(distances, reverse=True)
     farthest = figures["levels"][0]["to_simplified"]["distance"]["a_to_b"]["maximum_m"]
@@ -169,6 +170,6 @@ def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_p
 
 def test_what_is_made_is_read_again(tmp_path):
     mesh = MESHES["holed"]()
-    figures = make(tmp_path, mesh, RemeshSection(levels=1, base_triangles=100), silent)
-    levels = read_levels(tmp_path)
+    figures = write_normal_mesh(tmp_path, mesh, RemeshSection(levels=1, base_triangles=100), silent)
+    levels = NormalMeshFiles(tmp_path).load_levels()
     assert [len(level.triangles) for level in levels] == [one["triangles"] for one in figures["by_level"]]

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.deviations import read_deviations
-from pipeline.report import ReportParams, make
+from pipeline.evaluation.deviations import read_deviations
+from pipeline.evaluation.measures import measure_and_draw as make
+from pipeline.evaluation.params import ReportParams
 from stages.comparing.compare import CompareParams, compare
 from stages.errors import InputError
-from stages.params import RenamedWarning
 from stages.surface.mesh import Mesh
 
 SQUARE = Mesh(
@@ -64,8 +64,3 @@ def test_a_mesh_without_triangles_is_refused_by_name(tmp_path):
     empty = SQUARE.with_(triangles=np.zeros((0, 3), np.int32))
     with pytest.raises(InputError, match=r"clean\.ply: it has no triangles"):
         make(tmp_path, MESHES | {"clean": empty}, [], CompareParams(), SMALL)
-
-
-def test_the_former_name_of_the_viewpoints_is_understood() -> None:
-    with pytest.warns(RenamedWarning, match="views is called viewpoints now"):
-        assert ReportParams(views=2) == ReportParams(viewpoints=2)

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.digest import file_digest
-from pipeline.events import StageFinished, StageProgress, StageStarted
+from pipeline.cache.digest import file_digest
+from pipeline.run.events import StageFinished, StageProgress, StageStarted
 from stages.errors import InputError, StageError
 
 NAMES = ["cut.bin", "mixed.bin", "tables/counts.txt"]
@@ -26,8 +26,8 @@ def contents(out):
     return [(out / name).read_bytes() for name in files(out)]
 
 
-def fail(job):
-    raise InputError("no such luck", job.folder)
+def fail(inputs, params, context):  # noqa: ARG001
+    raise InputError("no such luck", context.folder)
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_what_somebody_edited_is_not_replaced_unless_that_is_asked_for(toy, scan
 
 
 def test_before_a_stage_runs_its_old_results_and_the_later_ones_leave(toy, scan, out):
-    plan = (toy.PLAN[0], replace(toy.PLAN[1], make=fail), toy.PLAN[2])
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], run=fail), toy.PLAN[2])
     with pytest.raises(InputError, match="no such luck"):
         toy.run(scan, out, "cut.far=3", plan=plan)
     assert files(out) == ["mixed.bin"]
@@ -100,7 +100,7 @@ def test_what_a_person_put_or_changed_there_stays(toy, scan, out):
     (out / "mine.txt").write_text("mine")
     (out / "tables" / "mine.txt").write_text("mine")
     (out / "cut.bin").write_bytes(b"edited")
-    plan = (toy.PLAN[0], replace(toy.PLAN[1], make=fail), toy.PLAN[2])
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], run=fail), toy.PLAN[2])
     with pytest.raises(InputError):
         toy.run(scan, out, "cut.far=3", plan=plan)
     assert files(out) == ["cut.bin", "mine.txt", "mixed.bin", "tables/mine.txt"]
@@ -118,12 +118,12 @@ def test_until_leaves_later_results_that_still_follow(toy, scan, out):
 
 
 def test_files_a_stage_no_longer_writes_leave(toy, scan, out):
-    def count_otherwise(job):
-        (job.folder / "tables").mkdir()
-        (job.folder / "tables" / "other.txt").write_text("4")
+    def count_otherwise(inputs, params, context):  # noqa: ARG001
+        (context.folder / "tables").mkdir()
+        (context.folder / "tables" / "other.txt").write_text("4")
         return {}
 
-    plan = (*toy.PLAN[:2], replace(toy.PLAN[2], versions=toy.at(count=2), make=count_otherwise))
+    plan = (*toy.PLAN[:2], replace(toy.PLAN[2], versions=toy.at(count=2), run=count_otherwise))
     toy.run(scan, out, plan=plan)
     assert files(out) == ["cut.bin", "mixed.bin", "tables/other.txt"]
 
@@ -155,34 +155,34 @@ def test_full_disk_while_results_are_placed(toy, scan, out, monkeypatch):
     def refuse(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("pipeline.files.shutil.copyfile", refuse)
+    monkeypatch.setattr("pipeline.cache.files.shutil.copyfile", refuse)
     with pytest.raises(StageError, match=r"results cannot be written to .*: the disk is full"):
         toy.run(scan, out)
     assert files(out) == ["mixed.bin", "tables/counts.txt"]
 
 
 def test_failures_of_the_machine_in_a_stage_are_one_sentence(toy, scan, tmp_path):
-    def starve(_):
+    def starve(*_):
         raise MemoryError
 
-    def lose(job):
-        (job.folder / "none").read_bytes()
+    def lose(inputs, params, context):  # noqa: ARG001
+        (context.folder / "none").read_bytes()
 
-    for make, message in (
+    for work, message in (
         (starve, "cut failed: the memory is used up"),
         (lose, r"cut failed: No such file.*none"),
     ):
         with pytest.raises(StageError, match=message):
-            toy.run(scan, tmp_path / "out", plan=(toy.PLAN[0], replace(toy.PLAN[1], make=make), toy.PLAN[2]))
+            toy.run(scan, tmp_path / "out", plan=(toy.PLAN[0], replace(toy.PLAN[1], run=work), toy.PLAN[2]))
 
 
 def test_scan_that_changes_while_a_stage_reads_it_is_not_kept(toy, scan, tmp_path):
-    def slow(job):
-        figures = toy.mix(job)
+    def slow(inputs, params, context):
+        figures = toy.mix(inputs, params, context)
         (scan / "01.raw").write_bytes(bytes(64))
         return figures
 
-    plan = (replace(toy.PLAN[0], make=slow), *toy.PLAN[1:])
+    plan = (replace(toy.PLAN[0], run=slow), *toy.PLAN[1:])
     with pytest.raises(StageError, match=r"01\.raw changed while it was being read"):
         toy.run(scan, tmp_path / "out", plan=plan)
     assert files(tmp_path / "out") == []
@@ -210,12 +210,12 @@ def test_events_tell_the_story(toy, scan, tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the peak is that of the whole run")
 def test_peak_memory_of_a_stage_is_its_own(toy, scan, tmp_path):
-    def hungry(job):
+    def hungry(inputs, params, context):
         block = bytearray(200_000_000)
         block[::4096] = b"x" * len(block[::4096])
-        return toy.mix(job)
+        return toy.mix(inputs, params, context)
 
-    plan = (replace(toy.PLAN[0], make=hungry), *toy.PLAN[1:])
+    plan = (replace(toy.PLAN[0], run=hungry), *toy.PLAN[1:])
     mix, cut, _ = toy.run(scan, tmp_path / "out", plan=plan)
     assert mix.made["peak_memory_bytes"] > 200_000_000
     assert cut.made["peak_memory_bytes"] < mix.made["peak_memory_bytes"] - 100_000_000

@@ -15,15 +15,15 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.cache import Cache
+from pipeline.artifacts.depth_maps import depth_scale
+from pipeline.cache.digest import digest, file_digest
+from pipeline.cache.store import Cache
 from pipeline.config import Config
-from pipeline.depth_maps import depth_scale
-from pipeline.digest import digest, file_digest
-from pipeline.events import RunStarted, Warned
+from pipeline.evaluation.measures import edge_figures
 from pipeline.graph import STAGES
-from pipeline.report import edge_figures
-from pipeline.run import CACHE_VARIABLE, run
-from pipeline.schema import SCHEMA
+from pipeline.run.events import RunStarted, Warned
+from pipeline.run.run import CACHE_VARIABLE, run
+from pipeline.run.schema import SCHEMA
 from stages.errors import InputError, UsageError
 from stages.params import described
 from stages.scans.images import read_color, read_depth
@@ -211,7 +211,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
 def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
     out = Path(shutil.copytree(made, tmp_path / "out"))
     code = (
-        "import sys; from pipeline.config import Config; from pipeline.run import run\n"
+        "import sys; from pipeline.config import Config; from pipeline.run.run import run\n"
         f"result = run({str(rgbd)!r}, {str(out)!r}, Config().set({QUICK!r}))\n"
         "print([o.cached for o in result.stages], {'open3d', 'scipy', 'trimesh'} & set(sys.modules))"
     )
@@ -272,7 +272,7 @@ def test_results_do_not_depend_on_the_run(rgbd, made, tmp_path):
 @pytest.mark.slow
 def test_killed_at_random_moments_and_restarted(rgbd, tmp_path):
     code = (
-        "from pipeline.config import Config; from pipeline.run import run; import sys\n"
+        "from pipeline.config import Config; from pipeline.run.run import run; import sys\n"
         f"run({str(rgbd)!r}, sys.argv[1], Config().set({QUICK!r}))"
     )
     started = time.perf_counter()
@@ -509,7 +509,7 @@ def test_a_killed_run_leaves_nothing_that_it_does_not_know_again(rgbd, tmp_path,
 
     for at in ("copy_whole", "Results.write_report"):
         with monkeypatch.context() as patched:
-            patched.setattr(f"pipeline.results.{at}", killed)
+            patched.setattr(f"pipeline.run.results.{at}", killed)
             with pytest.raises(KilledError):
                 run(rgbd, out, quick(), until="clean")
         run(rgbd, out, quick("clean.min_island_area=0.5"), until="clean")

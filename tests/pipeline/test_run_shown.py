@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.engine import Outcome
-from pipeline.run import RunResult
+from pipeline.run.engine import Outcome
+from pipeline.run.run import RunResult
 from stages.errors import UsageError
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pipeline.sections import Sections
 from stages.errors import UsageError
-from stages.params import RenamedWarning, check, param
+from stages.params import check, param
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class FuseParams:
 class CleanParams:
     """Clean a mesh."""
 
-    islands: int = param(100, "Smallest piece.", unit="triangles", low=0, was="islets")
+    islands: int = param(100, "Smallest piece.", unit="triangles", low=0)
 
     def __post_init__(self) -> None:
         check(self)
@@ -179,15 +179,3 @@ def test_canonical_form_is_one_for_equal_values():
 def test_infinity_has_no_canonical_form():
     with pytest.raises(UsageError, match=r"fuse\.voxel_size is infinite"):
         Config(fuse=FuseParams(voxel_size=float("inf"))).canonical("fuse")
-
-
-@pytest.mark.parametrize(
-    ("changed", "told"),
-    [
-        (lambda: Config.loads("[clean]\nislets = 7"), "clean.islets is called clean.islands now"),
-        (lambda: Config().set(["clean.islets=7"]), "clean.islets is called clean.islands now"),
-    ],
-)
-def test_a_former_name_is_understood_and_says_the_new_one(changed, told):
-    with pytest.warns(RenamedWarning, match=told):
-        assert changed().clean.islands == 7

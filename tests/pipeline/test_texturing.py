@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from photographed import CAMERA, paint, photos
 
-from pipeline.cache import Cache
+from pipeline.cache.store import Cache
 from pipeline.config import Config
-from pipeline.dry_run import foresee
-from pipeline.run import RunResult, run, wanted_of
+from pipeline.run.dry_run import foresee
+from pipeline.run.run import RunResult, run, wanted_of
 from stages import InputError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Frame

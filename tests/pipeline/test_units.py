@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from coloured_meshes import sheet
 
-from pipeline.cache import Cache
+from pipeline.cache.store import Cache
 from pipeline.config import Config
-from pipeline.page import page_of_run
-from pipeline.page_told import deviation_tables, told_of
-from pipeline.report import compose
-from pipeline.run import wanted_of
+from pipeline.report.page import page_of_run
+from pipeline.report.page_told import deviation_tables, told_of
+from pipeline.run.document import compose
+from pipeline.run.run import wanted_of
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Camera, Frame, Scan
 from stages.scans.world import Scale

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline import registering, upright
+from pipeline.artifacts.depth_maps import write_depth_maps
+from pipeline.artifacts.poses import Poses
+from pipeline.artifacts.up_direction import UpDirection
+from pipeline.cache.digest import label_digests, scan_digest
 from pipeline.config import Config
-from pipeline.depth_maps import write_depth_maps
-from pipeline.digest import label_digests, scan_digest
-from pipeline.graph import STAGES
-from pipeline.plan import plan_for
-from pipeline.run import run
-from pipeline.standing import read_up
-from pipeline.upright import UprightSection
+from pipeline.graph import STAGES, plan_for
+from pipeline.run.run import run
+from pipeline.steps import upright
+from pipeline.steps.upright import UprightSection
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.scans.world import Y_UP, Z_DOWN, Z_UP, WorldUp
@@ -51,15 +51,15 @@ LEVEL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     ],
 )
 def test_the_figure_says_what_told_it(tmp_path: Path, scan, up, source, doubts) -> None:
-    figures = upright.make(tmp_path, FLOOR, scan, None, UprightSection())
+    figures = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection())
     assert (figures["up"], figures["up_source"]) == (up, source)
-    assert read_up(tmp_path) == up
+    assert UpDirection(tmp_path).load() == up
     assert ["upright.up=AXIS states it" in text for text in figures["warnings"]] == [True] * doubts
 
 
 def test_what_is_given_counts_more_than_what_is_known(tmp_path: Path) -> None:
     scan = Scan("s", [posed(LEVEL)], up=POLYCAM)
-    figures = upright.make(tmp_path, FLOOR, scan, None, UprightSection(up="-x"))
+    figures = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection(up="-x"))
     assert (figures["up"], figures["up_source"], figures["warnings"]) == ((-1.0, 0.0, 0.0), "given", [])
 
 
@@ -69,9 +69,9 @@ def test_poses_that_are_found_have_another_world_and_what_was_measured_stays(tmp
     turned[:3, :3] = Rotation.from_euler("x", 30, degrees=True).as_matrix()
     poses = {"0": turned.tolist(), "1": turned.tolist()}
     (tmp_path / "registration.json").write_text(json.dumps({"poses": poses, "apart": {"2": poses}}))
-    for found in (registering.placed(scan, tmp_path), registering.apart(scan, tmp_path)[2]):
+    for found in (Poses(tmp_path).apply_to(scan), Poses(tmp_path).load_separate(scan)[2]):
         assert found.up is None
-        up = upright.make(tmp_path, FLOOR, found, None, UprightSection())
+        up = upright.estimate_up(tmp_path, FLOOR, found, None, UprightSection())
         np.testing.assert_allclose(up["up"], turned[:3, :3] @ UP, atol=1e-6)
         assert up["up_source"] == "gravity of the IMU"
 

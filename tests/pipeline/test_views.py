@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from cli.app import app
 from pipeline.config import Config
-from pipeline.run import CACHE_VARIABLE, run
+from pipeline.run.run import CACHE_VARIABLE, run
 from stages.scans.poses import inverted
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.cache import Cache
-from pipeline.digest import scan_digest
-from pipeline.engine import Engine, Job, Outcome, Source, Stage
-from pipeline.events import Events, unwatched
+from pipeline.cache.digest import scan_digest
+from pipeline.cache.store import Cache
+from pipeline.run.engine import Engine, Outcome, Source
+from pipeline.run.events import Events, unwatched
 from pipeline.sections import Sections
+from pipeline.stage import AnyStage, Artifact, Context, Stage
 from stages.params import check, param
 from stages.scans.scan import Camera, Frame, Scan
 
@@ -62,30 +63,60 @@ class ToyConfig(Sections):
     count: CountParams = field(default_factory=CountParams)
 
 
-def mix(job: Job) -> Mapping[str, Any]:
-    scan = job.inputs["frames"]
+@dataclass(frozen=True)
+class Mixed(Artifact):
+    NAME = "mixed"
+
+
+@dataclass(frozen=True)
+class Cut(Artifact):
+    NAME = "cut"
+
+
+@dataclass(frozen=True)
+class Counts(Artifact):
+    NAME = "counts"
+
+
+@dataclass(frozen=True)
+class MixInputs:
+    frames: Scan
+
+
+@dataclass(frozen=True)
+class CutInputs:
+    mixed: Mixed
+
+
+@dataclass(frozen=True)
+class CountInputs:
+    cut: Cut
+
+
+def mix(inputs: MixInputs, params: MixParams, context: Context) -> Mapping[str, Any]:
+    scan = inputs.frames
     total = np.zeros((8, 8))
-    (job.folder / "each").mkdir()
+    (context.folder / "each").mkdir()
     for i, frame in enumerate(scan.frames):
-        total = total * job.config.mix.gain + np.frombuffer(frame.depth.read_bytes(), np.uint8).reshape(8, 8)
-        (job.folder / "each" / f"{i:06d}.bin").write_bytes(total.tobytes())
-        job.progress(i + 1, len(scan.frames))
-    (job.folder / "mixed.bin").write_bytes(total.tobytes())
+        total = total * params.gain + np.frombuffer(frame.depth.read_bytes(), np.uint8).reshape(8, 8)
+        (context.folder / "each" / f"{i:06d}.bin").write_bytes(total.tobytes())
+        context.progress(i + 1, len(scan.frames))
+    (context.folder / "mixed.bin").write_bytes(total.tobytes())
     return {"mean_m": total.mean(), "worst_m": np.inf}
 
 
-def cut(job: Job) -> Mapping[str, Any]:
-    mixed = np.frombuffer((job.inputs["mixed"] / "mixed.bin").read_bytes())
-    far = mixed.mean() if job.config.cut.far is None else job.config.cut.far
-    (job.folder / "cut.bin").write_bytes(np.minimum(mixed, far).tobytes())
+def cut(inputs: CutInputs, params: CutParams, context: Context) -> Mapping[str, Any]:
+    mixed = np.frombuffer((inputs.mixed.folder / "mixed.bin").read_bytes())
+    far = mixed.mean() if params.far is None else params.far
+    (context.folder / "cut.bin").write_bytes(np.minimum(mixed, far).tobytes())
     return {"far_m": float(far)}
 
 
-def count(job: Job) -> Mapping[str, Any]:
-    left = np.frombuffer((job.inputs["cut"] / "cut.bin").read_bytes())
-    counts, _ = np.histogram(left, bins=job.config.count.bins)
-    (job.folder / "tables").mkdir()
-    (job.folder / "tables" / "counts.txt").write_text(" ".join(map(str, counts)))
+def count(inputs: CountInputs, params: CountParams, context: Context) -> Mapping[str, Any]:
+    left = np.frombuffer((inputs.cut.folder / "cut.bin").read_bytes())
+    counts, _ = np.histogram(left, bins=params.bins)
+    (context.folder / "tables").mkdir()
+    (context.folder / "tables" / "counts.txt").write_text(" ".join(map(str, counts)))
     return {"bins": len(counts)}
 
 
@@ -94,10 +125,35 @@ def at(**versions: int) -> Callable[[Mapping[str, Any], Any], Mapping[str, int]]
     return lambda inputs, config: versions  # noqa: ARG005
 
 
-PLAN = (
-    Stage("mix", ("frames",), "mixed", ("mix",), mix, at(mix=1), {"numpy": np.__version__}, ("mixed.bin",)),
-    Stage("cut", ("mixed",), "cut", ("cut",), cut, at(cut=1), results=("cut.bin",)),
-    Stage("count", ("cut",), "counts", ("count",), count, at(count=1), results=("tables/",)),
+PLAN: tuple[AnyStage, ...] = (
+    Stage(
+        name="mix",
+        section=MixParams,
+        inputs=MixInputs,
+        writes=Mixed,
+        run=mix,
+        versions=at(mix=1),
+        libraries={"numpy": np.__version__},
+        results=("mixed.bin",),
+    ),
+    Stage(
+        name="cut",
+        section=CutParams,
+        inputs=CutInputs,
+        writes=Cut,
+        run=cut,
+        versions=at(cut=1),
+        results=("cut.bin",),
+    ),
+    Stage(
+        name="count",
+        section=CountParams,
+        inputs=CountInputs,
+        writes=Counts,
+        run=count,
+        versions=at(count=1),
+        results=("tables/",),
+    ),
 )
 
 
@@ -123,7 +179,7 @@ def run(
     folder: Path,
     out: Path,
     *assignments: str,
-    plan: tuple[Stage, ...] = PLAN,
+    plan: tuple[AnyStage, ...] = PLAN,
     until: str = "count",
     force: tuple[str, ...] = (),
     cache: Path | None = None,
@@ -131,7 +187,7 @@ def run(
     warnings: list[str] | None = None,
     overwrite: bool = False,
 ) -> list[Outcome]:
-    """Run the toy pipeline as pipeline.run does the real one."""
+    """Run the toy pipeline as pipeline.run.run does the real one."""
     out.mkdir(parents=True, exist_ok=True)
     scan = read_scan(folder)
     content = scan_digest(scan)

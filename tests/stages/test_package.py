@@ -10,7 +10,6 @@ import pytest
 
 import stages
 from stages.files.written_by import installed_version
-from stages.params import RenamedWarning
 
 ROOT = Path(stages.__file__).parent
 TREE = ast.parse((ROOT / "__init__.py").read_text(encoding="utf-8"))
@@ -53,12 +52,6 @@ def test_a_name_that_is_not_there_is_an_error_of_the_usual_kind():
         stages.simplfy  # noqa: B018
     with pytest.raises(ImportError, match="cannot import name 'simplfy'"):
         from stages import simplfy  # noqa: F401
-
-
-def test_former_names_are_understood_and_say_the_new_one():
-    with pytest.warns(RenamedWarning, match="View is called Viewpoint now"):
-        from stages import View
-    assert View is stages.Viewpoint
 
 
 def test_no_room_has_the_name_of_a_function():

@@ -28,7 +28,6 @@ class Jia01Params:
         unit="8-bit levels",
         low=0,
         group=HOW_FAR,
-        was="max_texture",
     )
     attribute_scale: float | None = param(
         None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.params import check, param, with_former_names
+from stages.params import check, param
 from stages.simplification.shared_params import HOW_FAR, BoundKeywords, require_finite
 
 # At 60 levels a room's result looks like its scan; without a bound its stains and shadows are gone.
@@ -32,7 +32,6 @@ class PlanarParams:
         unit="8-bit levels",
         low=0,
         group=HOW_FAR,
-        was="max_texture",
     )
     patch_angle: float = param(
         40.0,
@@ -67,7 +66,6 @@ class PlanarParams:
         require_finite(self, "max_shape", "max_color")
 
 
-@with_former_names
 @dataclass(frozen=True, kw_only=True)
 class PatchParams(PlanarParams):
     """What limits near-planar patches, and how many are looked for at a time."""

@@ -11,7 +11,6 @@ from stages.simplification.records.record import FORMAT_VERSION, CollapseRecord
 from stages.simplification.records.sound import require_sound
 from stages.simplification.records.stored_mesh import mesh_of
 from stages.simplification.records.stored_wedges import wedges_of
-from stages.simplification.records.version_1 import WITH_WEDGES, as_version_2
 from stages.surface.mesh import validated
 
 _NEEDED = ("mesh/vertices", "mesh/triangles", "removed", "survivor", "path", "lock")
@@ -20,24 +19,24 @@ _STRANGE = (AttributeError, IndexError, KeyError, OverflowError, RecursionError,
 
 
 def load_record(path: Path | str) -> CollapseRecord:
-    """Read a record that `CollapseRecord.save` wrote, in this version or in version 1.
+    """Read a record that `CollapseRecord.save` wrote.
 
     Raises
     ------
     InputError
-        If the file is missing, damaged, no record, or of a later version.
+        If the file is missing, damaged, no record, or of another version.
     """
     path = Path(path)
     arrays = read_arrays(path)
-    version = arrays.get("scanloom_collapse_record", arrays.get(WITH_WEDGES))
+    version = arrays.get("scanloom_collapse_record")
     if version is None:
         raise InputError("is no record of collapses.", path)
-    if version.shape != () or version not in (1, FORMAT_VERSION):
+    if version.shape != () or version != FORMAT_VERSION:
         raise InputError(
-            f"is a record of version {version}; this scanloom reads versions 1 and {FORMAT_VERSION}.", path
+            f"is a record of version {version}; this scanloom reads version {FORMAT_VERSION}.", path
         )
     try:
-        arrays, about = as_version_2(arrays) if version == 1 else (arrays, json_object(arrays["about"]))
+        about = json_object(arrays["about"])
         missing = [name for name in _NEEDED if name not in arrays]
         if missing:
             raise InputError(f"is damaged: it has no {missing[0]}.", path)

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from stages.simplification.records.steps import ReplayKeywords
 
-# Of the files that `save` writes; `load_record` reads those of version 1, too.
 FORMAT_VERSION = 2
 
 
@@ -52,8 +51,7 @@ class CollapseRecord:
         Vertices are those of `mesh`, or as the wedges number them.
     path : (m, 3 + k) float64, where the survivor went: metres, then colours in 8-bit levels if there are any.
         With wedges (m, 3), from the origin of their attributes.
-    lock : (n,) bool, vertices of `mesh` that stay as they are; none from a file of version 1 with wedges,
-        which did not tell.
+    lock : (n,) bool, vertices of `mesh` that stay as they are.
     vertex_source, triangle_source : (n,) and (t,) int32, the vertex and triangle of the input that those of
         `mesh` come from; None where `mesh` has those of the input.
     wedges : what became of the corners, where they have attributes of their own.

@@ -22,7 +22,7 @@ from pipeline.batch.dask import work_by_dask
 from pipeline.batch.queue import Job, Settings, new_queue, standing_queue
 from pipeline.batch.records import Records
 from pipeline.config import Config
-from pipeline.run import run
+from pipeline.run.run import run
 from stages.errors import InputError, UsageError
 
 pytest.importorskip("distributed")

@@ -27,7 +27,7 @@ from pipeline.batch.summary import summary_of
 from pipeline.batch.told import JobAt, JobEnded, Noted, Told
 from pipeline.batch.worker import Worker
 from pipeline.config import Config
-from pipeline.run import run
+from pipeline.run.run import run
 from stages.errors import StageError
 
 Begin = Callable[..., Queue]

@@ -23,7 +23,7 @@ from pipeline.batch.summary import summary_of
 from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Told
 from pipeline.batch.worker import Worker
 from pipeline.config import Config
-from pipeline.run import run
+from pipeline.run.run import run
 from stages.errors import StageError
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from coloured_meshes import ball
 from seamed_meshes import wrapped_ball
 
-from pipeline.files import copy_whole, remove_abandoned, write_whole
+from pipeline.cache.files import copy_whole, remove_abandoned, write_whole
 from stages.files.replacing import draft_of, replacing
 from stages.normal_meshes.remesh import remesh
 from stages.picturing.render import write_png

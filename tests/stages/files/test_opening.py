@@ -15,8 +15,8 @@ import pytest
 from coloured_meshes import ball
 from seamed_meshes import wrapped_ball
 
+from pipeline.cache.digest import file_digest
 from pipeline.config import Config
-from pipeline.digest import file_digest
 from stages.errors import InputError, UsageError
 from stages.files import documents, images
 from stages.files.exr import exr_size, read_exr
@@ -174,11 +174,11 @@ ALLOWED = {
     "stages/scans/ros/db3.py": {"connect"},  # after opened
     "stages/scans/video.py": {"VideoCapture"},  # after opened
     "stages/picturing/video.py": {"open"},  # an encoder, of a draft
-    "pipeline/cache.py": {"open"},  # locks and marks of the cache
-    "pipeline/posix.py": {"open", "read_text"},  # locks, what is flushed; of the system
-    "pipeline/windows.py": {"open"},  # what is flushed
-    "pipeline/adjusting.py": {"read_text"},  # files of an entry, verified
-    "pipeline/registering.py": {"read_text"},  # files of an entry, verified
+    "pipeline/cache/store.py": {"open"},  # locks and marks of the cache
+    "pipeline/cache/posix.py": {"open", "read_text"},  # locks, what is flushed; of the system
+    "pipeline/cache/windows.py": {"open"},  # what is flushed
+    "pipeline/artifacts/adjusted_cameras.py": {"read_text"},  # files of an entry, verified
+    "pipeline/artifacts/poses.py": {"read_text"},  # files of an entry, verified
     "pipeline/batch/child.py": {"fdopen"},  # a pipe of its own
     "pipeline/batch/claims.py": {"open"},  # marks that are made, and never read
     "pipeline/batch/heartbeat.py": {"open"},  # a mark of its own, written

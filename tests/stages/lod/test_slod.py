@@ -120,7 +120,7 @@ def with_tree(data: bytes, **changes: object) -> bytes:
     for name, value in changes.items():
         (tree["nodes"] if name in tree["nodes"] else tree)[name] = value
     text = json.dumps(tree).encode()
-    return struct.pack("<4sIQI", b"SLOD", 1, len(text), zlib.crc32(text)) + text + data[20 + size :]
+    return struct.pack("<4sIQI", b"SLOD", 2, len(text), zlib.crc32(text)) + text + data[20 + size :]
 
 
 def test_a_tree_that_lies_is_refused(file: Path) -> None:

@@ -7,7 +7,6 @@ import pytest
 import trimesh
 
 from stages.errors import InputError, StageError
-from stages.params import RenamedWarning
 from stages.picturing.render import Model, render, write_png
 from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.scans.scan import Camera, Frame
@@ -234,11 +233,3 @@ def looking_level(azimuth_degrees: float) -> np.ndarray:
     pose = np.eye(4)
     pose[:3] = np.stack([np.cross(down, forward), down, forward, -3 * forward], axis=1)
     return pose
-
-
-def test_the_former_name_of_the_viewpoint_is_understood():
-    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
-    (viewpoint,) = viewpoints(mesh, 1, width=40)
-    with pytest.warns(RenamedWarning, match="view is called viewpoint now"):
-        told = render(mesh, view=viewpoint)
-    np.testing.assert_array_equal(told, render(mesh, viewpoint))

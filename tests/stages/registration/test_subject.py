@@ -12,7 +12,7 @@ import turned_thing
 from scipy.spatial.transform import Rotation
 
 from pipeline.config import Config
-from pipeline.run import run
+from pipeline.run.run import run
 from stages.errors import InputError, StageError
 from stages.fusion.fuse import fuse
 from stages.inspecting.inspect import inspect

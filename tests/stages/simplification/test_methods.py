@@ -15,7 +15,7 @@ import pytest
 from coloured_meshes import sheet
 
 from stages.errors import UsageError
-from stages.params import RenamedWarning, described
+from stages.params import described
 from stages.simplification.auto import chosen
 from stages.simplification.keywords import SimplifyKeywords
 from stages.simplification.methods import METHODS, Method
@@ -54,7 +54,6 @@ def test_each_parameter_is_there_once_and_says_the_default_of_each_method() -> N
             assert f"{method.name}: " in text or f"{method.name}, " in text
             if isinstance(field.default, float):
                 assert f"Default: {field.default:g}." in text
-    assert flat["max_color"].was == "max_texture"
     own = {"method": "auto", "keep_uv": False}
     assert all(field.default == own.get(field.name) for field in fields(SimplifyParams))
 
@@ -126,35 +125,6 @@ def test_what_a_method_does_not_take_is_said_with_those_that_do() -> None:
         simplify(mesh, method="planar", record=True)
     with pytest.raises(UsageError, match="jia01; it is for quadric, certified and seams"):
         simplify(mesh, method="jia01", importance=[2.0] * len(mesh.vertices))
-
-
-# -- former names ----------------------------------------------------------------------------------------
-
-
-def test_figures_of_one_method_are_found_under_their_former_names() -> None:
-    proven, summed = (simplify(sheet(12), method=m, max_shape=0.02) for m in ("certified", "jia01"))
-    for old, value in {
-        "shape_bound": proven.details.shape_bound,
-        "max_texture_levels": proven.details.max_color_levels,
-        "splits": 0,
-        "bounded": {},
-        "patches": None,
-    }.items():
-        with pytest.warns(DeprecationWarning, match=f"{old} of a simplified mesh is details"):
-            found = getattr(proven, old)
-        assert found is value or found == value
-    with pytest.warns(DeprecationWarning, match=r"is details\.largest_color_change_levels now"):
-        assert summed.largest_texture_change_levels == summed.details.largest_color_change_levels
-    with pytest.raises(AttributeError, match="has no attribute 'size'"):
-        _ = summed.size
-
-
-def test_max_texture_is_max_color() -> None:
-    with pytest.warns(RenamedWarning, match="max_texture is called max_color now"):
-        result = simplify(sheet(8), max_texture=9.0)
-    assert result.details.max_color_levels == 9.0
-    with pytest.warns(RenamedWarning, match="max_texture is called max_color now"):
-        assert SimplifyParams(max_texture=9.0) == SimplifyParams(max_color=9.0)
 
 
 # -- a sixth method --------------------------------------------------------------------------------------

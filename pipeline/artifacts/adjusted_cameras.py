@@ -1,0 +1,120 @@
+"""Poses and cameras that adjustment found, as files.
+
+trajectory.tum   a pose a line, camera-to-world, of all frames that have one, as given if not adjusted
+cameras.json     those that were adjusted, as matrices by the frame's place in the scan, and their names;
+                 the colour camera, if it was adjusted; how cameras turn while rows are read, if that was;
+                 whether it is used, and why (`scan.adjusted` reads it)
+
+Where what was found is not better there is no trajectory, and frames stay as they are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.stage import Artifact
+from stages.adjusting.adjusted import Adjusted
+from stages.fusion.posed_depth import rigid_pose
+from stages.scans.formats.trajectories import write_tum
+from stages.scans.scan import Camera, Frame, Scan
+
+_FILE = "cameras.json"
+
+
+# Subfolder with the files; there is none if the scan's own poses are as good.
+FOLDER = "adjusted"
+
+
+@dataclass(frozen=True)
+class AdjustedCameras(Artifact):
+    """Poses and colour camera that are better than those of the scan, if there are any."""
+
+    NAME = "adjusted_cameras"
+
+    def apply_to(self, scan: Scan) -> Scan:
+        """Return the scan with these poses and cameras."""
+        return apply_adjusted(scan, self.folder / FOLDER)
+
+
+def write_adjusted(folder: Path, found: Adjusted) -> Mapping[str, Any]:
+    """Write the files into an empty folder; return figures."""
+    poses = {place: rigid_pose(found.frames[place]) for place in found.places}
+    if poses:
+        posed = {place: one for place, one in enumerate(found.frames) if one.world_from_camera is not None}
+        times = [_time(place, frame) for place, frame in posed.items()]
+        write_tum(folder / "trajectory.tum", times, [rigid_pose(frame) for frame in posed.values()])
+    camera, apart = _color_camera(found)
+    document = {
+        "accepted": found.accepted,
+        "why": found.why,
+        "color_camera": camera,
+        "color_from_depth": apart,
+        "names": {str(place): found.frames[place].name for place in poses},
+        "poses": {str(place): pose.tolist() for place, pose in poses.items()},
+        "shutter_turns": _turns(found),
+    }
+    (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
+    return found.figures()
+
+
+def apply_adjusted(scan: Scan, folder: Path) -> Scan:
+    """Return a scan with the poses and the colour camera in a folder, if the folder has any."""
+    if not (folder / _FILE).exists():
+        return scan
+    found = json.loads((folder / _FILE).read_text(encoding="utf-8"))
+    turns = found["shutter_turns"] or {}
+    frames = [
+        _placed(frame, found["poses"].get(str(place)), turns.get(str(place)))
+        for place, frame in enumerate(scan.frames)
+    ]
+    if found["color_camera"] is not None:
+        camera, apart = Camera(**_as_tuple(found["color_camera"])), np.array(found["color_from_depth"])
+        frames = [_seen_by(frame, camera, apart) for frame in frames]
+    return replace(scan, frames=frames)
+
+
+def _color_camera(found: Adjusted) -> tuple[dict[str, Any] | None, list[list[float]] | None]:
+    if not found.has_camera:
+        return None, None
+    # Not all frames can be used, and those keep what was given.
+    frame = next(
+        one
+        for one in found.frames
+        if one.color_camera == found.camera_after and one.color_from_depth is not None
+    )
+    assert frame.color_camera is not None
+    assert frame.color_from_depth is not None
+    return asdict(frame.color_camera), frame.color_from_depth.tolist()
+
+
+def _as_tuple(camera: Mapping[str, Any]) -> dict[str, Any]:
+    return {**camera, "distortion": tuple(camera["distortion"])}
+
+
+def _turns(found: Adjusted) -> dict[str, list[float]] | None:
+    if not found.has_turns:
+        return None
+    turns = {place: found.frames[place].shutter_turn for place in found.places}
+    return {str(place): turn.tolist() for place, turn in turns.items() if turn is not None}
+
+
+def _placed(frame: Frame, pose: list[list[float]] | None, turn: list[float] | None) -> Frame:
+    if turn is not None:
+        frame = replace(frame, shutter_turn=np.array(turn))
+    return frame if pose is None else replace(frame, world_from_camera=np.array(pose))
+
+
+def _seen_by(frame: Frame, camera: Camera, apart: np.ndarray[Any, Any]) -> Frame:
+    if frame.color is None or frame.depth is None:
+        return frame
+    return replace(frame, color_camera=camera, color_from_depth=apart)
+
+
+def _time(place: int, frame: Frame) -> float:
+    return place if frame.timestamp is None else frame.timestamp / 1e9

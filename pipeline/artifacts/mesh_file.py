@@ -1,0 +1,85 @@
+"""Mesh of a stage as a PLY file. A mesh above the in-memory limit has a table of parts beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from pipeline.stage import Artifact
+from stages.errors import StageError
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Mesh
+from stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of
+from stages.surface.piecewise import Piecewise, piecewise
+
+
+@dataclass(frozen=True)
+class MeshFile(Artifact):
+    """Mesh in a PLY file.
+
+    Attributes
+    ----------
+    FILE : name of the file.
+    """
+
+    FILE: ClassVar[str]
+
+    @property
+    def path(self) -> Path:
+        """Return the path of the file."""
+        return self.folder / self.FILE
+
+    @property
+    def is_large(self) -> bool:
+        """Return whether the mesh is above the in-memory limit and has to be processed in parts."""
+        return table_of(self.path).exists()
+
+    @property
+    def triangle_count(self) -> int:
+        """Return the number of triangles of a large mesh."""
+        return Pieces(self.path).triangle_count
+
+    def load(self) -> Mesh:
+        """Load a mesh that is not large."""
+        return read_ply(self.path)
+
+    def load_whole(self, stage: str) -> Mesh:
+        """Load the mesh for a stage that cannot process it in parts.
+
+        Raises
+        ------
+        StageError
+            If the mesh is large.
+        """
+        if self.is_large:
+            raise StageError(
+                f"{stage} reads all of {self.FILE} at once, which has {self.triangle_count:,} triangles; "
+                f"it takes up to {MOST_AT_ONCE:,}. Give a larger fuse.voxel_size, or fuse a part (fuse.box)."
+            )
+        return self.load()
+
+    def load_surface(self) -> Mesh | Piecewise:
+        """Load the mesh, in parts if it is large."""
+        return Piecewise(Pieces(self.path)) if self.is_large else self.load()
+
+    def load_in_parts(self) -> Mesh | Piecewise:
+        """Load the mesh in parts wherever that saves memory."""
+        return Piecewise(Pieces(self.path)) if self.is_large else piecewise(self.load())
+
+    def load_sample(self) -> Mesh:
+        """Load the mesh; subsample its triangles evenly if it is large."""
+        if not self.is_large:
+            return self.load()
+        pieces = Pieces(self.path)
+        step = -(-pieces.triangle_count // MOST_AT_ONCE)
+        vertices, triangles, count = [], [], 0
+        for number in range(len(pieces)):
+            mesh = pieces.part(number).mesh
+            used, local = np.unique(mesh.triangles[::step], return_inverse=True)
+            vertices.append(mesh.vertices[used])
+            triangles.append((local.reshape(-1, 3) + count).astype(np.int32))
+            count += len(used)
+        return Mesh(np.concatenate(vertices), np.concatenate(triangles))

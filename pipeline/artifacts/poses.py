@@ -1,0 +1,150 @@
+"""Poses that registration found, as files.
+
+trajectory.tum      a pose a line, camera-to-world, of the frames that are used
+registration.json   the same as matrices by the frame's place in the scan; edges, pieces, breaks
+path.ply            a coloured cloud of what the frames show, and the camera's path in red
+pieces/             trajectories of the pieces that could not be joined to it, by their numbers
+masks/              where each frame shows the thing that was registered alone, by the frame's place; white
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.artifacts.depth_maps import cloud_of
+from pipeline.own_paths import from_folder
+from pipeline.stage import Artifact
+from stages.errors import InputError
+from stages.files.image_bytes import encoded_gray_png
+from stages.fusion.posed_depth import read_matching_color, rigid_pose
+from stages.registration.registered import Registration
+from stages.scans.formats.trajectories import write_tum
+from stages.scans.images import read_depth
+from stages.scans.scan import ColorImage, Frame, Scan
+from stages.surface.formats.ply import write_ply_cloud
+
+# Points in the cloud: enough to judge the poses by.
+_MAX_POINTS = 500_000
+# Points between two camera positions.
+_PATH_POINTS = 20
+_PATH_COLOR = (255, 0, 0)
+_FILE = "registration.json"
+_MASKS = "masks"
+
+
+@dataclass(frozen=True)
+class Poses(Artifact):
+    """Poses by the index of the frame in the scan."""
+
+    NAME = "poses"
+
+    def apply_to(self, scan: Scan) -> Scan:
+        """Return the frames of a scan that have a pose, with these poses."""
+        document = self._read()
+        return self._with_poses(scan, document["poses"], document)
+
+    def load_separate(self, scan: Scan) -> dict[int, Scan]:
+        """Return the connected groups of frames that could not be joined to the others, by number."""
+        document = self._read()
+        return {
+            int(number): self._with_poses(scan, poses, document)
+            for number, poses in document["apart"].items()
+        }
+
+    def _read(self) -> Any:
+        return json.loads((self.folder / _FILE).read_text(encoding="utf-8"))
+
+    def _with_poses(self, scan: Scan, poses: Mapping[str, Any], document: Mapping[str, Any]) -> Scan:
+        frames = []
+        focal = document.get("focal_px")
+        for index, pose in poses.items():
+            frame = replace(scan.frames[int(index)], world_from_camera=np.array(pose))
+            if focal is not None:
+                frame = replace(frame, camera=replace(frame.camera, fx=focal, fy=focal, is_guess=False))
+            mask = self.folder / _MASKS / _mask_name(int(index))
+            # This mask includes the frame's own mask.
+            frames.append(replace(frame, mask=mask) if mask.exists() else frame)
+        # The world is now that of the first frame: an up direction of another world does not hold in it.
+        return replace(scan, frames=frames, missing=(), up=None)
+
+
+def write_poses(folder: Path, found: Registration, scan_folder: Path | None = None) -> Mapping[str, Any]:
+    """Write poses into an empty folder; paths start at the folder of the scan. Return figures."""
+    used = dict(zip(found.places, found.frames, strict=True))
+    _write_trajectory(folder / "trajectory.tum", used)
+    others = {number: frames for number, frames in found.apart.items() if len(frames) > 1}
+    if others:
+        (folder / "pieces").mkdir()
+    for number, frames in others.items():
+        _write_trajectory(folder / "pieces" / f"trajectory-{number}.tum", frames)
+    if found.subject == "object":
+        _write_masks(folder / _MASKS, used)
+        for frames in others.values():
+            _write_masks(folder / _MASKS, frames)
+    document = {
+        "subject": found.subject,
+        "focal_px": found.focal and found.focal.focal_px,
+        "poses": _by_place(used),
+        "apart": {str(number): _by_place(frames) for number, frames in others.items()},
+        "pieces": [list(piece) for piece in found.pieces],
+        "edges": [dict(edge) for edge in found.edges],
+        "breaks": [{"frame": one.name, "reason": one.reason} for one in found.breaks],
+        "skipped": [{"frame": one.name, "reason": one.reason} for one in found.skipped],
+    }
+    text = json.dumps(from_folder(document, scan_folder), indent=1)
+    (folder / _FILE).write_text(text + "\n", encoding="utf-8", newline="\n")
+    write_ply_cloud(folder / "path.ply", *_cloud(found.frames))
+    return found.figures()
+
+
+def _write_masks(folder: Path, frames: Mapping[int, Frame]) -> None:
+    folder.mkdir(exist_ok=True)
+    for place, frame in frames.items():
+        if isinstance(frame.mask, np.ndarray):
+            (folder / _mask_name(place)).write_bytes(encoded_gray_png(frame.mask))
+
+
+def _mask_name(place: int) -> str:
+    return f"{place:06d}.png"
+
+
+def _write_trajectory(path: Path, frames: Mapping[int, Frame]) -> None:
+    times = [place if frame.timestamp is None else frame.timestamp / 1e9 for place, frame in frames.items()]
+    write_tum(path, times, [rigid_pose(frame) for frame in frames.values()])
+
+
+def _by_place(frames: Mapping[int, Frame]) -> dict[str, Any]:
+    return {str(place): rigid_pose(frame).tolist() for place, frame in frames.items()}
+
+
+def _cloud(frames: Sequence[Frame]) -> tuple[NDArray[np.float32], ColorImage]:
+    points, colors = [], []
+    for frame in frames:
+        try:
+            depth = read_depth(frame)
+            if depth is None:
+                continue
+            shown = (
+                np.full((*depth.shape, 3), 160, np.uint8)
+                if frame.color is None
+                else read_matching_color(frame, depth)
+            )
+        except InputError:
+            continue
+        some, their = cloud_of(depth, shown, frame, max(1, _MAX_POINTS // len(frames)))
+        points.append(some)
+        colors.append(their)
+    centres = np.array([pose[:3, 3] for frame in frames if (pose := frame.world_from_camera) is not None])
+    share = np.linspace(0, 1, _PATH_POINTS, endpoint=False)[:, None]
+    path = [a + share * (b - a) for a, b in itertools.pairwise(centres)]
+    points += [np.asarray(line, np.float32) for line in path]
+    colors += [np.full((len(line), 3), _PATH_COLOR, np.uint8) for line in path]
+    return np.concatenate(points), np.concatenate(colors)

@@ -1,0 +1,1 @@
+"""Cache of results: entries, keys, locks."""

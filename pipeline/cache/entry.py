@@ -1,0 +1,173 @@
+"""One result of a stage in the cache: what decided it, its files, and the manifest that vouches for them.
+
+    fuse/<key>/
+      fused.ply …         what the stage wrote
+      manifest.json       the recipe, size and digest of every file, figures, a digest of itself
+      in-use.lock         see pipeline.cache.store
+
+The manifest is written last: a folder without one is no entry.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from pipeline.cache.digest import digest, file_digests
+from pipeline.cache.files import flush_all
+from pipeline.cache.locks import Lock
+from pipeline.cache.system import flush
+from stages.files.opening import text_in
+
+# Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
+FORMAT_VERSION = 2
+
+MANIFEST = "manifest.json"
+IN_USE = "in-use.lock"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides a stage's result.
+
+    Attributes
+    ----------
+    stage : which computation.
+    versions : the RESULT_VERSION of everything it runs, by the name of the file that states it.
+    params : its parameters in canonical form, by section.
+    inputs : content digests of what it reads, by name.
+    libraries : versions of the libraries that compute the result.
+    """
+
+    stage: str
+    versions: Mapping[str, int]
+    params: Mapping[str, Any] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    libraries: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """Return the digest that names the entry."""
+        return digest({"schema": FORMAT_VERSION, **self.as_json()})
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the recipe as JSON values."""
+        return {
+            name: dict(value) if isinstance(value, Mapping) else value for name, value in vars(self).items()
+        }
+
+
+class Entry:
+    """A whole, verified entry; it cannot be removed by anyone until it is closed.
+
+    Attributes
+    ----------
+    folder : where its files are; not to be written to.
+    manifest : what its manifest.json says.
+    """
+
+    def __init__(self, folder: Path, manifest: dict[str, Any], lock: Lock) -> None:
+        self.folder = folder
+        self.manifest = manifest
+        self._lock = lock
+
+    @property
+    def key(self) -> str:
+        """Return the digest of the entry's recipe."""
+        return self.folder.name
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Content digest of every file, by its path within the folder."""
+        return {name: about["sha256"] for name, about in self.manifest["files"].items()}
+
+    @property
+    def digest(self) -> str:
+        """Return the content digest of the whole entry, which the keys of later stages are made of."""
+        return digest(self.files)
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What the stage counted and measured."""
+        figures: dict[str, Any] = self.manifest["figures"]
+        return figures
+
+    def close(self) -> None:
+        """Let the entry go."""
+        self._lock.release()
+
+
+class DamagedError(Exception):
+    """An entry does not hold what its manifest promises."""
+
+
+def seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
+    """Flush a draft's files to the disk and write the manifest that makes it an entry."""
+    paths = sorted(path for path in draft.rglob("*") if path.is_file() and path != draft / IN_USE)
+    names = [path.relative_to(draft).as_posix() for path in paths]
+    flush_all(paths)
+    files = {
+        name: {"size": path.stat().st_size, "sha256": content}
+        for name, path, content in zip(names, paths, file_digests(paths), strict=True)
+    }
+    manifest = {
+        "schema": FORMAT_VERSION,
+        "recipe": recipe.as_json(),
+        "files": files,
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        **record,
+    }
+    text = json.dumps({**manifest, "digest": digest(manifest)}, indent=1)
+    (draft / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
+    flush(draft / MANIFEST)
+    flush_all([*(path for path in draft.rglob("*") if path.is_dir()), draft])
+
+
+def verified(place: Path) -> dict[str, Any]:
+    """Return an entry's manifest after reading every file it names; raise DamagedError."""
+    manifest = read_manifest(place)
+    names = list(manifest["files"])
+    inside = Path(os.path.realpath(place))
+    for name in names:
+        # A link would have files of others read, and perhaps written, as the entry's own.
+        if Path(os.path.realpath(place / name)) != inside / name:
+            raise DamagedError(f"{name} leads elsewhere")
+        if not (place / name).is_file():
+            raise DamagedError(f"{name} is missing")
+        if (place / name).stat().st_size != manifest["files"][name]["size"]:
+            raise DamagedError(f"{name} has another size")
+    try:
+        contents = file_digests([place / name for name in names])
+    except OSError as error:
+        raise DamagedError(f"{error.filename} cannot be read: {error.strerror}") from error
+    for name, content in zip(names, contents, strict=True):
+        if content != manifest["files"][name]["sha256"]:
+            raise DamagedError(f"{name} has another content")
+    return manifest
+
+
+def read_manifest(place: Path) -> dict[str, Any]:
+    """Return an entry's manifest without looking at the files; raise DamagedError."""
+    try:
+        manifest: dict[str, Any] = json.loads(_text_of(place / MANIFEST))
+        sealed = manifest.pop("digest")
+        if digest(manifest) != sealed:
+            raise DamagedError(f"{MANIFEST} has another content")
+        if digest({"schema": manifest["schema"], **manifest["recipe"]}) != place.name:
+            raise DamagedError(f"{MANIFEST} belongs to another entry")
+    except OSError as error:
+        raise DamagedError(f"{MANIFEST} cannot be read: {error.strerror}") from error
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise DamagedError(f"{MANIFEST} is not a manifest") from error
+    return manifest
+
+
+def _text_of(path: Path) -> str:
+    if path.is_symlink():
+        raise DamagedError(f"{path.name} leads elsewhere")
+    return text_in(path, "utf-8")

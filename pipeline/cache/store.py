@@ -1,0 +1,459 @@
+"""Results of stages, kept under a digest of all that decided them.
+
+    cache/
+      CACHEDIR.TAG             tells backup programs to leave the folder out
+      names.lock               held for moments, by whoever adds, moves or looks up an entry
+      fuse/<key>/              an entry: the stage's files, manifest.json and in-use.lock
+      drafts/fuse-m1f0…-k3j2…/ an entry being made or removed, locked by the process that does it
+      runs/<output>.json       which entries the latest run of each output folder used
+      runs/<output>.lock       held by the run that works into that folder
+
+An entry is made in `drafts`, flushed to disk and moved to its place in one rename, so it is whole or it is
+not there. Who reads an entry holds a shared lock on its `in-use.lock`; who removes one must first get it
+exclusively. The system releases the locks of a killed process, which is how its drafts are told from those
+of a living one; in a folder that several machines share, each looks after its own. Where such a folder has no
+locks, entries are whole or absent all the same.
+
+Nothing in the folder is believed to be what it should: a link or a file in the place of an entry or a lock
+is removed, one in the place of a folder of entries is refused, and none is followed. Where the folder may
+only be read, what it holds is used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import re
+import secrets
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from pipeline.cache.digest import digest
+from pipeline.cache.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, seal, verified
+from pipeline.cache.files import write_whole
+from pipeline.cache.locks import READ_ONLY, Lock, is_folder, take_folder, take_lock, try_folder, try_lock
+from pipeline.cache.machine_mark import is_of_another_machine, machine_mark
+from pipeline.cache.system import flush
+from pipeline.failures import explained
+from pipeline.own_paths import from_there
+from stages.errors import StageError
+from stages.files.moving import move
+from stages.files.opening import text_in
+
+_DRAFTS = "drafts"
+_RUNS = "runs"
+_KEY = re.compile("[0-9a-f]{64}")
+_TAG = "Signature: 8a477f597d28d172789f06886806bc55\n# Results of scanloom; safe to delete.\n"
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One entry as `scanloom cache` shows it; `problem` says why it is of no use, or is None."""
+
+    stage: str
+    key: str
+    size: int
+    last_used: datetime
+    in_latest_run: bool
+    manifest: Mapping[str, Any]
+    problem: str | None = None
+
+
+class Cache:
+    """A folder of entries, shared safely by any number of processes.
+
+    Parameters
+    ----------
+    folder : made when the first entry is stored.
+    warn : called with a sentence for each damaged entry that is met and dropped.
+    """
+
+    def __init__(self, folder: Path, warn: Callable[[str], None] | None = None) -> None:
+        self.folder = folder
+        self._warn = warn or (lambda text: None)  # noqa: ARG005
+        self._is_read_only = False
+
+    def get(self, recipe: Recipe) -> Entry | None:
+        """Return the verified entry of a recipe, or None; a damaged entry is reported and dropped."""
+        place = self._place(recipe)
+        with explained(f"the cache folder {self.folder} cannot be used"):
+            while os.path.lexists(place):
+                with self._names():
+                    if not self._is_entry(place):
+                        break
+                    lock = take_lock(place / IN_USE, shared=True)
+                try:
+                    manifest = verified(place)
+                except DamagedError as error:
+                    if self._drop(place, lock):
+                        self._warn(
+                            f"the cached result of {recipe.stage} is damaged ({error}); it is made anew."
+                        )
+                    continue
+                except BaseException:
+                    lock.release()
+                    raise
+                with contextlib.suppress(
+                    OSError
+                ):  # A cache that may only be read does not note who reads it.
+                    lock.touch()
+                return Entry(place, manifest, lock)
+        return None
+
+    def store(
+        self, recipe: Recipe, make: Callable[[Path], Mapping[str, Any]], *, replace: bool = False
+    ) -> Entry:
+        """Make an entry and return it.
+
+        Parameters
+        ----------
+        make : writes the stage's files into the empty folder it is given, and returns what the manifest is to
+            say beside: `figures`, and `made` for seconds and the like that decide nothing.
+        replace : take the place of an entry that is there already. Otherwise, when another process was
+            faster, its entry is returned and this one thrown away.
+
+        Raises
+        ------
+        StageError
+            If the disk is full or the folder cannot be written; nothing of the entry stays behind.
+        """
+        with explained(f"the result of {recipe.stage} cannot be written to the cache {self.folder}"):
+            draft, lock = self._new_draft(recipe.stage)
+            try:
+                seal(draft, recipe, make(draft))
+                while (held := self._publish(draft, self._place(recipe), lock, replace)) is None:
+                    winner = self.get(recipe)
+                    if winner is not None:
+                        _discard(draft, lock)
+                        return winner
+            except BaseException:
+                _discard(draft, lock)
+                raise
+            if replace:
+                self.remove_abandoned()
+            return Entry(self._place(recipe), read_manifest(self._place(recipe)), held)
+
+    def remove_abandoned(self, *, everywhere: bool = False) -> None:
+        """Remove what killed processes left half-made, and what was dropped while another was reading it.
+
+        Parameters
+        ----------
+        everywhere : what processes of other machines left, too; none of them may be at work where the shared
+            folder has no locks between machines.
+        """
+        with explained(f"the cache folder {self.folder} cannot be used"):
+            drafts = self.folder / _DRAFTS
+            for draft in drafts.iterdir() if is_folder(drafts) else ():
+                # Locks of shared folders may hold on one machine only: what others make is theirs to remove.
+                if is_of_another_machine(draft.name) and not everywhere:
+                    continue
+                with self._names():
+                    # A draft and its lock are made together under the names lock: without one it is debris.
+                    lock = try_lock(draft / IN_USE) if is_folder(draft) else None
+                if lock is not None:
+                    _discard(draft, lock)
+
+    def ls(self) -> list[Listed]:
+        """List all entries, by stage and from the last used to the longest unused; nothing is verified."""
+        listed = self._listed(thorough=False)
+        return sorted(listed, key=lambda entry: (entry.stage, -entry.last_used.timestamp()))
+
+    def verify(self) -> list[Listed]:
+        """List all entries with what is wrong with each, reading every file; nothing is changed."""
+        return self._listed(thorough=True)
+
+    def prune(
+        self,
+        *,
+        unused: bool = True,
+        older_than: float | None = None,
+        max_size: int | None = None,
+        dry_run: bool = False,
+        everywhere: bool = False,
+    ) -> list[Listed]:
+        """Remove entries and return them; those another process is using stay.
+
+        Parameters
+        ----------
+        unused : remove what the latest run of no output folder used.
+        older_than : seconds; remove what was last used longer ago.
+        max_size : bytes; then remove what was unused longest until the rest is no larger, or only what
+            latest runs used is left.
+        dry_run : only say what would be removed.
+        everywhere : see `remove_abandoned`.
+        """
+        entries = sorted(self.ls(), key=lambda entry: entry.last_used)
+        now = datetime.now(timezone.utc)
+        chosen: list[Listed] = []
+        kept: list[Listed] = []
+        for entry in entries:
+            old = older_than is not None and (now - entry.last_used).total_seconds() > older_than
+            (chosen if old or (unused and not entry.in_latest_run) else kept).append(entry)
+        if max_size is not None:
+            total = sum(entry.size for entry in kept)
+            for entry in [entry for entry in kept if not entry.in_latest_run]:
+                if total <= max_size:
+                    break
+                chosen.append(entry)
+                total -= entry.size
+        if dry_run:
+            return chosen
+        with explained(f"the cache folder {self.folder} cannot be pruned"):
+            removed = [entry for entry in chosen if self._remove(entry)]
+        self.remove_abandoned(everywhere=everywhere)
+        return removed
+
+    def limit(self, max_size: int) -> None:
+        """Remove what was unused longest until the cache is no larger; never what latest runs used.
+
+        Parameters
+        ----------
+        max_size : bytes. If what is left is more, `warn` is told.
+        """
+        self.prune(unused=False, max_size=max_size)
+        total = sum(entry.size for entry in self.ls())
+        if total > max_size:
+            self._warn(
+                f"the cache {self.folder} holds {total / 1e9:.3g} GB, more than cache.max_size of "
+                f"{max_size / 1e9:.3g} GB: all of it is of the latest run of an output folder, or in use."
+            )
+
+    def sole_run(self, out: Path, waiting: Callable[[], None]) -> Lock:
+        """Wait until no other run works into an output folder; release the lock to let the next one in.
+
+        Parameters
+        ----------
+        waiting : called once if another run is at it.
+        """
+        with explained(f"the cache folder {self.folder} cannot be used"):
+            path = self._run_record(out).with_suffix(".lock")
+            try:
+                self._prepare()
+                lock = try_lock(path)
+            except OSError as error:
+                if error.errno not in READ_ONLY:
+                    raise
+                return _sole_folder(out, waiting)
+            if lock is None:
+                waiting()
+                lock = take_lock(path)
+            return lock
+
+    def remember_run(self, out: Path, record: Mapping[str, Any]) -> None:
+        """Keep what the latest run of an output folder used; `record["keys"]` names its entries."""
+        with explained(f"the cache folder {self.folder} cannot be used"):
+            text = json.dumps({"out": self._seen_from_here(out), **record}, indent=1)
+            try:
+                self._prepare()
+                write_whole(self._run_record(out), text.encode())
+            except OSError as error:
+                if error.errno not in READ_ONLY:
+                    raise
+                self._say_read_only()
+
+    def latest_run(self, out: Path) -> dict[str, Any]:
+        """Return what `remember_run` was last told about an output folder; empty if nothing."""
+        return _read_record(self._run_record(out))
+
+    def _say_read_only(self) -> None:
+        if not self._is_read_only:
+            self._is_read_only = True
+            self._warn(
+                f"the cache {self.folder} may only be read: what it holds is used, and what this run used is "
+                "not remembered."
+            )
+
+    def _place(self, recipe: Recipe) -> Path:
+        _require_folder(self.folder / recipe.stage)
+        return self.folder / recipe.stage / recipe.key
+
+    def _is_entry(self, place: Path) -> bool:
+        """Return whether an entry's folder is there; what else stands in its place is removed."""
+        if is_folder(place):
+            return True
+        if os.path.lexists(place):
+            place.unlink()
+            self._warn(f"{place} was no folder; it is removed and the result is made anew.")
+        return False
+
+    def _places(self) -> Iterator[Path]:
+        for stage in sorted(self.folder.iterdir()) if self.folder.is_dir() else ():
+            if is_folder(stage) and stage.name not in (_DRAFTS, _RUNS):
+                yield from sorted(path for path in stage.iterdir() if _KEY.fullmatch(path.name))
+
+    def _listed(self, *, thorough: bool) -> list[Listed]:
+        used = self._used_by_latest_runs()
+        listed = []
+        for place in self._places():
+            # Another process may remove an entry while it is being listed.
+            with contextlib.suppress(FileNotFoundError):
+                listed.append(_listed(place, place.name in used, thorough=thorough))
+        return listed
+
+    def _prepare(self) -> None:
+        for name in (_DRAFTS, _RUNS):
+            _require_folder(self.folder / name)
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(FileExistsError), (self.folder / "CACHEDIR.TAG").open("x") as tag:
+            tag.write(_TAG)
+
+    @contextlib.contextmanager
+    def _names(self) -> Iterator[None]:
+        try:
+            lock = take_lock(self.folder / "names.lock")
+        except OSError as error:
+            # Where no lock can be made, nobody moves anything either.
+            if error.errno not in READ_ONLY:
+                raise
+            yield
+            return
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def _new_draft(self, stage: str) -> tuple[Path, Lock]:
+        self._prepare()
+        draft: Path | None = None
+        lock: Lock | None = None
+        try:
+            with self._names():
+                draft = self._fresh_folder(stage)
+                lock = take_lock(draft / IN_USE)
+            return draft, lock
+        except BaseException:
+            # Ctrl-C may come before anybody else knows of it.
+            if lock is not None:
+                lock.release()
+            if draft is not None:
+                shutil.rmtree(draft, ignore_errors=True)
+            raise
+
+    def _fresh_folder(self, stage: str) -> Path:
+        folder = Path(tempfile.mkdtemp(prefix=f"{stage}-{machine_mark()}-", dir=self.folder / _DRAFTS))
+        # mkdtemp shuts everybody else out; an entry is as open as the folder it will stand in.
+        folder.chmod(self.folder.stat().st_mode & 0o777)
+        return folder
+
+    def _publish(self, draft: Path, place: Path, lock: Lock, replace: bool) -> Lock | None:
+        """Make a draft an entry, and return a shared lock on it; None if there is one already."""
+        with self._names():
+            if self._is_entry(place):
+                if not replace:
+                    return None
+                self._put_aside(place)
+            place.parent.mkdir(exist_ok=True)
+            # Nobody else locks an entry or a draft while the names are locked, so there is no gap. Windows
+            # moves no folder in which a file is open.
+            lock.release()
+            try:
+                move(draft, place)
+            except OSError as error:
+                # Without locks between machines another may have come first.
+                if error.errno in (errno.ENOTEMPTY, errno.EEXIST) and not replace:
+                    return None
+                raise
+            held = take_lock(place / IN_USE, shared=True)
+        # Whoever waits for the names need not wait for the disk, too: all of the entry is on it already.
+        try:
+            flush(place.parent)
+        except BaseException:
+            held.release()
+            raise
+        return held
+
+    def _drop(self, place: Path, lock: Lock) -> bool:
+        """Put a damaged entry aside unless another process has done so; `lock` is given up."""
+        with self._names():
+            ours = lock.is_of(place / IN_USE)
+            lock.release()
+            if ours:
+                self._put_aside(place)
+        self.remove_abandoned()
+        return ours
+
+    def _put_aside(self, place: Path) -> None:
+        # Out of sight at once, but its files stay until the last process that reads them has let go.
+        move(place, self.folder / _DRAFTS / f"{place.parent.name}-{secrets.token_hex(8)}")
+
+    def _remove(self, entry: Listed) -> bool:
+        place = self.folder / entry.stage / entry.key
+        with self._names():
+            if not self._is_entry(place):
+                return True
+            lock = try_lock(place / IN_USE)
+            if lock is None:
+                return False
+            lock.release()
+            self._put_aside(place)
+        return True
+
+    def _run_record(self, out: Path) -> Path:
+        return self.folder / _RUNS / f"{digest(self._seen_from_here(out))[:16]}.json"
+
+    def _seen_from_here(self, out: Path) -> str:
+        # An output folder that is moved together with its cache keeps its record.
+        return from_there(out, self.folder)
+
+    def _used_by_latest_runs(self) -> set[str]:
+        used: set[str] = set()
+        for path in (self.folder / _RUNS).glob("*.json"):
+            record = _read_record(path)
+            keys = record.get("keys")
+            # Where the output folder is gone, nobody will ask for its results again.
+            if isinstance(keys, list) and (self.folder / str(record.get("out"))).is_dir():
+                used.update(map(str, keys))
+        return used
+
+
+def _require_folder(path: Path) -> None:
+    """Refuse what is no folder: behind a link stand files of somebody else."""
+    if os.path.lexists(path) and not is_folder(path):
+        raise StageError(
+            f"{path}: a folder of the cache is expected here, and this is a link or a file; remove it, or "
+            "keep the whole cache elsewhere (SCANLOOM_CACHE)."
+        )
+
+
+def _sole_folder(out: Path, waiting: Callable[[], None]) -> Lock:
+    """Wait until no other run with a cache that may only be read works into an output folder."""
+    lock = try_folder(out)
+    if lock is None:
+        waiting()
+        lock = take_folder(out)
+    return lock
+
+
+def _discard(draft: Path, lock: Lock) -> None:
+    # Windows removes no folder in which a file is open; whoever takes it for debris now may have it.
+    lock.release()
+    shutil.rmtree(draft, ignore_errors=True)
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    # A record only explains and protects from pruning; one that cannot be read counts as none.
+    try:
+        record = {} if path.is_symlink() else json.loads(text_in(path, "utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def _listed(place: Path, in_latest_run: bool, *, thorough: bool) -> Listed:
+    manifest: dict[str, Any] = {}
+    problem = None
+    try:
+        manifest = (verified if thorough else read_manifest)(place)
+    except DamagedError as error:
+        problem = str(error) if is_folder(place) else "it is no folder"
+    sizes = [path.lstat().st_size for path in place.rglob("*") if path.is_file()] if is_folder(place) else []
+    stamp = place / IN_USE
+    last_used = datetime.fromtimestamp((stamp if stamp.exists() else place).lstat().st_mtime, timezone.utc)
+    return Listed(place.parent.name, place.name, sum(sizes), last_used, in_latest_run, manifest, problem)

@@ -1,0 +1,1 @@
+"""What the stage `report` measures and draws."""

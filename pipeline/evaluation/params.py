@@ -1,0 +1,42 @@
+"""Parameters of the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stages.params import check, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportParams:
+    """What is measured on the result, and shown of it."""
+
+    enabled: bool = param(
+        True,
+        "Measure the result against the meshes it came from, and draw them; without it there is no page.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+    pictures: bool = param(True, "Draw each stage's mesh, as PNG files.")
+
+    viewpoints: int = param(3, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100)
+    width: int = param(800, "Width of a picture.", unit="px", low=64, high=4096)
+    photos: int = param(
+        24,
+        "How many small photos, spread evenly over the scan, the page can lay over the result.",
+        low=0,
+        high=1000,
+    )
+    page: bool = param(
+        True, "Write report.html, a page that shows the result in any browser.", invalidates=False
+    )
+    page_size: float = param(
+        5.0,
+        "What the page may take; its models are made lighter for that.",
+        unit="MB",
+        low=1.2,
+        invalidates=False,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)

@@ -1,0 +1,127 @@
+"""The page of a comparison: both models, how far one is off the other, and what has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.report.deviation_scale import range_in_words, scale_of
+from pipeline.report.page_told import deviation_tables
+from stages.comparing.change import Changes
+from stages.comparing.deviations import Deviations
+from stages.picturing.page.packing import Shown, Warn, packed_page, turn_of_page
+from stages.picturing.spots import spots
+from stages.printing import place_in_words
+from stages.surface.cloud import is_cloud
+from stages.surface.mesh import Mesh
+from stages.surface.vertex_normals import vertex_normals
+
+# Of a cloud, so many points are shown.
+_MOST_SPOTS = 40_000
+# How far from a place the camera flies to, as a share of the model's size.
+_NEAR = 0.25
+# How dark it is where no light falls, and where that comes from.
+_AMBIENT, _LIGHT = 0.5, np.array((0.35, 0.55, 0.75)) / np.linalg.norm((0.35, 0.55, 0.75))
+_WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
+
+
+def page_of_comparison(
+    names: tuple[str, str],
+    meshes: tuple[Mesh, Mesh],
+    found: Deviations,
+    moved: Changes | None,
+    figures: Mapping[str, Any],
+    most_bytes: int,
+    warn: Warn,
+    palette: str = "metrology",
+) -> bytes:
+    """Return the page of two meshes or clouds A and B, of so many bytes at most, if it can be.
+
+    Parameters
+    ----------
+    names : of A and B.
+    meshes : A and B; clouds are shown as small triangles.
+    found : how B deviates from A, in the colours of `palette`.
+    moved : what is new in B and gone of A, if that was asked.
+    figures : of the command `compare`.
+    """
+    up = meshes[0].up or meshes[1].up
+    about = range_in_words(found.is_signed, palette)
+    models = {
+        "deviation of B from A": _shown(found.painted, up, about)._replace(scale=scale_of(found, palette))
+    }
+    for letter, name, mesh in zip("AB", names, meshes, strict=True):
+        models[f"{letter}: {name}"] = _shown(mesh, up)
+    if moved is not None:
+        about = "what is new in B is green, what is gone of A red"
+        models["change"] = _shown(_shaded(moved.painted), up, about)
+    turn = turn_of_page(next(iter(models.values())).mesh)
+    away = _NEAR * float(np.linalg.norm(np.ptp(found.painted.vertices, axis=0)))
+    told = {"tables": list(_tables(figures, turn, away))}
+    return packed_page(f"{names[1]} beside {names[0]}", models, most_bytes, warn, told)
+
+
+def _shown(mesh: Mesh, up: tuple[float, float, float] | None, note: str = "") -> Shown:
+    if not is_cloud(mesh):
+        return Shown(mesh.with_(up=up), note)
+    drawn = spots(mesh, _MOST_SPOTS).with_(up=up)
+    count = f"{len(drawn.triangles):,} of {len(mesh.vertices):,} points, each a triangle"
+    return Shown(drawn, "; ".join(filter(None, (note, count))))
+
+
+def _shaded(mesh: Mesh) -> Mesh:
+    """Return a mesh of few colours as a light from aside shows it: pages have none, and it would be flat."""
+    assert mesh.colors is not None
+    light = _AMBIENT + (1 - _AMBIENT) * np.abs(vertex_normals(mesh) @ _LIGHT)
+    return mesh.with_(colors=np.rint(mesh.colors * light[:, None]).astype(np.uint8))
+
+
+def _tables(figures: Mapping[str, Any], turn: NDArray[np.float64], away: float) -> Sequence[dict[str, Any]]:
+    def places(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        return [{"target": (turn @ np.array(one["point_m"])).tolist(), "away": away} for one in found]
+
+    told = figures["deviation"]
+    tables = [
+        *deviation_tables(told, None, places(told["worst"]), "Deviation of B from A, by samples"),
+        _distances(figures["distance"]),
+    ]
+    change = figures["change"]
+    if change is not None and change["largest"]:
+        tables.append({
+            "title": f"Farther than {1000 * change['distance_m']:.4g} mm from the other, largest first",
+            "head": ["", "area", "in the middle, in the axes of the scan, m", ""],
+            "rows": [
+                [one["kind"], f"{one['area_m2']:.4g} m²", place_in_words(one["point_m"])]
+                for one in change["largest"]
+            ],
+            "places": places(change["largest"]),
+        })  # fmt: skip
+    if figures["views"] is not None:
+        tables.append(_views(figures["views"]))
+    return tables
+
+
+def _distances(told: Mapping[str, Any]) -> dict[str, Any]:
+    measures = ("maximum", "mean", "rms")
+    rows = [
+        [way, *(f"{1000 * told[key][f'{one}_m']:.4g} mm" for one in measures)] for key, way in _WAYS.items()
+    ]
+    return {"title": "Distances", "head": ["", "maximum", "mean", "RMS"], "rows": rows}
+
+
+def _views(told: Mapping[str, Any]) -> dict[str, Any]:
+    rows = [
+        [
+            one["viewpoint"],
+            "equal" if one["psnr_db"] is None else f"{one['psnr_db']:.1f} dB",
+            "–" if one["ssim"] is None else f"{one['ssim']:.4f}",
+            f"{100 * one['silhouette_iou']:.2f} %",
+        ]
+        for one in [*told["each"], {**told, "viewpoint": "all"}]
+    ]
+    compared = {"colors": "by their colours", "shape": "by shading alone"}[told["compared"]]
+    title = f"Drawn from around, {compared}"
+    return {"title": title, "head": ["", "PSNR", "SSIM", "silhouettes shared"], "rows": rows}

@@ -1,0 +1,162 @@
+"""What the page of a mesh file, or of a run's output folder, shows and tells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import stages
+from pipeline.evaluation.deviations import FIGURES, Kept, kept_of, read_deviations
+from pipeline.evaluation.measures import SIGNED_SAMPLES
+from pipeline.report.file_names import REPORT
+from pipeline.report.page_cameras import as_runs_write, cameras_of
+from pipeline.report.page_coarse import coarsely
+from pipeline.report.page_coverage import missing_of
+from pipeline.report.page_paints import confidence_paint, deviation_paint
+from pipeline.report.page_told import at, deviation_tables, skipped_in, told_of
+from pipeline.steps.report import PICTURES
+from pipeline.steps.texture import MAPS
+from stages import Mesh
+from stages.errors import InputError
+from stages.files.documents import read_json
+from stages.picturing.page.packing import Paint, Shown, Warn, packed_page, turn_of_page
+from stages.surface.formats.ply_format import promised
+from stages.surface.mesh_files import standing
+from stages.surface.pieces import is_many
+
+_RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
+# How far from a place the camera flies to, as a share of the model's size.
+_NEAR = 0.25
+# Vertices of two files are those of one mesh if they are as near as this share of its size.
+_SAME = 1e-5
+
+
+def page_of_mesh(name: str, mesh: Mesh, most_bytes: int, warn: Warn) -> bytes:
+    """Return the page of a mesh, of so many bytes at most, if it can be."""
+    return packed_page(name, {name: Shown(mesh)}, most_bytes, warn)
+
+
+def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
+    """Return the page of the output folder of a run, of so many bytes at most, if it can be.
+
+    What the report has measured is not measured again; where there is no report, it is.
+
+    Raises
+    ------
+    InputError
+        If it holds no result, or files that are not as runs write them.
+    """
+    name = next((name for name in _RESULTS if (folder / name).is_file()), None)
+    if name is None:
+        known = ", ".join(_RESULTS)
+        raise InputError(f"holds none of {known}, nor tiles; give a mesh file, or the OUT of a run.", folder)
+    result = standing(folder / name, _read(folder / name, warn))
+    turn = turn_of_page(result)
+    report, told = _reported(folder / REPORT)
+    paints: dict[str, Paint] = {}
+    models = {}
+    kept = None
+    is_metric = at(report, "scan", "metric", otherwise=True)
+    if (folder / "clean.ply").is_file():
+        if is_many(promised(folder / "clean.ply", "face")):
+            clean = None
+            models["clean mesh"] = coarsely(
+                folder / "clean.ply", result.up, "before simplification", is_metric=is_metric
+            )
+        else:
+            clean = _read(folder / "clean.ply", warn).with_(up=result.up)
+            models["clean mesh"] = Shown(clean, "before simplification")
+        kept = _deviations(folder / PICTURES, clean, result)
+    if kept is not None:
+        bound, proven = _bounds(folder / REPORT, report)
+        away = _NEAR * _size(result)
+        with as_runs_write(folder / PICTURES / FIGURES):
+            paints["deviation"] = deviation_paint(kept, bound, is_metric=is_metric)
+            places = [
+                {"target": (turn @ np.array(one["point_m"])).tolist(), "away": away}
+                for one in kept.figures["worst"]
+            ]
+            within = None if bound is None else kept.share_within(-bound, bound)
+            figures = {**kept.figures, "tolerance_m": bound, "share_within": within}
+            told["tables"] = [
+                *deviation_tables(figures, proven, places, is_metric=is_metric),
+                *told.get("tables", ()),
+            ]
+    missing = missing_of(folder, result.up, turn, is_metric=is_metric)
+    if missing is not None:
+        models["what is missing"] = missing.shown
+        told["tables"] = [missing.table, *told.get("tables", ())]
+    confidence = confidence_paint(result, folder / MAPS)
+    if confidence is not None:
+        paints["confidence"] = confidence
+    models = {"result": Shown(_with_vertex_colors(folder, result), name, paints=paints), **models}
+    cameras = cameras_of(folder / PICTURES, turn, skipped_in(report))
+    return packed_page(folder.resolve().name, models, most_bytes, warn, told, cameras)
+
+
+def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None:
+    """Return how far the result is from the clean mesh, as the report has it if it is of this result."""
+    with as_runs_write(pictures):
+        kept = read_deviations(pictures)
+    if kept is not None and _is_same(kept.vertices, result):
+        return kept
+    if clean is not None:
+        return kept_of(stages.deviations(clean, result, signed_samples=SIGNED_SAMPLES))
+    return None if kept is None else _of_other_file(kept, result)
+
+
+def _of_other_file(kept: Kept, result: Mesh) -> Kept | None:
+    """Return deviations of the same mesh in another file, whose vertices may come in another order."""
+    from scipy.spatial import cKDTree
+
+    away, rows = cKDTree(kept.vertices).query(result.vertices, workers=-1)
+    if len(away) == 0 or away.max() > _SAME * _size(result):
+        return None
+    return replace(kept, vertices=result.vertices, at_vertices=kept.at_vertices[rows])
+
+
+def _bounds(path: Path, report: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """Return the bound on the shape that was asked for, and the one that is proven; metres, or None."""
+    asked = at(report, "stages", "simplify", "params", "simplify", "max_shape")
+    proven = at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
+    with as_runs_write(path):
+        return (None if asked is None else float(asked)), (None if proven is None else float(proven))
+
+
+def _with_vertex_colors(folder: Path, result: Mesh) -> Mesh:
+    """Return a textured result with the colours of the mesh that was textured."""
+    light = folder / "simplified.ply"
+    if result.texture is None or result.colors is not None or not light.is_file():
+        return result
+    plain = stages.read_mesh(light)
+    return result.with_(colors=plain.colors) if _is_same(plain.vertices, result) else result
+
+
+def _is_same(vertices: np.ndarray, mesh: Mesh) -> bool:
+    if vertices.shape != mesh.vertices.shape or len(vertices) == 0:
+        return False
+    return bool(np.abs(vertices - mesh.vertices).max() <= _SAME * _size(mesh))
+
+
+def _size(mesh: Mesh) -> float:
+    return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+
+
+def _read(path: Path, warn: Warn) -> Mesh:
+    mesh = stages.read_mesh(path)
+    for note in mesh.notes:
+        warn(f"{path}: {note}")
+    return mesh
+
+
+def _reported(path: Path) -> tuple[Mapping[str, Any], dict[str, Any]]:
+    """Return report.json, and what the page tells of it."""
+    if not path.is_file():
+        return {}, {}
+    with as_runs_write(path):
+        report = dict(read_json(path))  # type: ignore[call-overload]
+        return report, told_of(report)

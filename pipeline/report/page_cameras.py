@@ -1,0 +1,72 @@
+"""The cameras of a run's output folder, as its page shows them: only what a run writes gets into it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.evaluation.photos import FILE as CAMERAS
+from stages.errors import InputError
+from stages.files.documents import read_json, require_inside
+from stages.files.opening import content_of
+from stages.picturing.page.one_file import PageCamera
+
+_JPEG = b"\xff\xd8\xff"
+
+
+@contextmanager
+def as_runs_write(path: Path) -> Iterator[None]:
+    """Say it in one sentence where a file does not hold what a run writes into it."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InputError("this is not as a run writes it; run once more, or move it away.", path) from error
+
+
+def cameras_of(folder: Path, turn: NDArray[np.float64], skipped: Mapping[str, str]) -> list[PageCamera]:
+    """Return the cameras of the scan that a run has told of.
+
+    Parameters
+    ----------
+    folder : of the report's pictures.
+    turn : (3, 3) rotation that the models stand by.
+    skipped : why frames were skipped, by their names.
+    """
+    path = folder / CAMERAS
+    if not path.is_file():
+        return []
+    with as_runs_write(path):
+        told: Any = read_json(path)
+        return [_camera(one, path, turn, skipped) for one in told["cameras"] if "fx" in one]
+
+
+def _camera(
+    one: Mapping[str, Any], path: Path, turn: NDArray[np.float64], skipped: Mapping[str, str]
+) -> PageCamera:
+    pose = turn @ np.array(one["world_from_camera"], np.float64).reshape(4, 4)[:3]
+    size = [int(one["size"][0]), int(one["size"][1])]
+    focal, center = [float(one["fx"]), float(one["fy"])], [float(one["cx"]), float(one["cy"])]
+    if not (np.isfinite(pose).all() and np.isfinite([*focal, *center]).all() and min(*size, *focal) > 0):
+        raise ValueError(one)
+    photo = None if one["photo"] is None else _photo(one["photo"], path)
+    frame = str(one["frame"])
+    mark = "held out" if one.get("held_out") else skipped.get(frame, "")
+    return PageCamera(frame, pose.round(6).ravel().tolist(), size, focal, center, photo, mark)
+
+
+def _photo(name: str, path: Path) -> bytes:
+    """Return a photo that cameras.json names; the page is passed on, so nothing else may get into it."""
+    photo = path.parent / require_inside(name, path, "photo")
+    if not photo.resolve().is_relative_to(path.parent.resolve()):
+        raise InputError(f"the photo {name[:100]!r} leads out of the folder.", path)
+    if not photo.is_file():
+        raise InputError("this photo is missing; run once more.", photo)
+    content = content_of(photo)
+    if not content.startswith(_JPEG):
+        raise InputError("this is not a JPEG file.", photo)
+    return content

@@ -1,0 +1,87 @@
+"""What is missing in a scan, as the page of its run shows it: a model in its colours, and a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.artifacts.up_direction import Up
+from pipeline.report.page_cameras import as_runs_write
+from pipeline.report.page_coarse import coarsely
+from pipeline.report.page_paints import spread_paint
+from pipeline.steps.coverage import FILE, MESH
+from stages.files.documents import read_json
+from stages.inspecting.coverage.kinds import KINDS
+from stages.picturing.page.packing import Shown
+from stages.printing import place_in_words
+from stages.surface.formats.ply import read_ply, read_vertex_values
+from stages.surface.formats.ply_format import promised
+from stages.surface.pieces import is_many
+
+_NEAREST = 2
+
+
+class Missing(NamedTuple):
+    """What the page shows of it: the model, and the table as `one_file` takes it."""
+
+    shown: Shown
+    table: Mapping[str, Any]
+
+
+def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_metric: bool) -> Missing | None:
+    """Return what the stage `coverage` has left in the output folder of a run; None if it has not run.
+
+    Parameters
+    ----------
+    up : what is up in the scan.
+    turn : (3, 3) rotation that the models stand by.
+    is_metric : lengths are metres, else units of the scan.
+    """
+    if not ((folder / MESH).is_file() and (folder / FILE).is_file()):
+        return None
+    with as_runs_write(folder / FILE):
+        told: Any = read_json(folder / FILE)
+        rows, places = [], []
+        m, m2 = ("m", "m²") if is_metric else ("units", "units²")
+        for one in told["places"]:
+            target, eye = (turn @ np.array(one[name], np.float64) for name in ("point_m", "look_from_m"))
+            nearest = [f"{look['frame']} ({look['why']})" for look in one["nearest_frames"][:_NEAREST]]
+            rows.append(
+                [
+                    str(one["why"]),
+                    f"{float(one['area_m2']):.3g} {m2}",
+                    place_in_words(one["point_m"]),
+                    place_in_words(one["look_from_m"]),
+                    "; ".join(nearest),
+                ]
+            )
+            away = float(np.linalg.norm(eye - target))
+            places.append({"target": target.tolist(), "away": away, "eye": eye.tolist()})
+    head = [
+        "what is missing",
+        "area",
+        f"at, in the axes of the scan, {m}",
+        f"look from, {m}",
+        "frames that came nearest",
+        "",
+    ]
+    table = {"title": "Where to go again", "head": head, "rows": rows, "places": places}
+    if is_many(promised(folder / MESH, "face")):
+        return Missing(coarsely(folder / MESH, up, _in_words(told["places"]), is_metric=is_metric), table)
+    mesh = read_ply(folder / MESH).with_(up=up)
+    spread, frames = (read_vertex_values(folder / MESH, name) for name in ("spread", "frames"))
+    paints = {}
+    if spread is not None and frames is not None:
+        paints["spread"] = spread_paint(mesh, np.where(frames > 0, spread, np.nan), is_metric=is_metric)
+    return Missing(Shown(mesh, _in_words(told["places"]), paints=paints), table)
+
+
+def _in_words(places: Any) -> str:
+    """Return which colours there are, and what they stand for."""
+    names = {one["kind"] for one in places}
+    told = [f"{kind.word} {kind.text}" for name, kind in KINDS.items() if name in names]
+    return "; ".join(["grey is well seen", *told])

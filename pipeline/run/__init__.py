@@ -1,0 +1,1 @@
+"""Running the stages of a scan: engine, limits, output folder, documents."""

@@ -1,0 +1,81 @@
+"""Go on with a run: its OUT says what it was made from and how, and one more stage is switched on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.cache.store import Cache
+from pipeline.graph import STAGES
+from pipeline.report.file_names import REPORT
+from pipeline.run.asked import Asked
+from pipeline.run.events import Events, Warned, unwatched
+from pipeline.run.run import RunResult, cache_folder, run
+from stages.errors import InputError
+
+
+def run_again(
+    out: Path,
+    stage: str,
+    changes: Mapping[str, Any],
+    *,
+    scan: Path | None = None,
+    cache_dir: Path | None = None,
+    events: Events = unwatched,
+) -> RunResult:
+    """Run an optional stage on what a run has left; all else is as that run was asked for, and mostly cached.
+
+    Parameters
+    ----------
+    out : the output folder of a run that came as far as clean.ply.
+    stage : whose section has `enabled`.
+    changes : other parameters of it.
+    scan : where the scan is now, if it was moved.
+    cache_dir : the cache of that run, as `run` takes it.
+
+    Raises
+    ------
+    InputError
+        If no run has left its results there, or the scan is not where it was.
+    UsageError
+        If a parameter is out of range.
+    """
+    asked = _asked(out, cache_dir, events)
+    folder = asked.scan if scan is None else scan
+    if not folder.exists():
+        raise InputError(
+            "the scan that these results were made from is not there any more; say with --scan where it is.",
+            folder,
+        )
+    section = replace(getattr(asked.config, stage), enabled=True, **changes)
+    config = replace(asked.config, **{stage: section})
+    order = [one.name for one in STAGES]
+    until = max(asked.until, stage, key=order.index)
+    return run(folder, out, config, until=until, cache_dir=cache_dir, events=events)
+
+
+def _asked(out: Path, cache_dir: Path | None, events: Events) -> Asked:
+    if not out.exists():
+        raise InputError("there is no such folder; give the OUT of a run.", out)
+    if not out.is_dir():
+        raise InputError("this is a file; give the OUT of a run, a folder.", out)
+    cache = cache_folder(out.resolve(), cache_dir)
+    record = (
+        Cache(cache, lambda text: events(Warned(text))).latest_run(out.resolve()) if cache.is_dir() else {}
+    )
+    asked = Asked.of(record.get("asked"))
+    if asked is None and not (out / REPORT).is_file():
+        raise InputError("no run has left its results here; give the OUT of `scanloom run`.", out)
+    if asked is None:
+        raise InputError(
+            f"the cache {cache} does not tell how this was made; name that of the run with --cache, or run "
+            "`scanloom run` once more.",
+            out,
+        )
+    if not (out / "clean.ply").is_file():
+        raise InputError(
+            "there is no clean.ply: the run has not come so far; finish it with `scanloom run`.", out
+        )
+    return asked

@@ -1,0 +1,67 @@
+"""Content of report.json."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from pipeline.run.engine import Outcome
+from pipeline.run.schema import SCHEMA
+from stages import __version__
+from stages.inspecting.libraries import installed
+from stages.scans.scan import Scan
+
+_LIBRARIES = ("numpy", "open3d", "opencv", "scipy", "scikit-image")
+
+
+def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], out: Path) -> dict[str, Any]:
+    """Put together the content of report.json.
+
+    Parameters
+    ----------
+    outcomes : what became of each stage of this run.
+    final : figures of the report stage; empty if the run ended before it.
+    out : the output folder, which results are named from.
+    """
+    return {
+        "schema": SCHEMA,
+        "scanloom": __version__,
+        "libraries": {"python": platform.python_version(), **installed(*_LIBRARIES)},
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "scan": {
+            "layout": scan.layout,
+            "frames": len(scan.frames),
+            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
+            "warnings": list(scan.warnings),
+            # Where it is false, metres in all figures are units of the scan's world.
+            "metric": scan.is_metric,
+            "scale": scan.scale and scan.scale.figures(),
+        },
+        "stages": {outcome.stage: _stage(outcome, out) for outcome in outcomes},
+        "mesh": final.get("mesh"),
+        # None unless remesh is enabled.
+        "normal_mesh": final.get("normal_mesh"),
+        # None unless frames were held out.
+        "held_out": final.get("held_out"),
+        # None unless the run reached the report; with signs, of the result from the clean mesh.
+        "deviation": final.get("deviation"),
+        "pictures": final.get("pictures", []),
+    }
+
+
+def _stage(outcome: Outcome, out: Path) -> dict[str, Any]:
+    return {
+        "cached": outcome.cached,
+        "reason": outcome.reason,
+        "seconds": round(outcome.seconds, 3),
+        # Of the run that made the result, which is this one unless it was cached.
+        "made_in_s": outcome.made["seconds"],
+        "peak_memory_mb": round(outcome.made["peak_memory_bytes"] / 1e6, 1),
+        "params": outcome.params,
+        "figures": {} if outcome.stage == "report" else outcome.figures,
+        "unmet": list(outcome.unmet),
+        "results": [path.relative_to(out).as_posix() for path in outcome.results],
+    }

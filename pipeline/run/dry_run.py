@@ -1,0 +1,190 @@
+"""What a run would do, found out without doing any of it: nothing is written, not even a lock."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.cache.digest import digest
+from pipeline.cache.entry import DamagedError, Recipe, verified
+from pipeline.cache.store import Cache
+from pipeline.config import Config
+from pipeline.expectation import Expectation, expected, megapixels
+from pipeline.run.engine import Source, read_by, recipe_of
+from pipeline.run.reasons import reason
+from pipeline.run.results import Results
+from pipeline.run.run import Wanted, cache_folder, placed_by, wanted_of
+from pipeline.run.sources import sources_of
+from pipeline.stage import AnyStage
+from stages.errors import InputError
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What would become of a stage.
+
+    Attributes
+    ----------
+    reason : why it would run; empty if its result is cached.
+    expected : what it would take; None if it is cached.
+    """
+
+    stage: str
+    cached: bool
+    reason: str
+    expected: Expectation | None
+
+    def figures(self) -> dict[str, Any]:
+        """Return it ready for JSON."""
+        take = self.expected
+        return {
+            "cached": self.cached,
+            "reason": self.reason,
+            "expected_seconds": None if take is None else round(take.seconds, 1),
+            "expected_memory_mb": None if take is None else round(take.memory_bytes / 1e6),
+            "expected_from": None if take is None else take.basis,
+        }
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What a run would do.
+
+    Attributes
+    ----------
+    refused : why it would not begin, a file in the output folder that it may not replace; or None.
+    warnings : what is odd about the scan.
+    """
+
+    out: Path
+    cache: Path
+    layout: str
+    frames: int
+    stages: tuple[Foreseen, ...]
+    refused: str | None
+    warnings: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """What all stages would take together."""
+        return sum(one.expected.seconds for one in self.stages if one.expected is not None)
+
+    @property
+    def memory_bytes(self) -> int:
+        """What the stage that needs most memory would take."""
+        return max((one.expected.memory_bytes for one in self.stages if one.expected is not None), default=0)
+
+    def figures(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return {
+            "dry_run": True,
+            "out": str(self.out),
+            "cache": str(self.cache),
+            "scan": {"layout": self.layout, "frames": self.frames},
+            "stages": {one.stage: one.figures() for one in self.stages},
+            "expected_seconds": round(self.seconds, 1),
+            "expected_memory_mb": round(self.memory_bytes / 1e6),
+            "refused": self.refused,
+            "warnings": list(self.warnings),
+        }
+
+
+def foresee(
+    scan_folder: Path | str,
+    out: Path | str,
+    config: Config | None = None,
+    *,
+    until: str | None = None,
+    force: Collection[str] = (),
+    cache_dir: Path | str | None = None,
+    overwrite: bool = False,
+) -> DryRun:
+    """Say what `pipeline.run.run.run` would do with the same arguments, without writing anything.
+
+    A stage after one that has to run is taken to run, too; it may prove to be cached all the same, where the
+    new result is equal to one before.
+
+    Raises
+    ------
+    InputError, UsageError
+        As `pipeline.run.run.run`, but that a file it may not replace is only told.
+    """
+    cache = Cache(cache_folder(Path(out).resolve(), cache_dir))
+    wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
+    results = Results(cache, wanted.out, overwrite=overwrite)
+    refused = None
+    try:
+        results.require_replaceable(placed_by(wanted))
+    except InputError as error:
+        refused = str(error)
+    return DryRun(
+        out=wanted.out,
+        cache=cache.folder,
+        layout=wanted.scan.layout,
+        frames=len(wanted.scan.frames),
+        stages=_foreseen(wanted, cache, results),
+        refused=refused,
+        warnings=wanted.warnings,
+    )
+
+
+def _foreseen(wanted: Wanted, cache: Cache, results: Results) -> tuple[Foreseen, ...]:
+    scan, size = wanted.scan, megapixels(wanted.scan)
+    sources = sources_of(scan, wanted.config, wanted.photos)
+    writers = {stage.writes.NAME: stage.name for stage in wanted.plan}
+    entries = sorted(cache.ls(), key=lambda entry: -entry.last_used.timestamp())
+    earlier = [entry.manifest for entry in entries if entry.problem is None]
+    found = []
+    for stage in wanted.plan[: len(wanted.planned)]:
+        recipe = recipe_of(stage, wanted.config, sources)
+        read = read_by(stage, sources)
+        open_inputs = [name for name in read if name not in sources]
+        last = results.decided(stage.name)
+        manifest, why = None, ""
+        if open_inputs:
+            why = _awaiting([writers[name] for name in open_inputs], recipe, last)
+        else:
+            parts = {name: dict(sources[name].parts) for name in read}
+            manifest, why = _looked_up(cache, recipe, {"recipe": recipe.as_json(), "parts": parts}, last)
+        if stage.name in wanted.force:
+            manifest, why = None, "forced"
+        if manifest is not None:
+            sources[stage.writes.NAME] = _source(stage, cache.folder / stage.name / recipe.key, manifest)
+            found.append(Foreseen(stage.name, True, "", None))
+            continue
+        inputs = None if open_inputs else recipe.inputs
+        take = expected(stage.name, size, inputs, earlier, stage.cost)
+        found.append(Foreseen(stage.name, False, why, take))
+    return tuple(found)
+
+
+def _looked_up(
+    cache: Cache, recipe: Recipe, now: Mapping[str, Any], last: Mapping[str, Any] | None
+) -> tuple[Mapping[str, Any] | None, str]:
+    """Return the manifest of a result that is in the cache and sound, or why there is none."""
+    place = cache.folder / recipe.stage / recipe.key
+    if not place.is_dir():
+        return None, reason(now, last)
+    try:
+        return verified(place), ""
+    except DamagedError as error:
+        return None, f"its cached result is damaged: {error}"
+
+
+def _awaiting(before: Sequence[str], recipe: Recipe, last: Mapping[str, Any] | None) -> str:
+    """Say why a stage would run whose inputs are not known yet, as stages before it run."""
+    if last is None:
+        return "first run"
+    unchanged = {"recipe": {**recipe.as_json(), "inputs": last["recipe"]["inputs"]}, "parts": last["parts"]}
+    deciding = ("versions", "params", "libraries")
+    is_changed = any(unchanged["recipe"][name] != last["recipe"].get(name) for name in deciding)
+    names = list(dict.fromkeys(before))
+    follows = f"follows {', '.join(names)}, which run{'s' * (len(names) == 1)}"
+    return f"{reason(unchanged, last)}; {follows}" if is_changed else follows
+
+
+def _source(stage: AnyStage, place: Path, manifest: Mapping[str, Any]) -> Source:
+    files = {name: about["sha256"] for name, about in manifest["files"].items()}
+    return Source(digest(files), stage.writes(place), files)

@@ -1,0 +1,234 @@
+"""What a run may take of memory and disk, kept to without changing what it makes.
+
+Before the first stage that has to work, what it and those after it are expected to take is held against the
+limits; while a stage works, what it has taken. A limit that does not hold ends the run in one sentence, which
+says what would fit. What nothing but the size of the scan tells is too rough to end a run for: that is a
+warning, and the stage is stopped if it comes to that. Stages that are finished stay in the cache.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pipeline.cache.entry import Entry
+from pipeline.cache.system import peak_bytes
+from pipeline.config import Config
+from pipeline.expectation import BASE_BYTES, Expectation
+from stages.errors import StageError
+
+# Seconds between two looks at what a stage has taken.
+_MEMORY_PAUSE, _DISK_PAUSE = 0.05, 1.0
+# Of a limit, a volume of voxels takes one part of so many.
+_OF_VOLUME = 3
+# What a stage takes at its begin says little of its end; it is taken for so much of its work at least.
+_LEAST_SHARE = 0.25
+_BASES = {"measured": "as it took before", "scaled": "by other work", "estimated": "by the scan's size"}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a run may take, bytes; None for no limit.
+
+    Attributes
+    ----------
+    memory : of the process, at any moment.
+    disk : of all that the run writes, into the cache and the output folder.
+    """
+
+    memory: int | None = None
+    disk: int | None = None
+
+    def __bool__(self) -> bool:
+        return self.memory is not None or self.disk is not None
+
+
+NO_LIMITS = Limits()
+
+
+def within(config: Config, limits: Limits) -> Config:
+    """Return the configuration whose volume of voxels keeps to the limit; no result depends on it.
+
+    The rest is for meshes that are taken out of it, and for what is known of all frames.
+    """
+    if limits.memory is None:
+        return config
+    most = max((limits.memory - BASE_BYTES) / (_OF_VOLUME * 1e6), 1.0)
+    return replace(config, fuse=replace(config.fuse, memory=min(config.fuse.memory, most)))
+
+
+class LimitGuard:
+    """Holds one run to its limits.
+
+    Parameters
+    ----------
+    expected : of each stage of the run, in order.
+    by_voxels : the stages whose memory and disk follow from how fine the voxels are.
+    warn : told what may not fit.
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        config: Config,
+        expected: Mapping[str, Expectation],
+        by_voxels: Sequence[str],
+        warn: Callable[[str], None],
+        peak: Callable[[], int] = peak_bytes,
+    ) -> None:
+        self._limits = limits
+        self._config = config
+        self._expected = expected
+        self._by_voxels = by_voxels
+        self._warn = warn
+        self._peak = peak
+        self._written = 0
+        self._told = 0
+        self._has_begun = False
+        self._looked = {"memory": -math.inf, "disk": -math.inf}
+
+    @property
+    def written(self) -> int:
+        """Bytes that the run has written so far."""
+        return self._written
+
+    def before(self, stage: str) -> None:
+        """Refuse a run that is expected not to fit, once its first stage has to work.
+
+        Raises
+        ------
+        StageError
+            It says which stage, how much, and what would fit.
+        """
+        if self._has_begun:
+            return
+        self._has_begun = True
+        names = [*self._expected]
+        to_come = names[names.index(stage) :] if stage in names else []
+        if self._limits.memory is not None and to_come:
+            most = max(to_come, key=lambda name: self._expected[name].memory_bytes)
+            take = self._expected[most]
+            if take.memory_bytes > self._limits.memory or self._limits.memory <= BASE_BYTES:
+                why = self._memory_trouble(most, take.memory_bytes, _BASES[take.basis])
+                self._end_or_warn(why, take.basis)
+        if self._limits.disk is not None:
+            total = sum(self._expected[name].disk_bytes for name in to_come)
+            if total > self._limits.disk - self._written:
+                why = (
+                    f"the run is expected to write {_size(total)}, and the limit leaves "
+                    f"{_size(self._limits.disk - self._written)} of {_size(self._limits.disk)}; raise it, or "
+                    f"make less: {self._lighter(total, self._limits.disk - self._written)}."
+                )
+                bases = {self._expected[name].basis for name in to_come}
+                self._end_or_warn(why, "estimated" if "estimated" in bases else "scaled")
+
+    def _end_or_warn(self, why: str, basis: str) -> None:
+        if basis != "estimated" or (self._limits.memory or math.inf) <= BASE_BYTES:
+            raise StageError(why)
+        self._warn(f"{why} This is an estimate; the stage is stopped if it comes to that.")
+
+    def during(self, stage: str, folder: Path, share: float) -> None:
+        """Stop a stage that has taken more than it may.
+
+        Parameters
+        ----------
+        folder : where it writes.
+        share : of its work that is done.
+
+        Raises
+        ------
+        StageError
+            It says how much, and what would fit.
+        """
+        if self._limits.memory is not None and self._is_time("memory", _MEMORY_PAUSE):
+            taken = self._peak()
+            if taken > self._limits.memory:
+                raise StageError(self._memory_trouble(stage, taken, None, share))
+        if self._limits.disk is not None and self._is_time("disk", _DISK_PAUSE):
+            self._require_disk(stage, 2 * _bytes_in(folder), share)
+
+    def kept(self, stage: str, entry: Entry) -> None:
+        """Count what a stage that worked has written: its entry, and the copies of it among the results."""
+        self.ended(stage)
+        size = 2 * sum(about["size"] for about in entry.manifest["files"].values())
+        self._require_disk(stage, size)
+        self._written += size
+
+    def ended(self, what: str) -> None:
+        """Tell what was taken of memory after the last word of progress: stopped it cannot be any more."""
+        limit, taken = self._limits.memory, self._peak()
+        if limit is not None and taken > max(limit, self._told):
+            self._told = taken
+            most = _size(limit)
+            self._warn(
+                f"{what} has taken {_size(taken)} of memory as it ended, more than the limit of {most}."
+            )
+
+    def _require_disk(self, stage: str, more: int, share: float = 1.0) -> None:
+        limit = self._limits.disk
+        if limit is not None and self._written + more > limit:
+            total = self._written + more
+            raise StageError(
+                f"{stage} brings what the run has written to {_size(total)}, more than the limit of "
+                f"{_size(limit)}; raise it, or make less: {self._lighter(self._at_end(total, share), limit)}."
+            )
+
+    def _is_time(self, what: str, pause: float) -> bool:
+        now = time.monotonic()
+        if now - self._looked[what] < pause:
+            return False
+        self._looked[what] = now
+        return True
+
+    def _memory_trouble(self, stage: str, needed: int, basis: str | None, share: float = 1.0) -> str:
+        limit = self._limits.memory or 0
+        takes = "has taken" if basis is None else f"is expected to take ({basis})"
+        what = f"{stage} {takes} {_size(needed)} of memory, more than the limit of {_size(limit)}; "
+        if limit <= BASE_BYTES:
+            return f"{what}no voxel size fits, {_size(BASE_BYTES)} are there before any frame is read."
+        if stage not in self._by_voxels:
+            return f"{what}that does not follow from the voxel size: raise the limit, or leave the stage out."
+        return (
+            f"{what}{self._voxels(self._at_end(needed - BASE_BYTES, share), limit - BASE_BYTES)} would fit."
+        )
+
+    def _at_end(self, taken: float, share: float) -> float:
+        """Return what a stage would have taken at its end, by what it took for a share of its work."""
+        return taken / max(share, _LEAST_SHARE)
+
+    def _lighter(self, needed: float, limit: int) -> str:
+        if limit <= 0:
+            return "nothing is left"
+        return f"{self._voxels(needed, limit)} would fit"
+
+    def _voxels(self, needed: float, limit: float) -> str:
+        """Return the parameter by which what is needed falls to the limit: it goes by the square of it."""
+        times = math.sqrt(max(needed / limit, 1.0))
+        fuse = self._config.fuse
+        if fuse.voxel_size is not None:
+            return f"fuse.voxel_size={_rounded_up(times * fuse.voxel_size):g}"
+        return f"fuse.voxel_factor={_rounded_up(times * fuse.voxel_factor):g}"
+
+
+def _bytes_in(folder: Path) -> int:
+    sizes = 0
+    for path in folder.rglob("*"):
+        # A file may be gone by now.
+        with suppress(OSError):
+            sizes += path.lstat().st_size
+    return sizes
+
+
+def _rounded_up(value: float) -> float:
+    """Return a number of two digits that is no smaller."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    # What is of two digits already stays, though no power of ten below 1 is exact.
+    return math.ceil(value / step - 1e-9) * step
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{max(count, 0) / 1e6:.3g} MB"

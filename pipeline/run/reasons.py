@@ -1,0 +1,76 @@
+"""Why a stage runs, from what decided its result now and in the latest run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+_NONE = object()
+
+
+def reason(now: Mapping[str, Any], last: Mapping[str, Any] | None) -> str:
+    """Say in a few words what changed since the latest run.
+
+    Parameters
+    ----------
+    now, last : `recipe` (see pipeline.cache.entry.Recipe) and `parts`, digests of the parts of every input by
+        the input's name; `last` is None if the latest run did not get to this stage.
+    """
+    if last is None:
+        return "first run"
+    recipe, before = now["recipe"], last["recipe"]
+    params = [*_changed("params changed:", _flat(before["params"]), _flat(recipe["params"]))]
+    changes = [
+        *_changed_versions(before, recipe, only_common=bool(params)),
+        *_changed("library changed:", before["libraries"], recipe["libraries"]),
+        *params,
+        *_changed_inputs(last["parts"], now["parts"]),
+    ]
+    return "; ".join(changes) or "no longer in the cache"
+
+
+def _changed(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
+    names = [name for name in {**now, **before} if before.get(name, _NONE) != now.get(name, _NONE)]
+    if names:
+        each = [f"{name} {_shown(before, name)} → {_shown(now, name)}" for name in names]
+        yield f"{what} {', '.join(each)}"
+
+
+def _changed_versions(
+    before: Mapping[str, Any], now: Mapping[str, Any], *, only_common: bool
+) -> Iterator[str]:
+    # A run of an earlier program recorded none.
+    old, new = before.get("versions", {}), now["versions"]
+    # Other parameters may run other code: that its version came in is then no reason of its own.
+    names = [name for name in (*new, *old) if name in old.keys() & new.keys() or not only_common]
+    yield from _changed(
+        "stage changed:",
+        *({f"version of {name}": one[name] for name in names if name in one} for one in (old, new)),
+    )
+
+
+def _flat(params: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    # Two sections may share a parameter's name; the section is only said where there are several.
+    several = len(params) > 1
+    return {
+        f"{section}.{name}" if several else name: value
+        for section, values in params.items()
+        for name, value in values.items()
+    }
+
+
+def _shown(values: Mapping[str, Any], name: str) -> str:
+    # An earlier version of the program may not have had the parameter.
+    value = values.get(name, "unknown")
+    return "not set" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _changed_inputs(
+    before: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]
+) -> Iterator[str]:
+    old = {part: content for parts in before.values() for part, content in parts.items()}
+    new = {part: content for parts in now.values() for part, content in parts.items()}
+    names = [part for part in {**new, **old} if old.get(part) != new.get(part)]
+    if names:
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        yield f"input changed: {names[0]}{more}"

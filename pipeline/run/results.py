@@ -1,0 +1,301 @@
+"""The files a person finds in the output folder, under plain names, and the record of what put them there.
+
+The folder never shows files of different runs side by side: before a stage works anew, its files and those
+of all later stages leave the folder. Only what a run placed there, and nobody changed since, is removed or
+replaced: a digest of each file's content is recorded, so that a mesh somebody edited is told from ours. The
+record is in the cache, and in report.json, for folders that outlive their cache.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.cache.digest import digest, file_digest
+from pipeline.cache.entry import Entry
+from pipeline.cache.files import copy_whole, remove_abandoned, write_whole
+from pipeline.cache.store import Cache
+from pipeline.failures import explained
+from pipeline.report.file_names import PAGE, REPORT
+from pipeline.run.json_text import to_json
+from stages.errors import InputError
+from stages.files.inside import leads_inside
+from stages.files.opening import text_in
+from stages.picturing.page.one_file import is_page
+
+_FORMAT_VERSION = 1
+
+
+class Results:
+    """An output folder.
+
+    Parameters
+    ----------
+    cache : keeps the record: what decided each stage's result, and which files were placed.
+    overwrite : replace also what is not ours.
+    """
+
+    def __init__(self, cache: Cache, out: Path, *, overwrite: bool = False) -> None:
+        self._cache = cache
+        self._out = out
+        self._overwrite = overwrite
+        record = cache.latest_run(out)
+        self._stages = _sound(record.get("stages")) if record.get("schema") == _FORMAT_VERSION else {}
+        self._keys: list[str] = []
+        self._asked: Mapping[str, Any] | None = None
+        self._contents: dict[tuple[Path, int, int, int, int], str] = {}
+        # What a run with another cache placed, or one whose cache is gone.
+        self._reported = _reported(out / REPORT)
+
+    def decided(self, stage: str) -> Mapping[str, Any] | None:
+        """Return what was recorded as deciding a stage's latest result; None if it never got here."""
+        decided: Mapping[str, Any] | None = self._stages.get(stage, {}).get("decided")
+        return decided
+
+    def keep(self, entry: Entry) -> None:
+        """Record that this run uses an entry."""
+        self._keys.append(entry.key)
+
+    def note(self, asked: Mapping[str, Any]) -> None:
+        """Have the record say what the run was asked for; see `pipeline.run.asked`."""
+        self._asked = asked
+
+    def require_replaceable(self, names: Iterable[str]) -> None:
+        """Refuse, before any work, files that a run is going to replace and that none has placed.
+
+        Parameters
+        ----------
+        names : of files in the folder; of one that ends in / it is only known later what it will hold.
+
+        Raises
+        ------
+        InputError
+            For a file that the record does not name, or that was changed since.
+        """
+        for name in names:
+            path = self._out / name
+            if name.endswith("/"):
+                if os.path.lexists(path) and not path.is_dir():
+                    self._refuse(path)
+            elif os.path.lexists(path) and not self._is_own(name):
+                self._refuse(path)
+
+    def place(
+        self, stage: str, entry: Entry, wanted: Iterable[str], decided: Mapping[str, Any]
+    ) -> tuple[Path, ...]:
+        """Copy a stage's files into the folder, unless they are there with the same content.
+
+        Parameters
+        ----------
+        wanted : names of the entry's files; one that ends in / is a folder of them.
+        decided : what decided the result, for the record.
+
+        Raises
+        ------
+        InputError
+            As `require_replaceable`.
+        """
+        wanted = tuple(wanted)
+        files = {name: content for name, content in entry.files.items() if _is_wanted(name, wanted)}
+        with explained(f"results cannot be written to {self._out}"):
+            self._remove(stage, besides=files)
+            wrong = [name for name, content in files.items() if not self._holds(name, content)]
+            for name in wrong:
+                path = self._out / name
+                if os.path.lexists(path) and not self._is_own(name):
+                    self._refuse(path)
+                # Before the record changes: a run that is killed now leaves nothing that no record names.
+                if not path.is_dir():
+                    path.unlink(missing_ok=True)
+            # Recorded first: whatever a killed run leaves in the folder is known to be ours.
+            self._stages[stage] = {"decided": decided, "placed": files}
+            self._remember()
+            for name in files:
+                path = self._out / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                remove_abandoned(path)
+                if name in wrong:
+                    copy_whole(entry.folder / name, path)
+        return tuple(self._out / name for name in files)
+
+    def withdraw(self, stages: Iterable[str]) -> None:
+        """Remove the files of these stages, and the report that tells of them, from the folder."""
+        with explained(f"outdated results cannot be removed from {self._out}"):
+            for stage in (*stages, REPORT):
+                self._remove(stage)
+            self._remove_page()
+
+    def withdraw_others(self, stages: Collection[str]) -> None:
+        """Remove the files of stages that a run has no more, if there are any."""
+        known = {**(self._reported or {}), **self._stages}
+        others = [name for name in known if name not in (*stages, REPORT, PAGE)]
+        if any(self._placed(name) for name in others):
+            self.withdraw(others)
+            for name in others:
+                self._stages.setdefault(name, {})["placed"] = {}
+            self._reported = {name: at for name, at in (self._reported or {}).items() if name in stages}
+
+    def write_report(self, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Write report.json, and return it: with digests of what stages have placed, and of itself."""
+        recorded = {
+            stage: about.get("placed", {})
+            for stage, about in self._stages.items()
+            if stage not in (REPORT, PAGE)
+        }
+        placed = {
+            stage: {name: content for name, content in files.items() if (self._out / name).exists()}
+            for stage, files in {**(self._reported or {}), **recorded}.items()
+        }
+        # Numbers as a reader finds them: the digest is of what the text says.
+        document: dict[str, Any] = json.loads(to_json({**report, "placed": placed}))
+        document["digest"] = digest(document)
+        with explained(f"results cannot be written to {self._out}"):
+            write_whole(self._out / REPORT, to_json(document).encode())
+            self._stages[REPORT] = {"placed": {REPORT: file_digest(self._out / REPORT)}}
+            self._remember()
+        return document
+
+    def holds_page(self, of: str) -> bool:
+        """Return whether the page is there that was made of this; another page of a run is removed.
+
+        Parameters
+        ----------
+        of : a digest of what decides it, beside the results of the stages that this run uses.
+        """
+        known = self._stages.get(PAGE, {})
+        content = known.get("placed", {}).get(PAGE)
+        if known.get("of") == self._decides_page(of) and content and self._holds(PAGE, content):
+            return True
+        with explained(f"an outdated page cannot be removed from {self._out}"):
+            self._remove_page()
+            self._stages.pop(PAGE, None)
+            self._remember()
+        return False
+
+    def write_page(self, page: bytes, of: str) -> Path:
+        """Write report.html; `of` as for `holds_page`."""
+        path = self._out / PAGE
+        with explained(f"results cannot be written to {self._out}"):
+            write_whole(path, page)
+            self._stages[PAGE] = {"placed": {PAGE: file_digest(path)}, "of": self._decides_page(of)}
+            self._remember()
+        return path
+
+    def _decides_page(self, of: str) -> str:
+        return digest([of, *self._keys])
+
+    def _remove_page(self) -> None:
+        path = self._out / PAGE
+        if path.is_file() and not path.is_symlink() and is_page(path):
+            path.unlink()
+
+    def _is_own(self, name: str) -> bool:
+        path = self._out / name
+        if path.is_symlink() or not path.is_file():
+            return False
+        if name == REPORT and self._reported is not None:
+            return True
+        if name == PAGE and is_page(path):
+            return True
+        return self._content(path) in self._known_contents(name)
+
+    def _placed(self, stage: str) -> set[str]:
+        """Return the names of the files that runs placed for a stage."""
+        return {*self._stages.get(stage, {}).get("placed", {}), *(self._reported or {}).get(stage, {})}
+
+    def _known_contents(self, name: str) -> set[str]:
+        """Return the digests a file of this name can have that a run placed."""
+        recorded = [stage.get("placed", {}) for stage in self._stages.values()]
+        return {at[name] for at in (*recorded, *(self._reported or {}).values()) if name in at}
+
+    def _holds(self, name: str, content: str) -> bool:
+        path = self._out / name
+        return path.is_file() and self._content(path) == content
+
+    def _content(self, path: Path) -> str:
+        """Return the digest of a file; read once as long as nothing says that it has changed."""
+        found = path.stat()
+        seen = (path, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+        if seen not in self._contents:
+            self._contents[seen] = file_digest(path)
+        return self._contents[seen]
+
+    def _refuse(self, path: Path) -> None:
+        if not self._overwrite:
+            raise InputError(
+                "no run has placed this, or it was changed since; move it, name another output folder, or "
+                "give --overwrite.",
+                path,
+            )
+
+    def _remember(self) -> None:
+        record = {"schema": _FORMAT_VERSION, "keys": self._keys, "stages": self._stages, "asked": self._asked}
+        self._cache.remember_run(self._out, record)
+
+    def _remove(self, stage: str, besides: Iterable[str] = ()) -> None:
+        for name in sorted(self._placed(stage)):
+            path = self._out / name
+            if name not in besides and path.is_file() and file_digest(path) in self._known_contents(name):
+                path.unlink()
+                folder = path.parent
+                while folder != self._out and not any(folder.iterdir()):
+                    folder.rmdir()
+                    folder = folder.parent
+
+
+def _reported(path: Path) -> dict[str, dict[str, str]] | None:
+    """Return the digests that a report holds, by stage and name; None if it is not as a run wrote it."""
+    try:
+        document = json.loads(text_in(path, "utf-8"))
+        sealed = document.pop("digest")
+        placed = {stage: dict(files) for stage, files in document["placed"].items()}
+        is_whole = digest(document) == sealed
+    except (InputError, OSError, RecursionError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    # It stands where anybody may write: nothing beside the folder is touched for what it says.
+    return placed if is_whole and all(map(_is_record, placed.values())) else None
+
+
+def _is_record(files: Mapping[Any, Any]) -> bool:
+    return all(
+        isinstance(name, str) and isinstance(content, str) and leads_inside(name)
+        for name, content in files.items()
+    )
+
+
+def _sound(stages: object) -> dict[str, Any]:
+    """Return what a record says of stages, without what no run has written."""
+    found = stages if isinstance(stages, dict) else {}
+    return {name: stage for name, stage in found.items() if _is_placed(stage) and _is_decided(stage)}
+
+
+def _is_placed(stage: object) -> bool:
+    placed = stage.get("placed") if isinstance(stage, dict) else None
+    return isinstance(placed, dict) and all(map(leads_inside, placed))
+
+
+def _is_decided(stage: Mapping[str, Any]) -> bool:
+    """Return whether a record can be compared with what decides the result now; a report's has none."""
+    if "decided" not in stage:
+        return True
+    decided = stage["decided"]
+    recipe, parts = (
+        (decided.get(key) for key in ("recipe", "parts")) if isinstance(decided, dict) else (None, None)
+    )
+    if not isinstance(recipe, dict) or not _are_tables(parts) or not _are_tables(recipe.get("params")):
+        return False
+    return (
+        all(isinstance(recipe.get(key, {}), dict) for key in ("versions", "libraries"))
+        and "libraries" in recipe
+    )
+
+
+def _are_tables(value: object) -> bool:
+    return isinstance(value, dict) and all(isinstance(table, dict) for table in value.values())
+
+
+def _is_wanted(name: str, wanted: tuple[str, ...]) -> bool:
+    return any(name == want or (want.endswith("/") and name.startswith(want)) for want in wanted)

@@ -1,0 +1,334 @@
+"""Run the whole pipeline: a scan folder in, results under plain names in an output folder."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from pipeline.cache.digest import digest
+from pipeline.cache.store import Cache
+from pipeline.config import Config
+from pipeline.evaluation.params import ReportParams
+from pipeline.expectation import megapixels
+from pipeline.failures import explained
+from pipeline.graph import STAGES, plan_for, skip_reasons
+from pipeline.report.file_names import PAGE, REPORT
+from pipeline.report.page import page_of_run
+from pipeline.run.asked import Asked, from_anywhere
+from pipeline.run.document import compose
+from pipeline.run.engine import Engine, Outcome
+from pipeline.run.events import Events, RunStarted, StageProgress, Warned, unwatched
+from pipeline.run.limits import NO_LIMITS, LimitGuard, Limits, within
+from pipeline.run.needs import expected_of
+from pipeline.run.results import Results
+from pipeline.run.sources import sources_of
+from pipeline.stage import AnyStage
+from pipeline.steps.adjust import is_adjusted
+from pipeline.steps.register import is_registered
+from stages import __version__
+from stages.errors import InputError, UsageError
+from stages.files.opening import content_of
+from stages.picturing.show import Page
+from stages.printing import counted, line, rows_table
+from stages.scans.read import read_scan, require_complete
+from stages.scans.scan import Scan
+from stages.surface.memory import give_back
+
+CACHE_VARIABLE = "SCANLOOM_CACHE"
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run came to.
+
+    Attributes
+    ----------
+    out : the output folder.
+    cache : the cache folder.
+    stages : what became of each stage that was asked for, in order.
+    report : the content of report.json.
+    page : report.html; None where there is none.
+    """
+
+    out: Path
+    cache: Path
+    stages: tuple[Outcome, ...]
+    report: Mapping[str, Any]
+    page: Path | None = None
+
+    def __repr__(self) -> str:
+        return line(self, (str(self.out), *self._facts()))
+
+    def _repr_html_(self) -> str:
+        rows = [
+            [one.stage, "cached" if one.cached else f"{one.seconds:.1f} s", f"{one.made['seconds']:.1f} s"]
+            for one in self.stages
+        ]
+        told = ", ".join(fact for fact in self._facts() if fact)
+        of_stages = rows_table([["stage", "this run", "when it was made"], *rows])
+        return f"<div><b>{escape(str(self.out))}</b>: {escape(told)}{of_stages}</div>"
+
+    def _facts(self) -> tuple[str, ...]:
+        return (
+            counted(len(self.stages), "stage"),
+            f"{sum(one.cached for one in self.stages)} cached",
+            counted((self.report["mesh"] or {"triangles": 0})["triangles"], "triangle"),
+            counted(len(self.unmet), "unmet wish", "unmet wishes"),
+        )
+
+    def show(self, *, width: str = "100%", height: int = 640) -> Page:
+        """Return the page of the run, which a notebook shows in a frame of this size, CSS and pixels.
+
+        Raises
+        ------
+        UsageError
+            If the run left none.
+        """
+        if self.page is None:
+            raise UsageError("this run left no page; report.page=true and report.enabled=true make one.")
+        html = content_of(self.page)
+        return Page(title=self.out.name, html=html, width=width, height=height, warnings=())
+
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """What was asked for and is not reached, in plain sentences."""
+        return tuple(f"{outcome.stage}: {text}" for outcome in self.stages for text in outcome.unmet)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the report, and where the results are."""
+        page = None if self.page is None else str(self.page)
+        return {"out": str(self.out), "cache": str(self.cache), **self.report, "page": page}
+
+
+def run(
+    scan_folder: Path | str,
+    out: Path | str,
+    config: Config | None = None,
+    *,
+    until: str | None = None,
+    force: Collection[str] = (),
+    cache_dir: Path | str | None = None,
+    overwrite: bool = False,
+    limits: Limits = NO_LIMITS,
+    events: Events = unwatched,
+) -> RunResult:
+    """Take a scan from its folder to a light mesh and a report; stages that need not run are not run.
+
+    Parameters
+    ----------
+    scan_folder : read only.
+    out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, report.html, pictures/,
+        where frames have colour textured.glb and texture_maps/, where poses were made better adjusted/,
+        for stereo points.ply, where there is no texture simplified.glb, with `export.web` web.glb, with
+        `bake.enabled` baked.glb, with `remesh.enabled` remeshed.ply, remeshed.snm and levels/, and with
+        `lod.enabled` lod.slod and tiles/. Files there that a run placed and that belong to no current
+        result are removed.
+    until : the last stage to run.
+    force : stages to run even though their results are cached.
+    cache_dir : see `cache_folder`.
+    overwrite : also replace files in `out` that no run has placed there, or that were changed since.
+    limits : what it may take of memory and disk.
+    events : told what happens, from this thread.
+
+    Raises
+    ------
+    InputError
+        If the scan cannot be used, or a file in `out` is in the way that is not from a run.
+    UsageError
+        For an unknown stage, a wrong parameter, or an output folder that is the scan itself.
+    StageError
+        If a stage fails, or the machine runs out of disk or memory, or the run of what it may take.
+    """
+    cache = Cache(cache_folder(Path(out).resolve(), cache_dir), lambda text: events(Warned(text)))
+    wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
+    return run_wanted(wanted, cache, overwrite=overwrite, limits=limits, events=events)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A run that is asked for, and can be begun: its scan is read, and what is said of it goes together.
+
+    Attributes
+    ----------
+    photos : other ones that the texture is made from.
+    plan : the stages of the scan.
+    planned : the names of those up to the last that is wanted.
+    warnings : what is odd about the scan.
+    """
+
+    scan: Scan
+    photos: Scan | None
+    out: Path
+    config: Config
+    plan: Sequence[AnyStage]
+    planned: tuple[str, ...]
+    force: Collection[str]
+    warnings: tuple[str, ...]
+
+
+def wanted_of(
+    scan_folder: Path | str,
+    out: Path | str,
+    config: Config,
+    until: str | None,
+    force: Collection[str],
+    cache: Cache,
+) -> Wanted:
+    """Read a scan, check what is asked for, and return it; see `run`. Nothing is written."""
+    scan_folder, out = Path(scan_folder).resolve(), Path(out).resolve()
+    for folder, what in ((out, "output"), (cache.folder, "cache")):
+        if folder == scan_folder:
+            raise UsageError(
+                f"{folder}: the {what} folder is the scan itself, which is only read; name another."
+            )
+    require_stages([*force, *([] if until is None else [until])])
+    scan = read_scan(scan_folder, config.scan, complete=False)
+    require_complete(scan, scan_folder, posed=not is_registered(scan, config))
+    plan = plan_for(scan, config)
+    until = until or plan[-1].name
+    absent = skip_reasons(scan, config)
+    for name in (*force, until):
+        if name in absent:
+            raise UsageError(f"{name} {absent[name]}.")
+    names = [stage.name for stage in plan]
+    warnings = list(scan.warnings)
+    if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
+        warnings.append("register.refine has no effect: adjust refines poses where frames have colour")
+    if scan.skipped:
+        first = scan.skipped[0]
+        warnings.append(f"{len(scan.skipped)} frames cannot be used; the first, {first.name}: {first.reason}")
+    planned = tuple(names[: names.index(until) + 1])
+    photos = _photos(config, scan) if "texture" in planned else None
+    if photos is not None:
+        warnings += (f"texture.images: {text}" for text in photos.warnings)
+    return Wanted(scan, photos, out, config, plan, planned, force, tuple(warnings))
+
+
+def _photos(config: Config, scan: Scan) -> Scan | None:
+    """Return the photos that the texture is made from in place of the frames', in the world of the scan."""
+    if config.texture.images is None:
+        return None
+    photos = read_scan(config.texture.images, config.photos, complete=False)
+    if not photos.is_metric and scan.scale is not None:
+        # Their world is the scan's: what a unit of it is, is known.
+        known = replace(config.photos, scale=scan.scale.metres_per_unit)
+        photos = read_scan(config.texture.images, known, complete=False)
+    require_complete(photos, Path(config.texture.images), posed=True)
+    return photos
+
+
+def cache_folder(out: Path, given: Path | str | None = None) -> Path:
+    """Return where results are kept: what is given, else $SCANLOOM_CACHE, else `out/cache`."""
+    chosen = given or os.environ.get(CACHE_VARIABLE)
+    return Path(chosen).resolve() if chosen else out / "cache"
+
+
+def run_wanted(
+    wanted: Wanted,
+    cache: Cache,
+    *,
+    overwrite: bool = False,
+    limits: Limits = NO_LIMITS,
+    events: Events = unwatched,
+) -> RunResult:
+    """Run what `wanted_of` returned; see `run`."""
+    scan, out, planned = wanted.scan, wanted.out, wanted.planned
+    config = within(wanted.config, limits)
+    events(RunStarted(scan.layout, len(scan.frames), wanted.warnings, planned, scan.is_metric))
+    with explained(f"the output folder {out} cannot be used"):
+        out.mkdir(parents=True, exist_ok=True)
+    cache.remove_abandoned()
+    sources = sources_of(
+        scan, config, wanted.photos, lambda done, total: events(StageProgress("scan", done, total))
+    )
+    guard = _guard(wanted, config, cache, limits, events)
+    with Engine(
+        wanted.plan,
+        config,
+        sources,
+        cache,
+        out,
+        events,
+        overwrite=overwrite,
+        megapixels=megapixels(scan),
+        guard=guard,
+    ) as engine:
+        if scan.folder is not None:
+            engine.results.note(Asked(scan.folder.absolute(), from_anywhere(config), planned[-1]).record())
+        engine.results.require_replaceable(placed_by(wanted))
+        engine.results.withdraw_others([stage.name for stage in wanted.plan])
+        outcomes = tuple(engine.run(planned[-1], wanted.force))
+        final = engine.withdraw_outdated(planned[-1])
+        report = compose(scan, outcomes, {} if final is None else final.figures, out)
+        written = engine.results.write_report(report)
+        page = _page(out, config.report, written, engine.results, events, guard)
+    if config.cache.max_bytes is not None:
+        cache.limit(config.cache.max_bytes)
+    return RunResult(out, cache.folder, outcomes, written, page)
+
+
+def _guard(wanted: Wanted, config: Config, cache: Cache, limits: Limits, events: Events) -> LimitGuard | None:
+    if not limits:
+        return None
+    expected = expected_of(wanted.scan, config, wanted.planned, cache.folder)
+    by_voxels = [stage.name for stage in wanted.plan if stage.cost.by_voxels]
+    return LimitGuard(limits, wanted.config, expected, by_voxels, lambda text: events(Warned(text)))
+
+
+def _page(
+    out: Path,
+    params: ReportParams,
+    report: Mapping[str, Any],
+    results: Results,
+    events: Events,
+    guard: LimitGuard | None,
+) -> Path | None:
+    """Write the page of what is in the output folder, unless it is there; return where it is."""
+    if not params.page or report["mesh"] is None:
+        # One of other results must not stay beside these.
+        results.holds_page(_decides_page(params))
+        return None
+    if results.holds_page(_decides_page(params)):
+        return out / PAGE
+    events(StageProgress("page", 0, 1))
+    # What the last stage has left free in holes.
+    give_back()
+    try:
+        page = page_of_run(out, int(1e6 * params.page_size), lambda text: events(Warned(f"page: {text}")))
+    except InputError as error:
+        events(Warned(f"there is no {PAGE}: {error}"))
+        return None
+    events(StageProgress("page", 1, 1))
+    if guard is not None:
+        guard.ended("the page")
+    return results.write_page(page, _decides_page(params))
+
+
+def _decides_page(params: ReportParams) -> str:
+    return digest([params.page_size, __version__])
+
+
+def placed_by(wanted: Wanted) -> list[str]:
+    """Return the names in the output folder that a run will place files under."""
+    return [
+        *(name for stage in wanted.plan if stage.name in wanted.planned for name in stage.results),
+        REPORT,
+        *([PAGE] if "report" in wanted.planned and wanted.config.report.page else []),
+    ]
+
+
+def require_stages(names: Sequence[str]) -> None:
+    """Raise UsageError for a name that is not of a stage."""
+    known = [stage.name for stage in STAGES]
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            raise UsageError(
+                f"there is no stage {name!r}; "
+                + (f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}.")
+            )

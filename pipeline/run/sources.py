@@ -1,0 +1,56 @@
+"""What the first stages of a run read: the scan, what is said of its frames, those kept apart, a network."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from pipeline.cache.digest import content, digest, label_digests, scan_digest
+from pipeline.config import Config
+from pipeline.graph import source_name
+from pipeline.run.engine import Source
+from stages.errors import StageError
+from stages.inspecting.libraries import installed
+from stages.progress import Progress, silent
+from stages.scans.scan import Scan
+from stages.stereo.networks.sidecar import sidecar_of
+
+
+def sources_of(
+    scan: Scan, config: Config, photos: Scan | None = None, progress: Progress = silent
+) -> dict[str, Source]:
+    """Return the sources of a run by the names under which stages read them.
+
+    Parameters
+    ----------
+    photos : of `texture.images`.
+    progress : told of files that are read.
+    """
+    labels = {name: Source(one, None, {name: one}) for name, one in label_digests(scan).items()}
+    found = {source_name(scan, config): _source(scan, progress), **labels}
+    if scan.held_out:
+        found["held_out"] = _source(replace(scan, frames=scan.held_out, held_out=()), silent)
+    if photos is not None:
+        found["photos"] = _source(photos, progress)
+    if config.depth.model is not None:
+        found["network"] = _network(Path(config.depth.model))
+    return found
+
+
+def _network(file: Path) -> Source:
+    """Return what decides what a network says: its file, the sidecar, and what runs it."""
+    files = {"network": file, "sidecar": sidecar_of(file)}
+    parts = {what: content(path) for what, path in files.items()}
+
+    def require_unchanged() -> None:
+        for what, path in files.items():
+            if content(path) != parts[what]:
+                raise StageError(f"{path} changed while it was being read; run again when it is complete.")
+
+    parts |= installed("onnxruntime")
+    return Source(digest(parts), file, parts, require_unchanged)
+
+
+def _source(scan: Scan, progress: Progress) -> Source:
+    found = scan_digest(scan, progress)
+    return Source(found.digest, scan, found.parts, found.require_unchanged)

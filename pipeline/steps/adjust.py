@@ -1,0 +1,95 @@
+"""The stage `adjust`: poses and colour camera, refined by photos and depth together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pipeline.artifacts.adjusted_cameras import FOLDER, AdjustedCameras, write_adjusted
+from pipeline.artifacts.depth_maps import DepthMaps
+from pipeline.artifacts.poses import Poses
+from pipeline.expectation import Cost
+from pipeline.own_paths import from_folder
+from pipeline.result_versions import result_versions
+from pipeline.sections import Sections
+from pipeline.stage import Context, Stage
+from stages.adjusting.adjust import AdjustParams, adjust
+from stages.inspecting.libraries import installed
+from stages.inspecting.sanity import pose_doubts, require_poses
+from stages.scans.params import ScanParams
+from stages.scans.scan import Scan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Inputs of the stage."""
+
+    frames: Scan | DepthMaps
+    poses: Poses | None = None
+
+
+def is_adjusted(scan: Scan, config: Sections) -> bool:
+    """Return whether poses and colour camera are adjusted: frames need colour and measured depth."""
+    if config.get(AdjustParams).enabled is False or scan.is_views:
+        return False
+    return any(frame.color is not None for frame in scan.frames)
+
+
+def _run(inputs: Inputs, params: AdjustParams, context: Context) -> Mapping[str, Any]:
+    scan = inputs.frames if isinstance(inputs.frames, Scan) else inputs.frames.load()
+    if inputs.poses is not None:
+        scan = inputs.poses.apply_to(scan)
+    checks_poses = context.config.get(ScanParams).check_poses
+    if checks_poses:
+        # Poses of a wrong convention, which fuse would refuse too. Fuse warns of poses that are suspicious.
+        require_poses(scan)
+    found = adjust(scan, params, progress=context.progress)
+    if found.accepted:
+        (context.folder / FOLDER).mkdir()
+        write_adjusted(context.folder / FOLDER, found)
+    figures = found.figures()
+    # Only the depth of a sensor is evidence: depth from pairs or views has errors in patches.
+    are_given = inputs.poses is None and isinstance(inputs.frames, Scan)
+    if checks_poses and are_given and not found.accepted:
+        figures = {**figures, "warnings": [*figures["warnings"], *pose_doubts(scan.frames)]}
+    return from_folder(figures, scan.folder)
+
+
+def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+    checks = (require_poses,) if config.get(ScanParams).check_poses else ()
+    return result_versions(adjust, *checks)
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:
+    if is_adjusted(scan, config):
+        return None
+    if config.get(AdjustParams).enabled is False:
+        return "is switched off"
+    if scan.is_views:
+        return "is not a stage of this scan: its depth is found with the poses that it has"
+    return "is not a stage of this scan: its frames have no colour"
+
+
+STAGE = Stage(
+    name="adjust",
+    section=AdjustParams,
+    inputs=Inputs,
+    labels=("names", "times"),
+    writes=AdjustedCameras,
+    run=_run,
+    versions=_versions,
+    libraries=installed("opencv", "scipy"),
+    results=(f"{FOLDER}/",),
+    skip_reason=_skip_reason,
+    cost=Cost(
+        seconds=2,
+        seconds_per_megapixel=1,
+        bytes=200e6,
+        bytes_per_megapixel=6e6,
+        by_voxels=False,
+        # There are at most 200 key frames.
+        most_bytes=900e6,
+    ),
+    headline="{why}",
+)

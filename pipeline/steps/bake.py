@@ -1,0 +1,94 @@
+"""The optional stage `bake`: the simplified mesh with the colours of the clean one as its texture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.artifacts.up_direction import Up, UpDirection
+from pipeline.expectation import Cost
+from pipeline.result_versions import always
+from pipeline.sections import Sections
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.clean import CleanMesh
+from pipeline.steps.simplify import SimplifiedMesh
+from stages.comparing.compare import compare_surfaces
+from stages.inspecting.libraries import installed
+from stages.params import param
+from stages.progress import Progress
+from stages.scans.scan import Scan
+from stages.surface.formats.gltf_writer import write_gltf
+from stages.surface.mesh import Mesh
+from stages.texturing.bake import BakeParams, bake
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeSection(BakeParams):
+    """Whether a run bakes a texture for the simplified mesh, and which."""
+
+    enabled: bool = param(
+        False,
+        "Bake the colours of the clean mesh into a texture of the simplified one, which shows them in full.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+
+
+FILE = "baked.glb"
+
+
+@dataclass(frozen=True)
+class BakedMesh(Artifact):
+    """Simplified mesh with a baked texture."""
+
+    NAME = "baked_mesh"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Inputs of the stage."""
+
+    clean_mesh: CleanMesh
+    simplified_mesh: SimplifiedMesh
+    up_direction: UpDirection
+
+
+def _run(inputs: Inputs, params: BakeSection, context: Context) -> Mapping[str, Any]:
+    simplified, original = inputs.simplified_mesh.load(), inputs.clean_mesh.load_whole("bake")
+    up = inputs.up_direction.load()
+    return write_baked(context.folder, simplified, original, up, params, context.progress)
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+    return None if config.get(BakeSection).enabled else "is not enabled; set bake.enabled=true"
+
+
+def write_baked(
+    folder: Path,
+    light: Mesh,
+    original: Mesh,
+    up: Up | None,
+    params: BakeSection,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Write baked.glb, rotated upright, and return figures."""
+    baked = bake(light, original, params, progress=progress)
+    # Colours of a scan have their light.
+    write_gltf(folder / FILE, baked.mesh.with_(up=up), shading="unlit")
+    return baked.figures()
+
+
+STAGE = Stage(
+    name="bake",
+    section=BakeSection,
+    inputs=Inputs,
+    writes=BakedMesh,
+    run=_run,
+    versions=always(bake, compare_surfaces),
+    libraries=installed("scanloom", "open3d", "opencv"),
+    results=(FILE,),
+    skip_reason=_skip_reason,
+    cost=Cost(seconds=10, seconds_per_megapixel=1, bytes=300e6),
+)

@@ -1,0 +1,66 @@
+"""The stage `clean`: the fused mesh without islands and defects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pipeline.artifacts.mesh_file import MeshFile
+from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from pipeline.result_versions import result_versions
+from pipeline.sections import Sections
+from pipeline.stage import Context, Stage
+from pipeline.steps.fuse import FusedMesh
+from stages.cleaning.clean import CleanParams, clean
+from stages.cleaning.clean_in_pieces import clean_in_pieces
+from stages.comparing.certify import certify
+from stages.surface.formats.ply import write_ply
+
+
+@dataclass(frozen=True)
+class CleanMesh(MeshFile):
+    """Cleaned mesh."""
+
+    NAME = "clean_mesh"
+    FILE = "clean.ply"
+
+
+def is_clean_mesh_large(known: Mapping[str, Any]) -> bool:
+    """Return whether the clean mesh is among known inputs and above the in-memory limit."""
+    return "clean_mesh" in known and known["clean_mesh"].is_large
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Inputs of the stage."""
+
+    fused_mesh: FusedMesh
+
+
+def _run(inputs: Inputs, params: CleanParams, context: Context) -> Mapping[str, Any]:
+    result = context.folder / CleanMesh.FILE
+    if inputs.fused_mesh.is_large:
+        return clean_in_pieces(inputs.fused_mesh.path, result, params, progress=context.progress)
+    cleaned = clean(inputs.fused_mesh.load(), params)
+    write_ply(result, cleaned.mesh)
+    notes = {} if cleaned.repaired is None else {"warnings": list(cleaned.repaired.mesh.notes)}
+    return {**cleaned.figures(), **notes}
+
+
+def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+    # Repairs are only accepted with a certificate.
+    return result_versions(clean, certify) if config.get(CleanParams).repair else result_versions(clean)
+
+
+STAGE = Stage(
+    name="clean",
+    section=CleanParams,
+    inputs=Inputs,
+    writes=CleanMesh,
+    run=_run,
+    versions=_versions,
+    results=(CleanMesh.FILE,),
+    cost=Cost(seconds_per_megapixel=0.08, most_bytes=MAX_BYTES_IN_PARTS),
+    headline="{triangles:,} triangles; {islands:,} islands removed",
+)

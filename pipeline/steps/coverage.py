@@ -1,0 +1,143 @@
+"""The optional stage `coverage`: what is missing in a scan.
+
+coverage.ply    the clean mesh in colours of what is missing, and what would close its holes behind it; of
+                each vertex how well it was seen there: VALUES
+coverage.glb    the same, upright; not of a large mesh
+coverage.json   the places where one should go again, and the figures
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.artifacts.posed_frames import PosedFrames
+from pipeline.artifacts.up_direction import Up, UpDirection
+from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from pipeline.own_paths import from_folder
+from pipeline.result_versions import always
+from pipeline.sections import Sections
+from pipeline.skipped import warn_of_skipped
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.clean import CleanMesh
+from stages.inspecting.coverage.coverage import coverage
+from stages.inspecting.coverage.covered import Covered
+from stages.inspecting.coverage.evidence import Evidence
+from stages.inspecting.coverage.params import CoverageParams
+from stages.inspecting.libraries import installed
+from stages.params import param
+from stages.progress import Progress
+from stages.scans.scan import Frame, Scan
+from stages.surface.formats.ply import write_ply
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import write_mesh
+from stages.surface.pieces import Written, write_by_pieces
+from stages.surface.piecewise import Piecewise
+
+MESH, MODEL, FILE = "coverage.ply", "coverage.glb", "coverage.json"
+# Of each vertex: how many frames measured it, the angle of the straightest look and of the mean one, degrees;
+# the width of a pixel, and how far off it frames have measured it, RMS, metres. 0 frames, 90° and 0 for none.
+VALUES = ("frames", "angle", "mean_angle", "pixel", "spread")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageSection(CoverageParams):
+    """Whether a run tells what is missing in the scan, and what counts as that."""
+
+    enabled: bool = param(
+        False,
+        "Tell what is missing in the scan: holes, what no frame saw, and surface that was hardly seen. "
+        "`scanloom coverage OUT` does it afterwards.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+
+
+@dataclass(frozen=True)
+class CoverageMap(Artifact):
+    """Clean mesh coloured by coverage, and the list of gaps."""
+
+    NAME = "coverage_map"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs(PosedFrames):
+    """Inputs of the stage."""
+
+    clean_mesh: CleanMesh
+    up_direction: UpDirection
+
+
+def _run(inputs: Inputs, params: CoverageSection, context: Context) -> Mapping[str, Any]:
+    scan = inputs.load_posed()
+    mesh, up = inputs.clean_mesh.load_surface(), inputs.up_direction.load()
+    figures = write_coverage(context.folder, mesh, scan.frames, params, up, context.progress)
+    return from_folder(warn_of_skipped(figures), scan.folder)
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+    return None if config.get(CoverageSection).enabled else "is not enabled; set coverage.enabled=true"
+
+
+def write_coverage(
+    folder: Path,
+    mesh: Mesh | Piecewise,
+    frames: Sequence[Frame],
+    params: CoverageSection,
+    up: Up | None,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Write coverage.ply, coverage.glb and coverage.json, and return the figures."""
+    found = coverage(mesh, frames, params, progress=progress)
+    figures = found.figures()
+    (folder / FILE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8", newline="\n")
+    told = {**figures, "places": len(found.places)}
+    if isinstance(mesh, Piecewise):
+        return {**told, "warnings": [_in_pieces(folder / MESH, found.covered)]}
+    rows = np.concatenate([part.probes for part in found.covered.painted()])
+    values = dict(zip(VALUES, values_of(found.covered.evidence.at(rows)).T, strict=True))
+    write_ply(folder / MESH, found.painted, vertex_values=values)
+    write_mesh(folder / MODEL, found.painted.with_(up=up))
+    return told
+
+
+def _in_pieces(path: Path, covered: Covered) -> str:
+    """Write a large mesh in its colours, and return what is left out."""
+    pieces = (
+        Written(part.vertices, part.colors, part.triangles, values_of(covered.evidence.at(part.probes)))
+        for part in covered.painted()
+    )
+    count = covered.triangle_count
+    write_by_pieces(path, covered.vertex_count, count, pieces, has_colors=True, values=VALUES)
+    return f"{MODEL} is left out: {count:,} triangles are too many for it; {path.name} has them."
+
+
+def values_of(evidence: Evidence) -> NDArray[np.float32]:
+    """Return what is known of vertices (n, v), as VALUES names it; of what no frame saw, that it did not."""
+    is_seen = evidence.frames > 0
+    angles = (np.degrees(np.arccos(cosine.clip(0, 1))) for cosine in (evidence.cosine, evidence.mean_cosine))
+    pixel = np.where(is_seen, evidence.pixel, 0.0)
+    return np.stack([evidence.frames, *angles, pixel, evidence.spread], axis=1).astype(np.float32)
+
+
+STAGE = Stage(
+    name="coverage",
+    section=CoverageSection,
+    inputs=Inputs,
+    labels=("names",),
+    writes=CoverageMap,
+    run=_run,
+    versions=always(coverage),
+    libraries=installed("open3d", "opencv", "scipy"),
+    results=(MESH, MODEL, FILE),
+    skip_reason=_skip_reason,
+    cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6, most_bytes=MAX_BYTES_IN_PARTS),
+    headline="{places} places to go again",
+    progress_unit="frames",
+)

@@ -1,0 +1,101 @@
+"""The stage `export`: the result as glTF where there is no textured.glb, and in few bytes for the web."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.artifacts.up_direction import UpDirection
+from pipeline.expectation import Cost
+from pipeline.result_versions import always
+from pipeline.sections import Sections
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.simplify import SimplifiedMesh
+from pipeline.steps.texture import TexturedMesh
+from pipeline.steps.texture import skip_reason as reason_for_no_texture
+from stages.exporting.export import ExportParams, export
+from stages.exporting.presets import preset
+from stages.inspecting.libraries import installed
+from stages.params import check, param
+from stages.scans.scan import Scan
+from stages.surface.mesh import Mesh
+from stages.surface.vertex_normals import vertex_normals
+
+FILE, WEB = "simplified.glb", "web.glb"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSection:
+    """What a run writes for other programs, beside textured.glb."""
+
+    web: bool = param(
+        False,
+        "Write web.glb: the result in few bytes, unlit, packed by meshopt, which viewers have to understand.",
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class ExportedModels(Artifact):
+    """Models for other programs."""
+
+    NAME = "exported_models"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Inputs of the stage."""
+
+    simplified_mesh: SimplifiedMesh
+    up_direction: UpDirection
+    textured_mesh: TexturedMesh | None = None
+
+
+def _run(inputs: Inputs, params: ExportSection, context: Context) -> Mapping[str, Any]:
+    if inputs.textured_mesh is not None:
+        mesh, name = inputs.textured_mesh.load(), None
+    else:
+        mesh, name = inputs.simplified_mesh.load(), FILE
+    return write_models(context.folder, mesh.with_(up=inputs.up_direction.load()), name, params)
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:
+    if reason_for_no_texture(scan, config) is None and not config.get(ExportSection).web:
+        return "has nothing to write: textured.glb is there; export.web=true makes a small one"
+    return None
+
+
+def write_models(folder: Path, mesh: Mesh, name: str | None, params: ExportSection) -> dict[str, Any]:
+    """Write what is asked for, and return the figures.
+
+    Parameters
+    ----------
+    mesh : which says what is up.
+    name : of a plain file; None where there is one already.
+    """
+    figures: dict[str, Any] = {}
+    if name is not None:
+        shaded = mesh.with_(normals=vertex_normals(mesh)) if len(mesh.triangles) else mesh
+        figures["plain"] = export(shaded, folder / name, ExportParams()).figures()
+    if params.web:
+        figures["web"] = export(mesh, folder / WEB, preset("web")).figures()
+    warnings = [note for of_file in figures.values() for note in of_file.pop("notes")]
+    return figures | {"warnings": warnings}
+
+
+STAGE = Stage(
+    name="export",
+    section=ExportSection,
+    inputs=Inputs,
+    writes=ExportedModels,
+    run=_run,
+    versions=always(export),
+    libraries=installed("scanloom", "opencv"),
+    results=(FILE, WEB),
+    skip_reason=_skip_reason,
+    cost=Cost(seconds=1, bytes=300e6),
+)

@@ -1,0 +1,135 @@
+"""The stage `fuse`: one mesh of all frames.
+
+fused.ply
+fused.pieces.json      table of parts, if the mesh is large
+plane.json             normal of the supporting plane, if it was found and removed
+pieces/fused-N.ply     frames that registration could not join to the others
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.artifacts.fused_bricks import KeptBricks
+from pipeline.artifacts.mesh_file import MeshFile
+from pipeline.artifacts.posed_frames import PosedFrames
+from pipeline.artifacts.poses import Poses
+from pipeline.artifacts.up_direction import Up
+from pipeline.expectation import Cost
+from pipeline.own_paths import from_folder
+from pipeline.result_versions import result_versions
+from pipeline.sections import Sections
+from pipeline.skipped import warn_of_skipped
+from pipeline.stage import Context, Stage
+from stages.errors import InputError, UsageError
+from stages.files.documents import read_document
+from stages.fusion.fuse import Fused, fuse, fuse_to_file
+from stages.fusion.in_bricks import FusedInBricks, Kept
+from stages.fusion.params import FuseParams
+from stages.inspecting.libraries import installed
+from stages.inspecting.sanity import require_poses
+from stages.progress import Progress, silent
+from stages.scans.params import ScanParams
+from stages.scans.scan import Scan
+from stages.surface.formats.ply import write_ply
+
+_PLANE = "plane.json"
+
+
+@dataclass(frozen=True)
+class FusedMesh(MeshFile):
+    """Fused mesh."""
+
+    NAME = "fused_mesh"
+    FILE = "fused.ply"
+
+    def load_plane_normal(self) -> Up | None:
+        """Load the up direction of the supporting plane that was removed; None if there was none."""
+        if not (self.folder / _PLANE).exists():
+            return None
+        x, y, z = read_document(self.folder / _PLANE)["up"]
+        return x, y, z
+
+
+def _run(inputs: PosedFrames, params: FuseParams, context: Context) -> Mapping[str, Any]:
+    given = inputs.load_scan()
+    scan = inputs.apply_to(given)
+    warnings = require_poses(scan) if context.config.get(ScanParams).check_poses else []
+    kept = KeptBricks(context, scan, _versions({}, context.config), installed("opencv"))
+    figures = write_fused(context.folder, scan, params, kept, context.progress).figures()
+    if inputs.poses is not None:
+        warnings += fuse_separate(context.folder, given, inputs.poses, params)
+    figures = warn_of_skipped({**figures, "warnings": [*warnings, *figures["warnings"]]})
+    return from_folder(figures, scan.folder)
+
+
+def write_fused(
+    folder: Path, scan: Scan, params: FuseParams, kept: Kept | None, progress: Progress = silent
+) -> Fused | FusedInBricks:
+    """Fuse a scan and write the mesh; `kept` holds bricks of earlier runs."""
+    fused = fuse_to_file(scan, params, folder / FusedMesh.FILE, kept=kept, progress=progress)
+    if fused.support is not None:
+        (folder / _PLANE).write_text(
+            json.dumps({"up": fused.support.normal}) + "\n", encoding="utf-8", newline="\n"
+        )
+    return fused
+
+
+def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) -> list[str]:
+    """Fuse each group of frames that registration could not join to the others into a mesh of its own.
+
+    Returns warnings: each group has a world of its own, in which a box or centre has no meaning.
+    """
+    said = []
+    for number, piece in poses.load_separate(scan).items():
+        if params.box is not None or params.center is not None:
+            said.append(f"piece {number} is not fused: where the box or the center is in it is not known")
+            continue
+        try:
+            fused = fuse(piece, params)
+        except (InputError, UsageError) as error:
+            said.append(f"piece {number} is not fused: {error}")
+            continue
+        pieces = folder / "pieces"
+        pieces.mkdir(exist_ok=True)
+        write_ply(pieces / f"fused-{number}.ply", fused.mesh)
+        said.append(
+            f"piece {number}, of {len(piece.frames)} frames, is fused apart: pieces/fused-{number}.ply"
+        )
+        said += (f"piece {number}: {warning}" for warning in fused.warnings)
+    return said
+
+
+def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+    # Without the check, poses are neither refused nor warned of.
+    return result_versions(fuse, *((require_poses,) if config.get(ScanParams).check_poses else ()))
+
+
+def _headline(figures: Mapping[str, Any]) -> str:
+    if figures.get("truncation_m") == 0:
+        # A single frame is triangulated directly, without a volume.
+        return "{triangles:,} triangles, the pixels of a frame alone joined; depth up to {max_depth_m:.3g} m"
+    return (
+        "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, truncation "
+        "{truncation_m:.3g} m, depth up to {max_depth_m:.3g} m"
+    )
+
+
+STAGE = Stage(
+    name="fuse",
+    section=FuseParams,
+    inputs=PosedFrames,
+    labels=("names",),
+    writes=FusedMesh,
+    run=_run,
+    versions=_versions,
+    libraries=installed("scanloom", "opencv", "open3d"),
+    results=(FusedMesh.FILE, "pieces/"),
+    cost=Cost(seconds_per_megapixel=0.4),
+    headline=_headline,
+    progress_unit="frames",
+)

@@ -1,0 +1,209 @@
+"""The optional stage `lod`: levels of detail of the clean mesh, or of the simplified one of a large mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.artifacts.posed_frames import PosedFrames
+from pipeline.artifacts.up_direction import UpDirection
+from pipeline.expectation import Cost
+from pipeline.result_versions import result_versions
+from pipeline.sections import Sections
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.clean import CleanMesh, is_clean_mesh_large
+from pipeline.steps.simplify import SIMPLIFICATION, Proof, SimplifiedMesh, method_versions
+from stages.fusion.noise import depth_noise
+from stages.inspecting.libraries import installed
+from stages.lod.build import LevelsParams, LodParams, build, further_off
+from stages.lod.hierarchy import Hierarchy
+from stages.lod.slod import read_slod, write_slod
+from stages.params import param
+from stages.printing import at_most
+from stages.progress import Progress
+from stages.scans.scan import Frame, Scan
+from stages.surface.mesh import Mesh
+
+FILE = "lod.slod"
+# A place of the surface that four frames saw is off by half of what one of them is.
+_SHARE_OF_NOISE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class LodSection(LevelsParams):
+    """Whether a run builds levels of detail of the clean mesh, and which."""
+
+    enabled: bool = param(
+        False,
+        "Build levels of detail of the clean mesh, each proven.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+    base_error: float | None = param(
+        None,
+        "The finest level is the clean mesh simplified within this proven distance; 0 for the clean mesh "
+        "itself. By default from the scan's noise: half of the standard deviation of a frame's depth at the "
+        "median depth, which neighbouring frames show.",
+        unit="m",
+        low=0,
+    )
+
+
+@dataclass(frozen=True)
+class Levels(Artifact):
+    """Hierarchy of levels of detail."""
+
+    NAME = "levels"
+
+    def load(self) -> Hierarchy:
+        """Load the hierarchy."""
+        return read_slod(self.folder / FILE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs(PosedFrames):
+    """Inputs of the stage.
+
+    Attributes
+    ----------
+    simplified_mesh : if the clean mesh is too large.
+    """
+
+    clean_mesh: CleanMesh
+    simplified_mesh: SimplifiedMesh | None = None
+    up_direction: UpDirection
+
+
+def _run(inputs: Inputs, params: LodSection, context: Context) -> Mapping[str, Any]:
+    clean, up = inputs.clean_mesh, inputs.up_direction.load()
+    if not clean.is_large:
+        frames = inputs.load_posed().frames
+        return write_levels(context.folder, clean.load().with_(up=up), frames, params, context.progress)
+    simplified = inputs.simplified_mesh
+    assert simplified is not None
+    return write_levels_of_simplified(
+        context.folder,
+        simplified.load().with_(up=up),
+        simplified.load_proof(),
+        clean.triangle_count,
+        params,
+        context.progress,
+    )
+
+
+def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+    noise = (depth_noise,) if config.get(LodSection).base_error is None else ()
+    return {
+        # Raised by hand when the same clean mesh and frames give another base error.
+        "lod": 1,
+        **result_versions(build, *SIMPLIFICATION, *noise),
+        # The finest level is simplified by a method.
+        **method_versions(),
+    }
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+    return None if config.get(LodSection).enabled else "is not enabled; set lod.enabled=true"
+
+
+def write_levels(
+    folder: Path, mesh: Mesh, frames: Sequence[Frame], params: LodSection, progress: Progress
+) -> dict[str, Any]:
+    """Write lod.slod, and return the figures.
+
+    Parameters
+    ----------
+    mesh : the clean one.
+    frames : with poses and depth, which tell the noise.
+    """
+    error, noise, warnings = params.base_error, None, []
+    if error is None:
+        noise = depth_noise(frames)
+        error = _SHARE_OF_NOISE * noise
+        if noise == 0:
+            warnings.append(
+                "the frames do not tell how exact their depth is; the finest level is the clean mesh itself, "
+                "and lod.base_error gives another."
+            )
+    hierarchy = _built(mesh, error, params, progress)
+    source = "given" if noise is None else "noise"
+    return _written(folder, hierarchy, error, source, noise, [*warnings, *hierarchy.notes[len(mesh.notes) :]])
+
+
+def write_levels_of_simplified(
+    folder: Path,
+    mesh: Mesh,
+    proof: Proof | None,
+    triangles: int,
+    params: LodSection,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Write lod.slod of a simplified mesh, where the clean one is too large, and return the figures.
+
+    Parameters
+    ----------
+    proof : how far it is from the clean mesh, which then counts in all bounds; None if that is not proven,
+        and bounds are from the simplified mesh alone.
+    triangles : of the clean mesh.
+    """
+    off = 0.0 if proof is None else proof.shape_bound_m
+    error = max((params.base_error or 0.0) - off, 0.0)
+    hierarchy = _built(mesh, error, params, progress)
+    notes = hierarchy.notes[len(mesh.notes) :]
+    if proof is None:
+        said = (
+            "the clean mesh is too large for levels of its own: they are those of the simplified mesh, and "
+            "how far that is from the clean one is not proven; with a bound, simplify.max_shape, it is."
+        )
+    else:
+        said = (
+            "the clean mesh is too large for levels of its own: they begin with the simplified mesh, proven "
+            f"to be within {at_most(off)} m of it, which counts in what is proven of each."
+        )
+        hierarchy = further_off(hierarchy, off, proof.color_bound_levels or 0.0)
+        hierarchy = replace(hierarchy, input_triangles=triangles)
+    hierarchy = replace(hierarchy, notes=(*hierarchy.notes, said))
+    return _written(folder, hierarchy, off + error, "simplified", None, [said, *notes])
+
+
+def _built(mesh: Mesh, error: float, params: LodSection, progress: Progress) -> Hierarchy:
+    shared = {field.name: getattr(params, field.name) for field in fields(LevelsParams)}
+    return build(mesh, LodParams(base_error=error, **shared), progress=progress)
+
+
+def _written(
+    folder: Path,
+    hierarchy: Hierarchy,
+    error: float,
+    source: str,
+    noise: float | None,
+    warnings: Sequence[str],
+) -> dict[str, Any]:
+    write_slod(folder / FILE, hierarchy)
+    return hierarchy.figures() | {
+        "base_error_m": error,
+        "base_error_source": source,
+        "depth_noise_m": noise,
+        "file_bytes": (folder / FILE).stat().st_size,
+        "warnings": list(warnings),
+    }
+
+
+STAGE = Stage(
+    name="lod",
+    section=LodSection,
+    inputs=Inputs,
+    writes=Levels,
+    run=_run,
+    versions=_versions,
+    libraries=installed("scanloom", "opencv", "scipy"),
+    results=(FILE,),
+    when={"simplified_mesh": is_clean_mesh_large},
+    skip_reason=_skip_reason,
+    cost=Cost(seconds=10, seconds_per_megapixel=2, bytes=500e6, bytes_per_megapixel=10e6),
+    headline="{levels} levels above {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
+    "{file_bytes:,} bytes",
+    progress_unit="triangles",
+)

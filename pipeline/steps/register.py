@@ -1,0 +1,70 @@
+"""The stage `register`: camera poses from the images and depth of a scan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pipeline.artifacts.depth_maps import DepthMaps
+from pipeline.artifacts.poses import Poses, write_poses
+from pipeline.expectation import Cost
+from pipeline.own_paths import from_folder
+from pipeline.result_versions import always
+from pipeline.sections import Sections
+from pipeline.skipped import warn_of_skipped
+from pipeline.stage import Context, Stage
+from pipeline.steps.adjust import is_adjusted
+from stages.inspecting.libraries import installed
+from stages.registration.params import RegisterParams
+from stages.registration.register import register
+from stages.scans.scan import Scan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Inputs of the stage."""
+
+    frames: Scan | DepthMaps
+
+
+def is_registered(scan: Scan, config: Sections) -> bool:
+    """Return whether poses are estimated: missing poses, or all poses if requested."""
+    params = config.get(RegisterParams)
+    if params.enabled is None:
+        return not scan.has_poses or (params.refine and not is_adjusted(scan, config))
+    return params.enabled
+
+
+def _run(inputs: Inputs, params: RegisterParams, context: Context) -> Mapping[str, Any]:
+    scan = inputs.frames if isinstance(inputs.frames, Scan) else inputs.frames.load()
+    found = register(scan, params, progress=context.progress)
+    figures = warn_of_skipped(write_poses(context.folder, found, scan.folder))
+    return from_folder(figures, scan.folder)
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:
+    if is_registered(scan, config):
+        return None
+    if config.get(RegisterParams).enabled is False:
+        return "is switched off"
+    return (
+        "is not a stage of this scan: its frames have poses; adjust makes them better, and "
+        "register.enabled=true finds others"
+    )
+
+
+STAGE = Stage(
+    name="register",
+    section=RegisterParams,
+    inputs=Inputs,
+    labels=("names", "times"),
+    writes=Poses,
+    run=_run,
+    versions=always(register),
+    libraries=installed("opencv", "open3d"),
+    results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
+    skip_reason=_skip_reason,
+    cost=Cost(seconds_per_megapixel=0.5, bytes=200e6, bytes_per_megapixel=1e6, by_voxels=False),
+    headline="{frames} frames of the {subject} placed; pieces: {pieces}",
+)

@@ -1,0 +1,101 @@
+"""The optional stage `remesh`: a normal mesh of the simplified mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.artifacts.up_direction import UpDirection
+from pipeline.expectation import Cost
+from pipeline.result_versions import result_versions
+from pipeline.sections import Sections
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.simplify import SIMPLIFICATION, SimplifiedMesh, method_versions
+from stages.inspecting.libraries import installed
+from stages.normal_meshes.remesh import RemeshParams, remesh
+from stages.normal_meshes.unmet import unmet
+from stages.params import param
+from stages.progress import Progress
+from stages.scans.scan import Scan
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemeshSection(RemeshParams):
+    """Whether a run makes a normal mesh of the simplified one, and which."""
+
+    enabled: bool = param(
+        False,
+        "Make a normal mesh of the simplified one: even triangles at several levels of detail, and a small "
+        "file of them.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+
+
+@dataclass(frozen=True)
+class NormalMeshFiles(Artifact):
+    """Normal mesh: its file, its finest level, and all levels."""
+
+    NAME = "normal_mesh"
+
+    def load_levels(self) -> list[Mesh]:
+        """Load the levels, the base mesh first."""
+        count = len(list((self.folder / "levels").iterdir()))
+        return [read_ply(self.folder / "levels" / f"level_{level}.ply") for level in range(count)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Inputs of the stage."""
+
+    simplified_mesh: SimplifiedMesh
+    up_direction: UpDirection
+
+
+def _run(inputs: Inputs, params: RemeshSection, context: Context) -> Mapping[str, Any]:
+    mesh = inputs.simplified_mesh.load().with_(up=inputs.up_direction.load())
+    return write_normal_mesh(context.folder, mesh, params, context.progress)
+
+
+def write_normal_mesh(folder: Path, mesh: Mesh, params: RemeshSection, progress: Progress) -> dict[str, Any]:
+    """Write remeshed.ply, remeshed.snm and all levels in levels/, and return figures."""
+    found = remesh(mesh, params, progress=progress)
+    found.write(folder / "remeshed.ply")
+    found.write_levels(folder / "levels")
+    found.save(folder / "remeshed.snm")
+    return found.figures()
+
+
+def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+    # The base mesh is a simplified mesh.
+    return {**result_versions(remesh, *SIMPLIFICATION), **method_versions()}
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+    return None if config.get(RemeshSection).enabled else "is not enabled; set remesh.enabled=true"
+
+
+def _unmet(params: RemeshSection, figures: Mapping[str, Any]) -> Sequence[str]:
+    return unmet(params.max_error, figures)
+
+
+STAGE = Stage(
+    name="remesh",
+    section=RemeshSection,
+    inputs=Inputs,
+    writes=NormalMeshFiles,
+    run=_run,
+    versions=_versions,
+    libraries=installed("scanloom"),
+    results=("remeshed.ply", "remeshed.snm", "levels/"),
+    skip_reason=_skip_reason,
+    unmet=_unmet,
+    cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=300e6),
+    headline="{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
+    "{exceptions:,} exceptions; {file_bytes:,} bytes",
+    progress_unit="levels",
+)

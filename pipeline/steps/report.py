@@ -1,0 +1,127 @@
+"""The stage `report`: measurements and pictures of the results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from pipeline.artifacts.posed_frames import PosedFrames
+from pipeline.evaluation.params import ReportParams
+from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from pipeline.result_versions import result_versions
+from pipeline.sections import Sections
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.clean import CleanMesh
+from pipeline.steps.fuse import FusedMesh
+from pipeline.steps.remesh import NormalMeshFiles
+from pipeline.steps.simplify import SimplifiedMesh
+from pipeline.steps.texture import TexturedMesh
+from stages.comparing.compare import CompareParams
+from stages.inspecting.libraries import installed
+from stages.scans.params import ScanParams
+from stages.scans.scan import Frame, Scan
+
+# Folder of the pictures.
+PICTURES = "pictures"
+
+
+@dataclass(frozen=True)
+class ReportFiles(Artifact):
+    """Pictures, cameras and photos for the page."""
+
+    NAME = "report"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs(PosedFrames):
+    """Inputs of the stage.
+
+    Attributes
+    ----------
+    held_out : held-out frames.
+    """
+
+    fused_mesh: FusedMesh
+    clean_mesh: CleanMesh
+    simplified_mesh: SimplifiedMesh
+    textured_mesh: TexturedMesh | None = None
+    normal_mesh: NormalMeshFiles | None = None
+    held_out: Scan | None = None
+
+
+def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str, Any]:
+    # Declaring the stage must not import the renderer.
+    from pipeline.evaluation import held_out, measures
+    from pipeline.evaluation.normal_mesh import report_levels
+
+    compared = context.config.get(CompareParams)
+    simplified = inputs.simplified_mesh.load()
+    meshes = {
+        "fused": inputs.fused_mesh.load_in_parts(),
+        "clean": inputs.clean_mesh.load_in_parts(),
+        "simplified": simplified,
+    }
+    textured, by_photo = inputs.textured_mesh, None
+    result = simplified
+    if textured is not None:
+        meshes["textured"] = result = textured.load()
+        by_photo = partial(textured.color_by_photo, result)
+    pictures = context.folder / PICTURES
+    pictures.mkdir()
+    frames = inputs.load_posed().frames
+    others = _load_held_out(inputs, context.config)
+    report = measures.measure_and_draw(
+        pictures, meshes, frames, compared, params, context.progress, by_photo, others
+    )
+    drawn_in = pictures if params.pictures else None
+    if inputs.normal_mesh is not None:
+        viewpoint = measures.choose_viewpoints(meshes["fused"], frames, params)[-1]
+        levels = inputs.normal_mesh.load_levels()
+        report["normal_mesh"], drawn = report_levels(drawn_in, simplified, levels, viewpoint, compared)
+        report["pictures"] += drawn
+    if inputs.held_out is not None:
+        report["held_out"], drawn = held_out.judge(drawn_in, result, others, context.progress)
+        report["pictures"] += drawn
+    return {**report, "pictures": [f"{PICTURES}/{name}" for name in report["pictures"]]}
+
+
+def _load_held_out(inputs: Inputs, config: Sections) -> list[Frame]:
+    """Load the held-out frames with poses like those of their neighbours."""
+    from pipeline.evaluation.held_out import like_neighbours
+
+    if inputs.held_out is None:
+        return []
+    scan, every = inputs.load_scan(), config.get(ScanParams).hold_out
+    assert every is not None
+    return like_neighbours(inputs.held_out.frames, every, scan.frames, inputs.apply_to(scan).frames)
+
+
+def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+    from pipeline.evaluation.measures import measure_and_draw
+    from stages.comparing.compare import compare_surfaces
+    from stages.comparing.left_out import left_out
+
+    return result_versions(measure_and_draw, compare_surfaces, left_out)
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+    return None if config.get(ReportParams).enabled else "is switched off; set report.enabled=true"
+
+
+STAGE = Stage(
+    name="report",
+    section=ReportParams,
+    inputs=Inputs,
+    labels=("names",),
+    writes=ReportFiles,
+    run=_run,
+    versions=_versions,
+    libraries=installed("open3d", "opencv", "scikit-image"),
+    more_sections=("compare",),
+    results=(f"{PICTURES}/",),
+    skip_reason=_skip_reason,
+    cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6, most_bytes=MAX_BYTES_IN_PARTS),
+    headline="{pictures} pictures",
+)

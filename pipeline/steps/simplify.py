@@ -1,0 +1,133 @@
+"""The stage `simplify`: the clean mesh with fewer triangles."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from pipeline.artifacts.mesh_file import MeshFile
+from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from pipeline.result_versions import result_versions
+from pipeline.sections import Sections
+from pipeline.stage import Context, Stage
+from pipeline.steps.clean import CleanMesh, is_clean_mesh_large
+from stages.comparing.certify import certify
+from stages.comparing.compare import compare_surfaces
+from stages.errors import UsageError
+from stages.files.documents import read_json
+from stages.inspecting.libraries import installed
+from stages.simplification.auto import chosen
+from stages.simplification.methods import METHODS
+from stages.simplification.result import Simplified
+from stages.simplification.simplify import SimplifyParams, simplify
+from stages.simplification.simplify_in_pieces import InPieces, simplify_in_pieces
+from stages.simplification.unmet import unmet
+from stages.surface.formats.ply import write_ply
+from stages.texturing.bake import bake
+
+_PROOF = "proven.json"
+
+# Functions whose versions decide a simplified mesh that may have baked images.
+SIMPLIFICATION = (simplify, bake, compare_surfaces)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Proven distance of a simplified mesh from the large mesh it was made from, in both directions.
+
+    Attributes
+    ----------
+    shape_bound_m : metres.
+    color_bound_levels : None without colours.
+    """
+
+    shape_bound_m: float
+    color_bound_levels: float | None
+
+
+@dataclass(frozen=True)
+class SimplifiedMesh(MeshFile):
+    """Simplified mesh."""
+
+    NAME = "simplified_mesh"
+    FILE = "simplified.ply"
+
+    def load_proof(self) -> Proof | None:
+        """Load the proof of a mesh that was simplified in parts; None if there is none."""
+        if not (self.folder / _PROOF).is_file():
+            return None
+        proven: Any = read_json(self.folder / _PROOF)
+        return None if proven is None else Proof(**proven)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Inputs of the stage."""
+
+    clean_mesh: CleanMesh
+
+
+def _run(inputs: Inputs, params: SimplifyParams, context: Context) -> Mapping[str, Any]:
+    clean, folder = inputs.clean_mesh, context.folder
+    simplified: Simplified[Any] | InPieces
+    if clean.is_large:
+        simplified = simplify_in_pieces(clean.path, params, scratch=folder, progress=context.progress)
+        _write_proof(folder, simplified.figures())
+    else:
+        simplified = simplify(clean.load(), params, progress=context.progress)
+    write_ply(folder / SimplifiedMesh.FILE, simplified.mesh)
+    return simplified.figures()
+
+
+def _write_proof(folder: Path, figures: Mapping[str, Any]) -> None:
+    proves = any(method.proves for method in METHODS if method.name == figures["method"])
+    details = figures["details"]
+    proven = {field.name: details[field.name] for field in fields(Proof)} if proves else None
+    (folder / _PROOF).write_text(json.dumps(proven) + "\n", encoding="utf-8", newline="\n")
+
+
+def method_versions() -> dict[str, int]:
+    """Return the versions of all simplification methods."""
+    return {method.name: method.result_version for method in METHODS}
+
+
+def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
+    params = config.get(SimplifyParams)
+    try:
+        method = chosen(params)  # A clean mesh has neither texture nor parts.
+    except UsageError:
+        return result_versions(simplify)  # No method runs: the stage reports the error.
+    return {
+        # A clean mesh has no images: it is baked on request only.
+        **result_versions(*(SIMPLIFICATION if params.bake else (simplify,))),
+        **(result_versions(simplify_in_pieces) if is_clean_mesh_large(known) else {}),
+        method.name: method.result_version,
+        **(result_versions(certify) if method.proves else {}),
+    }
+
+
+def _unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> Sequence[str]:
+    return unmet(params, figures)
+
+
+def _headline(figures: Mapping[str, Any]) -> str:
+    return next((one.details.headline for one in METHODS if one.name == figures.get("method")), "")
+
+
+STAGE = Stage(
+    name="simplify",
+    section=SimplifyParams,
+    inputs=Inputs,
+    writes=SimplifiedMesh,
+    run=_run,
+    versions=_versions,
+    libraries=installed("scanloom"),
+    results=(SimplifiedMesh.FILE,),
+    unmet=_unmet,
+    cost=Cost(seconds_per_megapixel=0.15, most_bytes=MAX_BYTES_IN_PARTS),
+    headline=_headline,
+    progress_unit="triangles",
+)

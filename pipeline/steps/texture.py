@@ -1,0 +1,173 @@
+"""The stage `texture`: the simplified mesh with a texture from the photos."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.artifacts.posed_frames import PosedFrames
+from pipeline.artifacts.up_direction import Up, UpDirection
+from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from pipeline.own_paths import from_folder
+from pipeline.result_versions import always
+from pipeline.sections import Sections
+from pipeline.skipped import warn_of_skipped
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.simplify import SimplifiedMesh
+from stages.files.images import read_stored
+from stages.inspecting.libraries import installed
+from stages.params import param
+from stages.progress import Progress
+from stages.scans.scan import Frame, Scan
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh, write_mesh
+from stages.surface.texture import Image
+from stages.texturing.maps import write_maps
+from stages.texturing.texture import TextureParams, texture
+
+FILE, MAPS = "textured.glb", "texture_maps"
+
+# The golden angle, in half degrees as OpenCV counts hues.
+_GOLDEN = 68.754
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureSection(TextureParams):
+    """Whether a run gives the simplified mesh a texture from the photos, and which."""
+
+    enabled: bool = param(
+        True,
+        "Give the simplified mesh what the photos show, wherever frames have colour.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+    images: str | None = param(
+        None,
+        "Folder of other photos with poses in the scan's world, in metres (COLMAP, nerfstudio, or any scan): "
+        "their colours are taken, and none of the frames'.",
+        # What is in the folder decides, not its name.
+        invalidates=False,
+        is_path=True,
+    )
+
+
+@dataclass(frozen=True)
+class TexturedMesh(Artifact):
+    """Simplified mesh with texture, and one map for each image: the photo that has the most weight."""
+
+    NAME = "textured_mesh"
+
+    def load(self) -> Mesh:
+        """Load the mesh."""
+        return read_mesh(self.folder / FILE)
+
+    def color_by_photo(self, mesh: Mesh) -> Mesh:
+        """Colour the loaded mesh by the photo that has the most weight; grey where no photo sees it."""
+        return color_by_photo(mesh, self.folder / MAPS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs(PosedFrames):
+    """Inputs of the stage.
+
+    Attributes
+    ----------
+    photos : scan of `texture.images`, in place of the frames.
+    """
+
+    simplified_mesh: SimplifiedMesh
+    up_direction: UpDirection
+    photos: Scan | None = None
+
+
+def _run(inputs: Inputs, params: TextureSection, context: Context) -> Mapping[str, Any]:
+    scan = inputs.load_posed() if inputs.photos is None else inputs.photos
+    mesh, up = inputs.simplified_mesh.load(), inputs.up_direction.load()
+    figures = write_textured(context.folder, mesh, scan.frames, params, up, context.progress)
+    return from_folder(warn_of_skipped(figures), scan.folder)
+
+
+def _unread(config: Sections) -> Collection[str]:
+    is_given = config.get(TextureSection).images is not None
+    return ("frames", "poses", "adjusted_cameras", "names") if is_given else ()
+
+
+def skip_reason(scan: Scan, config: Sections) -> str | None:
+    """Return why a scan gets no texture; None if it gets one."""
+    params = config.get(TextureSection)
+    if not params.enabled:
+        return "is switched off; set texture.enabled=true"
+    if params.images is None and not any(frame.color is not None for frame in scan.frames):
+        return (
+            "is not a stage of this scan: its frames have no colour; texture.images=FOLDER takes other photos"
+        )
+    return None
+
+
+def write_textured(
+    folder: Path,
+    mesh: Mesh,
+    frames: Sequence[Frame],
+    params: TextureSection,
+    up: Up | None,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Write textured.glb, which stands by what is up, and the maps of its images, and return the figures."""
+    textured = texture(mesh, frames, params, progress=progress)
+    write_mesh(folder / FILE, textured.mesh.with_(up=up))
+    (folder / MAPS).mkdir()
+    write_maps(folder / MAPS, textured)
+    return textured.figures()
+
+
+def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:
+    """Colour a mesh by the photo that has the most weight; grey where no photo sees it."""
+    assert mesh.texture is not None
+    palette = _palette()
+    materials = tuple(
+        replace(material, image=Image(given=palette[read_stored(maps / f"photo-{number}.png")]))
+        for number, material in enumerate(mesh.texture.materials, 1)
+    )
+    return mesh.with_(texture=replace(mesh.texture, materials=materials))
+
+
+def _palette() -> NDArray[np.uint8]:
+    """Return a colour for each number that 16 bits hold; grey for 0."""
+    import cv2
+
+    wheel = np.full((1, 1 << 16, 3), (0, 190, 230), np.uint8)
+    # Hues, of 180, apart by the golden angle: neighbours in time are far apart in colour.
+    wheel[0, :, 0] = np.arange(1 << 16) * _GOLDEN % 180
+    colors = cv2.cvtColor(wheel, cv2.COLOR_HSV2RGB)[0]
+    colors[0] = 128
+    return np.asarray(colors, np.uint8)
+
+
+STAGE = Stage(
+    name="texture",
+    section=TextureSection,
+    inputs=Inputs,
+    labels=("names",),
+    writes=TexturedMesh,
+    run=_run,
+    versions=always(texture),
+    libraries=installed("scanloom", "opencv"),
+    results=(FILE, f"{MAPS}/"),
+    unread=_unread,
+    skip_reason=skip_reason,
+    cost=Cost(
+        seconds=2,
+        seconds_per_megapixel=0.5,
+        bytes=8e8,
+        bytes_per_megapixel=3e6,
+        by_voxels=False,
+        most_bytes=MAX_BYTES_IN_PARTS,
+    ),
+    headline="{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface seen, texels of "
+    "{texel_size_m:.2g} m",
+)

@@ -1,0 +1,136 @@
+"""The stage `tiles`: levels of detail as 3D Tiles, upright, and with the photos' colours."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from pipeline.artifacts.up_direction import Up, UpDirection
+from pipeline.expectation import Cost
+from pipeline.result_versions import always
+from pipeline.sections import Sections
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.lod import Levels, LodSection
+from pipeline.steps.texture import TexturedMesh
+from stages.inspecting.libraries import installed
+from stages.lod.hierarchy import Hierarchy
+from stages.lod.tile_texture import TileImageParams
+from stages.lod.tiles import COMPRESSIONS, write_tiles
+from stages.params import param
+from stages.progress import Progress
+from stages.scans.scan import Scan
+from stages.surface.mesh import Mesh
+
+FOLDER = "tiles"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TilesSection(TileImageParams):
+    """Whether a run writes its levels of detail as 3D Tiles, and how."""
+
+    enabled: bool = param(
+        True,
+        "Write 3D Tiles of the levels of detail, where there are any (lod.enabled=true).",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+    images: bool = param(
+        True,
+        "Give each tile an image with the colours of textured.glb, where the run makes one; else tiles have "
+        "colours of vertices.",
+    )
+    page: bool = param(False, "Write a page beside the tiles that draws them in a browser.")
+    compress: str = param(
+        "none",
+        "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "
+        "EXT_meshopt_compression; tiles that it would not make smaller stay as they are.",
+        choices=COMPRESSIONS,
+    )
+
+
+@dataclass(frozen=True)
+class Tileset(Artifact):
+    """3D Tiles."""
+
+    NAME = "tileset"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Inputs of the stage.
+
+    Attributes
+    ----------
+    textured_mesh : gives tiles their images.
+    """
+
+    up_direction: UpDirection
+    levels: Levels
+    textured_mesh: TexturedMesh | None = None
+
+
+def _run(inputs: Inputs, params: TilesSection, context: Context) -> Mapping[str, Any]:
+    textured = None if inputs.textured_mesh is None else inputs.textured_mesh.load()
+    up = inputs.up_direction.load()
+    return write_tileset(context.folder, inputs.levels.load(), textured, params, up, context.progress)
+
+
+def _unread(config: Sections) -> Collection[str]:
+    return () if config.get(TilesSection).images else ("textured_mesh",)
+
+
+def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
+    if not config.get(TilesSection).enabled:
+        return "is switched off; set tiles.enabled=true"
+    if not config.get(LodSection).enabled:
+        return "is made of levels of detail, which are not enabled; set lod.enabled=true"
+    return None
+
+
+def write_tileset(
+    folder: Path,
+    hierarchy: Hierarchy,
+    model: Mesh | None,
+    params: TilesSection,
+    up: Up | None,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Write the folder tiles/, and return the figures.
+
+    Parameters
+    ----------
+    hierarchy : the levels.
+    up : what is up in the scan; None to leave it as it is.
+    model : the textured mesh, whose colours tiles get; None for those of the levels.
+    """
+    images = TileImageParams(**{field.name: getattr(params, field.name) for field in fields(TileImageParams)})
+    written = write_tiles(
+        hierarchy,
+        folder / FOLDER,
+        texture=model,
+        images=images,
+        up="none" if up is None else " ".join(map(repr, up)),
+        page=params.page,
+        compress=params.compress,
+        progress=progress,
+    )
+    return written.figures() | {"warnings": list(written.notes)}
+
+
+STAGE = Stage(
+    name="tiles",
+    section=TilesSection,
+    inputs=Inputs,
+    writes=Tileset,
+    run=_run,
+    versions=always(write_tiles),
+    libraries=installed("scanloom", "opencv", "open3d", "scipy"),
+    results=(f"{FOLDER}/",),
+    unread=_unread,
+    skip_reason=_skip_reason,
+    cost=Cost(seconds=10, seconds_per_megapixel=1, bytes=700e6, bytes_per_megapixel=10e6),
+    headline="{tiles:,} tiles; {total_bytes:,} bytes, the root {root_bytes:,}",
+    progress_unit="tiles",
+)

@@ -1,0 +1,123 @@
+"""The stage `upright`: the up direction of a scan, for all results that are rotated upright."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.artifacts.posed_frames import PosedFrames
+from pipeline.artifacts.up_direction import Up, UpDirection, write_up
+from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from pipeline.stage import Context, Stage
+from pipeline.steps.clean import CleanMesh
+from pipeline.steps.fuse import FusedMesh
+from stages.params import check, param
+from stages.scans.scan import Scan
+from stages.scans.up import known_up
+from stages.surface.mesh import Mesh
+from stages.surface.upright import PlaceUp, direction_of, up_of_place
+
+# It is known to a degree; files need not say more.
+_DIGITS = 7
+
+
+@dataclass(frozen=True, kw_only=True)
+class UprightSection:
+    """What is up in the world of the scan: glTF files and tiles stand so. PLY files stay as they are."""
+
+    up: str | None = param(
+        None,
+        "What is up in the scan: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `as-is`, "
+        "which turns nothing. By default as the scan's layout defines it (a phone's worlds have y up) or an "
+        "accelerometer measured it; else where most of the surface looks that is within 60° of up in the "
+        "frames: floors and tops of tables, also if they are left out by fuse.remove_plane.",
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.up is not None:
+            direction_of(_words_of(self.up))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs(PosedFrames):
+    """Inputs of the stage."""
+
+    fused_mesh: FusedMesh
+    clean_mesh: CleanMesh
+
+
+def _run(inputs: Inputs, params: UprightSection, context: Context) -> Mapping[str, Any]:
+    plane = inputs.fused_mesh.load_plane_normal()
+    return estimate_up(context.folder, inputs.clean_mesh.load_sample(), inputs.load_posed(), plane, params)
+
+
+def estimate_up(
+    folder: Path, mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection
+) -> dict[str, Any]:
+    """Estimate the up direction, write it, and return figures.
+
+    Parameters
+    ----------
+    mesh : the clean one.
+    scan : in its world; frames without a pose tell nothing.
+    plane : what is up from the table or floor that was left out of it; None if none was.
+    """
+    up, told, warnings = _found(mesh, scan, plane, params)
+    write_up(folder, up)
+    return {"up": up, "up_source": told, "warnings": warnings}
+
+
+def _found(
+    mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection
+) -> tuple[Up | None, str, list[str]]:
+    """Return what is up, what told it, and what is odd about that."""
+    if params.up is not None:
+        given = direction_of(_words_of(params.up))
+        return None if given is None else _rounded(given), "given", []
+    found = up_in(mesh, scan, plane)
+    if found is None:
+        return None, "nothing", []
+    advice = "; upright.up=AXIS states it"
+    return _rounded(found.direction), found.source, [text + advice for text in found.warnings]
+
+
+def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
+    """Return what is up in a mesh by the scan whose world it is in; None where no frame has a pose."""
+    poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
+    if not poses:
+        return None
+    known, said = known_up(scan)
+    told = None if known is None else (known.direction, known.source)
+    found = up_of_place(mesh, np.array(poses), told, plane)
+    return replace(found, warnings=(*said, *found.warnings))
+
+
+def _words_of(up: str) -> str:
+    # In a configuration `none` gives a parameter back to being derived.
+    return "none" if up == "as-is" else up
+
+
+def _rounded(direction: NDArray[np.float64]) -> Up:
+    rounded = direction.round(_DIGITS)
+    x, y, z = (rounded / np.linalg.norm(rounded)).tolist()
+    return x, y, z
+
+
+STAGE = Stage(
+    name="upright",
+    section=UprightSection,
+    inputs=Inputs,
+    labels=("world",),
+    writes=UpDirection,
+    run=_run,
+    # Raised by hand when the same clean mesh and frames give another direction.
+    versions=lambda known, config: {"upright": 3},  # noqa: ARG005
+    cost=Cost(seconds=0.5, most_bytes=MAX_BYTES_IN_PARTS),
+    headline="what is up is told by: {up_source}",
+)

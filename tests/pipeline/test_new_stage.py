@@ -1,0 +1,167 @@
+"""A stage is added by one file in each folder and a line in three tables, and is then everywhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipeline.graph import STAGES
+from pipeline.stage import AnyStage
+
+ROOT = Path(__file__).resolve().parents[2]
+
+FUNCTION = '''"""Area of a mesh."""
+
+from dataclasses import dataclass
+
+from stages.params import check, param
+from stages.surface.mesh import Mesh
+from stages.surface.topology import areas
+
+RESULT_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class AreaParams:
+    """Measure the area of the surface."""
+
+    factor: float = param(1.0, "Multiply the area by this.", low=0)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def area(mesh: Mesh, params: AreaParams) -> float:
+    return params.factor * float(areas(mesh.vertices, mesh.triangles).sum())
+'''
+STEP = '''"""The stage `area`: the area of the clean mesh."""
+
+from dataclasses import dataclass
+
+from pipeline.result_versions import always
+from pipeline.stage import Artifact, Context, Stage
+from pipeline.steps.clean import CleanMesh
+from stages.area.area import AreaParams, area
+
+
+@dataclass(frozen=True)
+class AreaFile(Artifact):
+    NAME = "area"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    clean_mesh: CleanMesh
+
+
+def _run(inputs: Inputs, params: AreaParams, context: Context):
+    found = area(inputs.clean_mesh.load(), params)
+    (context.folder / "area.txt").write_text(f"{found}")
+    return {"area_m2": found}
+
+
+STAGE = Stage(
+    name="area",
+    section=AreaParams,
+    inputs=Inputs,
+    writes=AreaFile,
+    run=_run,
+    versions=always(area),
+    results=("area.txt",),
+    headline="{area_m2:.3g} m²",
+)
+'''
+COMMAND = '''"""The command `area`."""
+
+from cli.mesh_arguments import MeshFile, read_file
+from cli.output import Output
+from stages.area.area import AreaParams
+from stages.area.area import area as measure
+
+
+def area(source: MeshFile, params: AreaParams, out: Output) -> None:
+    """Measure the area of a mesh."""
+    out.result({"area_m2": measure(read_file(source, out), params)})
+'''
+LINES = (
+    ("pipeline/graph.py", "    clean,\n", "    area,\n    clean,\n"),
+    ("pipeline/graph.py", "    clean.STAGE,\n", "    clean.STAGE,\n    area.STAGE,\n"),
+    ("pipeline/config.py", "\n\n@dataclass", "\nfrom stages.area.area import AreaParams\n\n\n@dataclass"),
+    (
+        "pipeline/config.py",
+        "    upright: ",
+        "    area: AreaParams = field(default_factory=AreaParams)\n    upright: ",
+    ),
+    ("cli/app.py", '        "clean",\n', '        "clean",\n        "area",\n'),
+)
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy the checkout and add a stage to it."""
+    root = tmp_path_factory.mktemp("checkout")
+    for folder in ("stages", "pipeline", "cli"):
+        ignored = shutil.ignore_patterns("node_modules", "__pycache__")
+        shutil.copytree(ROOT / folder, root / folder, ignore=ignored)
+    (root / "stages" / "area").mkdir()
+    (root / "stages" / "area" / "__init__.py").write_text("")
+    (root / "stages" / "area" / "area.py").write_text(FUNCTION)
+    (root / "pipeline" / "steps" / "area.py").write_text(STEP)
+    (root / "cli" / "commands" / "area.py").write_text(COMMAND)
+    for file, before, after in LINES:
+        text = (root / file).read_text(encoding="utf-8")
+        assert before in text
+        (root / file).write_text(text.replace(before, after, 1), encoding="utf-8")
+    return root
+
+
+def run_scanloom(checkout: Path, *words: str) -> str:
+    program = "import sys; from cli.app import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words],
+        cwd=checkout,
+        env={**os.environ, "PYTHONPATH": str(checkout)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_a_new_stage_is_in_runs_help_toml_json_cache_and_report(checkout: Path, tmp_path: Path) -> None:
+    assert "area" in run_scanloom(checkout, "--help")
+    assert "--factor" in run_scanloom(checkout, "area", "--help")
+    assert "[area]" in run_scanloom(checkout, "config")
+
+    sample, out = ROOT / "samples" / "rgbd", tmp_path / "out"
+    words = ("--set", "scan.every=6", "--set", "fuse.voxel_size=0.03", "--set", "area.factor=2")
+    quick = ("--set", "adjust.enabled=false", "--set", "texture.enabled=false", "--set", "report.width=64")
+    printed = json.loads(run_scanloom(checkout, "run", str(sample), "-o", str(out), *words, *quick, "--json"))
+    stage = json.loads((out / "report.json").read_text())["stages"]["area"]
+    assert stage["params"] == {"area": {"factor": 2.0}}
+    assert stage["figures"]["area_m2"] == float((out / "area.txt").read_text()) > 0
+    assert printed["stages"]["area"]["figures"] == stage["figures"]
+    assert len(list((out / "cache" / "area").iterdir())) == 1
+    assert "area" in (out / "report.html").read_text(encoding="utf-8")
+    alone = json.loads(run_scanloom(checkout, "area", str(out / "clean.ply"), "--json"))
+    assert alone["area_m2"] == pytest.approx(stage["figures"]["area_m2"] / 2)
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_inputs_are_named_after_what_other_stages_write(stage: AnyStage) -> None:
+    sources = {"scan", "frames", "network", "photos", "held_out", "names", "times", "world"}
+    earlier = {one.writes.NAME for one in STAGES[: STAGES.index(stage)]}
+    assert set(stage.reads) <= sources | earlier
+
+
+def test_artifacts_have_names_of_their_own() -> None:
+    names = [stage.writes.NAME for stage in STAGES]
+    assert len(set(names)) == len(names)
