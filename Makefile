@@ -1,5 +1,5 @@
-# make demo: set up and run the pipeline on a sample scan.  make test: set up and run every check.
-# make check: the quick ones, before every commit.  CONTRIBUTING.md says more.
+# make demo: set up and run the pipeline on a sample scan.  make test: set up and check everything that often breaks.
+# make check: before every commit.  make test-all: what is slow and rarely fails, too.  CONTRIBUTING.md says more.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -18,7 +18,7 @@ PACKAGES := $(PAGE)/node_modules/.package-lock.json
 # The site of docs/, which opens from the disk: build/docs/index.html.
 SITE := build/docs
 
-.PHONY: docs page browser packages demo check test campaign bench format lint python-lint ruff mypy stubtest clippy rust-tests collected clean
+.PHONY: docs page browser packages demo check test test-all campaign bench format lint python-lint ruff mypy mypy-windows stubtest clippy rust-tests collected clean
 
 demo: $(READY)
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
@@ -26,7 +26,10 @@ demo: $(READY)
 	@echo "The mesh is demo/rgbd/textured.glb (and simplified.ply), the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
 
 check: lint
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m "not slow"
+	$(BIN)/pytest --quiet -m "not slow" $(QUICK)
+
+# Imports, messages and names: what most changes break.
+QUICK := tests/test_imports.py tests/docs/test_messages.py tests/stages/test_package.py tests/pipeline/test_versions.py
 
 # What needs no Python, and what is only fetched, goes on while the kernels are compiled. A machine with nothing prepared
 # compiles them for the tests alone: to optimise them together with the crates they use takes minutes, and changes no
@@ -41,7 +44,11 @@ test: export CARGO_PROFILE_TEST_CODEGEN_UNITS = 2
 test: export CARGO_PROFILE_TEST_DEBUG = 0
 test:
 	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target python-lint clippy rust-tests browser packages collected
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m "not thorough"
+
+# Real scans, wheels, the documentation site, simulated clusters and systems, benches, kills and random damage.
+test-all: test mypy-windows
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m thorough
 
 # Tests of pages need Chromium, best without the parts that draw windows: with them each start takes seconds. Where it
 # cannot be had, they say so: CI fails then, a developer's run skips them. After the environment, which may need the
@@ -91,9 +98,11 @@ ruff:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-# As on Linux, and as on Windows: what one system's Python lacks is an error there.
 mypy:
 	$(BIN)/mypy
+
+# What the Python of Windows lacks is an error there.
+mypy-windows: $(READY)
 	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/windows
 
 # When one of both sides has changed. With the settings of mypy it would spoil mypy's cache.

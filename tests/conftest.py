@@ -22,11 +22,33 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+TESTS = Path(__file__).parent
+
+# Slow tests that `make test` runs too: golden files, cache keys, runs, commands, and the public functions.
+IN_EVERY_RUN = (
+    "cli",
+    "golden",
+    "pipeline/test_keys.py",
+    "pipeline/test_new_stage.py",
+    "pipeline/test_run.py",
+    "pipeline/test_views.py",
+    "stages/simplification/test_textured.py",
+    "stages/texturing/test_bake_materials.py",
+    "test_recipes.py",
+)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Count every test with real scans among the slow ones."""
+    """Mark tests with real scans as slow, and slow tests that rarely fail as thorough."""
     for item in items:
-        if "shared_data" in getattr(item, "fixturenames", ()):
+        has_real_scans = "shared_data" in getattr(item, "fixturenames", ())
+        if has_real_scans:
             item.add_marker(pytest.mark.slow)
+        place = item.path.relative_to(TESTS)
+        is_in_every_run = any(place.is_relative_to(one) for one in IN_EVERY_RUN)
+        is_in_every_run &= not has_real_scans and place.name != "test_memory.py"
+        if item.get_closest_marker("slow") is not None and not is_in_every_run:
+            item.add_marker(pytest.mark.thorough)
 
 
 def pytest_collection_finish() -> None:
