@@ -25,6 +25,10 @@ const STEPS: usize = 12;
 /// No triangle may turn by more than 60° (cosine).
 const LEAST_COSINE: f64 = 0.5;
 
+/// Largest way of a vertex, in distances of its farthest sample. Where normals are nearly at right angles to all
+/// triangles, as on a thin prism, samples hardly hold a vertex: it would leave the surface as a spike.
+const MAX_REACH: f64 = 2.0;
+
 /// Samples a thread takes at a time.
 const CHUNK: usize = 1 << 14;
 
@@ -164,7 +168,11 @@ pub fn fit<const D: usize>(
     let normals = vertex_normals(mesh);
     let system = System::new(mesh, &samples, &hits, &normals, threads);
     progress.check()?;
-    let solution = system.solve();
+    let mut solution = system.solve();
+    for (step, farthest2) in solution.iter_mut().zip(&system.farthest2) {
+        let reach = MAX_REACH * farthest2.sqrt();
+        step[0] = step[0].clamp(-reach, reach);
+    }
     for (point, step) in mesh.points.iter_mut().zip(&solution) {
         (3..D).for_each(|j| point[j] += step[j]);
     }
@@ -179,6 +187,8 @@ struct System<const D: usize> {
     /// Edge by edge.
     across: Vec<([u32; 2], [f64; 2])>,
     right: Vec<[f64; D]>,
+    /// Squared distance of the farthest sample on the triangles around each vertex.
+    farthest2: Vec<f64>,
 }
 
 /// What the samples of one triangle add to the system: corner by corner, and side by side from corner to corner.
@@ -187,13 +197,15 @@ struct Share<const D: usize> {
     diagonal: [[f64; 2]; 3],
     across: [[f64; 2]; 3],
     right: [[f64; D]; 3],
+    farthest2: f64,
 }
 
 /// Triangles whose shares are made at a time.
 const BLOCK: usize = 1 << 15;
 
 impl<const D: usize> Share<D> {
-    const NONE: Self = Self { diagonal: [[0.0; 2]; 3], across: [[0.0; 2]; 3], right: [[0.0; D]; 3] };
+    const NONE: Self =
+        Self { diagonal: [[0.0; 2]; 3], across: [[0.0; 2]; 3], right: [[0.0; D]; 3], farthest2: 0.0 };
 
     fn add(
         &mut self,
@@ -209,6 +221,7 @@ impl<const D: usize> Share<D> {
         let [a, b, c] = points.map(position);
         let is_inside = at.iter().all(|&x| x > EDGE);
         let away = position(&off);
+        self.farthest2 = self.farthest2.max(norm2(&away));
         // Beyond a side, the distance is not along the normal of the triangle.
         let towards = if is_inside || norm2(&away) == 0.0 { cross(&sub(&b, &a), &sub(&c, &a)) } else { away };
         let length = norm2(&towards).sqrt();
@@ -275,6 +288,7 @@ impl<const D: usize> System<D> {
         let mut diagonal = vec![[0.0; 2]; mesh.points.len()];
         let mut across = vec![[0.0; 2]; connectivity.edge_slots()];
         let mut right = vec![[0.0; D]; mesh.points.len()];
+        let mut farthest2 = vec![0.0_f64; mesh.points.len()];
         let mut shares = vec![Share::<D>::NONE; BLOCK.min(triangles)];
         for block in (0..triangles).step_by(BLOCK) {
             let shares = &mut shares[..BLOCK.min(triangles - block)];
@@ -286,6 +300,7 @@ impl<const D: usize> System<D> {
                     (0..2).for_each(|i| diagonal[v][i] += share.diagonal[k][i]);
                     (0..2).for_each(|i| across[edge][i] += share.across[k][i]);
                     (0..D).for_each(|j| right[v][j] += share.right[k][j]);
+                    farthest2[v] = farthest2[v].max(share.farthest2);
                 }
             }
         }
@@ -299,7 +314,7 @@ impl<const D: usize> System<D> {
             }
         }
         let across = connectivity.edges().map(|e| (connectivity.ends(e).map(|v| v.0), across[e.index()]));
-        Self { diagonal, across: across.collect(), right }
+        Self { diagonal, across: across.collect(), right, farthest2 }
     }
 
     /// The conjugate gradient method, preconditioned with the diagonal, for all unknowns side by side.

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.report import deviations
+from pipeline.evaluation import deviations
 from pipeline.steps import coverage as covering
 from stages.errors import InputError, MeshError, StageError
 from stages.surface.formats.ply import read_ply, read_vertex_values, write_ply, write_ply_cloud
