@@ -108,8 +108,8 @@ pub fn texels(
     Texels { pixels, triangles, shares }
 }
 
-/// The shares of the corners of the place in a triangle that is nearest to a point.
-fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
+/// Compute the barycentric weights of the point of a triangle nearest to a point.
+pub fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
     let [a, b, c] = corners;
     let area = turn(a, b, c);
     if area != 0.0 {
@@ -130,7 +130,7 @@ fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
     best.0
 }
 
-fn distance2(corners: &[[f64; 2]; 3], p: [f64; 2]) -> f64 {
+pub fn distance2(corners: &[[f64; 2]; 3], p: [f64; 2]) -> f64 {
     (0..3).map(|k| along(&corners[k], &corners[(k + 1) % 3], p).1).fold(f64::INFINITY, f64::min)
 }
 

@@ -13,6 +13,8 @@
 //! | [`level`] | borders levelled where photos end |
 //! | [`neighbours`] | texels beside each other as one photo shows both |
 //! | [`screened`] | the field whose differences come nearest to wanted ones |
+//! | [`texel_sources`] | triangles of a simplified mesh and of its original under the texels of an atlas |
+//! | [`sampling`] | bilinear samples of an image under the texels of an atlas |
 //! | [`shade`] | the textured mesh as a camera sees it |
 
 pub mod blend;
@@ -22,8 +24,10 @@ pub mod level;
 pub mod neighbours;
 pub mod pinhole;
 pub mod pixels;
+pub mod sampling;
 pub mod screened;
 pub mod shade;
 pub mod surface_points;
+pub mod texel_sources;
 pub mod view;
 pub mod zbuffer;
