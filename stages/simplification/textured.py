@@ -167,7 +167,7 @@ def has_few_seams(mesh: Mesh, triangles: int) -> bool:
     is_other |= material_ids != material_ids[other]
     is_seam = np.zeros(len(first), bool)
     is_seam[corners[is_other]] = True
-    return np.count_nonzero(is_seam) <= _MAX_SEAM_RATIO * triangles
+    return int(np.count_nonzero(is_seam)) <= _MAX_SEAM_RATIO * triangles
 
 
 def choose_texture(mesh: Mesh, baked: Simplified[Any], kept: Simplified[Any]) -> Simplified[Any]:

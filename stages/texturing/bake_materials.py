@@ -53,7 +53,7 @@ from stages.texturing.tangent_frames import decode_normals, encode_normals, tang
 Pixels = NDArray[np.uint8]
 
 # Points of the original at which the colour error is measured.
-_COMPARED = 50_000
+_COMPARED = 30_000
 # Bytes that a triangle takes at least in a file of any format: what is removed leaves as many for images, and
 # the file is no larger than before.
 _BYTES_PER_TRIANGLE = 12
@@ -337,7 +337,7 @@ def _bake_class(
     total = float(budget.covered.sum())
     limit = None if budget.texels is None else max(budget.texels, _MIN_TEXELS)
     vertices = locate_vertices(surface, part.original)
-    nearest = vertices.located.triangles[part.original.triangles[:, 0]]
+    nearest = vertices.located.triangles[part.original.triangles]
     densities = _compute_densities(part.simplified, part.original, nearest, budget.covered)
     pages = lay_out_within(
         part.simplified,
@@ -367,7 +367,7 @@ def _compute_densities(
     Parameters
     ----------
     mesh : the simplified mesh.
-    nearest : triangle of the simplified mesh under each triangle of the original.
+    nearest : (m, 3) triangles of the simplified mesh under the corners of the original.
     covered : texels of each triangle of the original.
     """
     even = np.ones(len(mesh.triangles))
@@ -379,7 +379,9 @@ def _compute_densities(
     if high <= _UNEVEN * low:
         return even
     count = len(mesh.triangles)
-    texels, beneath = (np.bincount(nearest, values, minlength=count) for values in (covered, area))
+    texels, beneath = (
+        np.bincount(nearest.reshape(-1), np.repeat(values, 3), minlength=count) for values in (covered, area)
+    )
     corners = mesh.triangles.reshape(-1)
     for _ in range(2):
         # Spread over neighbours: small triangles of the simplified mesh have hardly any of the original.
@@ -490,6 +492,9 @@ class _ClassBaker:
 
     def _create_canvas(self, color: Sequence[int]) -> Pixels:
         width, height = self._pages.sizes[self._page]
+        if len(set(color)) == 1:
+            # Much faster than a pattern.
+            return np.full((height, width, len(color)), color[0], np.uint8)
         canvas = np.empty((height, width, len(color)), np.uint8)
         canvas[:] = color
         return canvas
@@ -569,7 +574,9 @@ class _ClassBaker:
         for number in self._class.numbers:
             image = self._load_map(number, path, 3)
             if image is not None:
-                self._sample(canvas, image if is_normal else self._apply_factors(image, number, path), number, path)
+                self._sample(
+                    canvas, image if is_normal else self._apply_factors(image, number, path), number, path
+                )
         if is_normal:
             self._transform_normals(canvas, path)
         return canvas

@@ -160,7 +160,11 @@ class PlacedTriangles:
     def select(self, rows: NDArray[np.intp]) -> PlacedTriangles:
         """Return some of the triangles."""
         return PlacedTriangles(
-            self.corners[rows], self.triangles[rows], self.charts[rows], self.pages[rows], self.max_distances[rows]
+            self.corners[rows],
+            self.triangles[rows],
+            self.charts[rows],
+            self.pages[rows],
+            self.max_distances[rows],
         )
 
 
@@ -237,7 +241,9 @@ class Correspondence:
         a, b, c = (vertex_charts[corner] for corner in mesh.triangles.T)
         is_usable = (a >= 0) & (b >= 0) & (c >= 0)
         is_whole = is_usable & (a == b) & (b == c)
-        crossing = self._place_crossing(np.flatnonzero(is_usable & ~is_whole), vertex_charts, located, at, normals)
+        crossing = self._place_crossing(
+            np.flatnonzero(is_usable & ~is_whole), vertex_charts, located, at, normals
+        )
         whole = np.flatnonzero(is_whole)
         corners = mesh.triangles[whole]
         distances = _max_of_corners(located.distances, corners)
@@ -322,7 +328,9 @@ class Correspondence:
         corners = mesh.triangles[placed.triangles]
         away = _max_of_corners(located.distances, corners) / self._texel_size
         for start, end in ((0, 1), (1, 2), (2, 0)):
-            along = mesh.vertices.take(corners[:, end], axis=0) - mesh.vertices.take(corners[:, start], axis=0)
+            along = mesh.vertices.take(corners[:, end], axis=0) - mesh.vertices.take(
+                corners[:, start], axis=0
+            )
             laid = placed.corners[:, end] - placed.corners[:, start]
             allowed = _MAX_STRETCH * np.sqrt(_dot(along, along)) / self._texel_size + _FREE_TEXELS + away
             # Comparing as it does with what is not finite, it removes that, too.
@@ -352,9 +360,10 @@ def _sum_normals(mesh: Mesh, sets: NDArray[np.int32]) -> Floats:
     across = np.cross(b - a, c - a)
     at = sets[mesh.triangles].T.reshape(-1)
     count = int(sets.max(initial=-1)) + 1
-    return np.stack(
+    sums: Floats = np.stack(
         [np.bincount(at, np.tile(across[:, axis], 3), minlength=count) for axis in range(3)], axis=1
     )
+    return sums
 
 
 def _locate(

@@ -17,26 +17,24 @@ pub enum Wrap {
 }
 
 impl Wrap {
-    /// Bring a coordinate in units of the image into the range from 0 to 1.
-    fn place(self, at: f64) -> f64 {
-        match self {
+    /// Convert a coordinate in units of the image to texels; 0.5 is before the first one.
+    #[inline]
+    fn place(self, at: f64, count: usize) -> f64 {
+        let at = match self {
+            _ if (0.0..=1.0).contains(&at) => at,
             Self::Clamp => at.clamp(0.0, 1.0),
-            Self::Repeat if (0.0..=1.0).contains(&at) => at,
             Self::Repeat => at - at.floor(),
             Self::Mirror => 1.0 - (1.0 - (at - 2.0 * (0.5 * at).floor())).abs(),
-        }
+        };
+        at * count as f64 + 0.5
     }
 
-    /// The texels before and after a coordinate, and the share of the second.
-    fn texels(self, at: f64, count: usize) -> ([usize; 2], u32) {
-        let place = self.place(at) * count as f64 + 0.5;
-        // One too large, so that it is not negative.
-        let after = (place as usize).min(count);
-        let share = ((place - after as f64) * f64::from(ONE) + 0.5) as u32;
-        let is_ring = self == Self::Repeat;
-        let before = if after > 0 { after - 1 } else if is_ring { count - 1 } else { 0 };
-        let after = if after < count { after } else if is_ring { 0 } else { count - 1 };
-        ([before, after], share.min(ONE))
+    /// The texels before and after one end of an image, where the first one after it is number 0 or `count`.
+    fn around(self, after: usize, count: usize) -> [usize; 2] {
+        match self {
+            Self::Repeat => [(after + count - 1) % count, after % count],
+            _ => [after.saturating_sub(1), after.min(count - 1)],
+        }
     }
 }
 
@@ -54,20 +52,37 @@ impl Image<'_> {
     /// Sample the first channels at a texture coordinate, v up.
     #[inline]
     fn sample<const C: usize>(&self, [u, v]: [f64; 2]) -> [u8; C] {
-        let (columns, right) = self.wrap[0].texels(u, self.width);
-        let (rows, below) = self.wrap[1].texels(1.0 - v, self.height);
-        let [[a, b], [c, d]] = rows.map(|row| {
-            columns.map(|column| {
-                let start = (row * self.width + column) * self.channels;
-                &self.pixels[start..start + C]
-            })
+        let (x, y) = (self.wrap[0].place(u, self.width), self.wrap[1].place(1.0 - v, self.height));
+        // Of 32 bits, which processors convert at once; what is not finite becomes 0.
+        let [column, row] = [x as i32, y as i32];
+        let share = |at: f64, whole: i32| ((at - f64::from(whole)) * f64::from(ONE) + 0.5) as i32 as u32;
+        let (right, below) = (share(x, column).min(ONE), share(y, row).min(ONE));
+        let (column, row) = (column as usize, row as usize);
+        if (1..self.width).contains(&column) && (1..self.height).contains(&row) {
+            let start = ((row - 1) * self.width + column - 1) * self.channels;
+            let [above, under] = [start, start + self.width * self.channels]
+                .map(|start| &self.pixels[start..start + self.channels + C]);
+            let across = |texels: &[u8], k: usize| mix(texels[k], texels[self.channels + k], right);
+            return std::array::from_fn(|k| round(across(above, k), across(under, k), below));
+        }
+        let columns = self.wrap[0].around(column.min(self.width), self.width);
+        let rows = self.wrap[1].around(row.min(self.height), self.height);
+        let [above, under] = rows.map(|row| {
+            columns.map(|column| &self.pixels[(row * self.width + column) * self.channels..][..C])
         });
-        std::array::from_fn(|k| {
-            let across = |one: u8, other: u8| u32::from(one) * (ONE - right) + u32::from(other) * right;
-            let sum = across(a[k], b[k]) * (ONE - below) + across(c[k], d[k]) * below;
-            ((sum + (1 << (2 * BITS - 1))) >> (2 * BITS)) as u8
-        })
+        let across = |texels: &[&[u8]; 2], k: usize| mix(texels[0][k], texels[1][k], right);
+        std::array::from_fn(|k| round(across(&above, k), across(&under, k), below))
     }
+}
+
+#[inline]
+fn mix(one: u8, other: u8, share: u32) -> u32 {
+    u32::from(one) * (ONE - share) + u32::from(other) * share
+}
+
+#[inline]
+fn round(one: u32, other: u32, share: u32) -> u8 {
+    ((one * (ONE - share) + other * share + (1 << (2 * BITS - 1))) >> (2 * BITS)) as u8
 }
 
 /// Triangles that are drawn into an atlas.
@@ -106,8 +121,20 @@ pub fn sample<const C: usize>(
             }
             let (corners, uvs) = (&drawn.corners[t], &drawn.uvs[t]);
             let across = Across::new(corners, y);
-            for (x, texel) in columns.clone().zip(&mut texels[columns]) {
-                *texel = image.sample(mixed(&across.shares(corners, x as f64 + 0.5, y), uvs));
+            let at = |column: usize| across.shares(column as f64 + 0.5);
+            let texels = &mut texels[columns.clone()];
+            if let (Some(first), Some(last)) = (at(columns.start), at(columns.end - 1)) {
+                // Between two points of a triangle all points are in it.
+                let [start, end] = [first, last].map(|shares| mixed(&shares, uvs));
+                let step = [0, 1].map(|k| (end[k] - start[k]) / (run.len() - 1).max(1) as f64);
+                for (i, texel) in texels.iter_mut().enumerate() {
+                    *texel = image.sample([0, 1].map(|k| start[k] + i as f64 * step[k]));
+                }
+            } else {
+                for (column, texel) in columns.zip(texels) {
+                    let near = || shares(corners, [column as f64 + 0.5, y]);
+                    *texel = image.sample(mixed(&at(column).unwrap_or_else(near), uvs));
+                }
             }
         }
     });
@@ -139,12 +166,12 @@ impl Across {
         }
     }
 
-    /// Shares of the corners in the nearest point of the triangle.
+    /// Shares of the corners at a point; `None` beside the triangle.
     #[inline]
-    fn shares(&self, corners: &Corners, x: f64, y: f64) -> [f64; 3] {
+    fn shares(&self, x: f64) -> Option<[f64; 3]> {
         let [v, w] = [0, 1].map(|k| self.values[k] + (x - self.first) * self.steps[k]);
         let u = 1.0 - v - w;
-        if self.is_sound && u >= 0.0 && v >= 0.0 && w >= 0.0 { [u, v, w] } else { shares(corners, [x, y]) }
+        (self.is_sound && u >= 0.0 && v >= 0.0 && w >= 0.0).then_some([u, v, w])
     }
 }
 
@@ -186,8 +213,7 @@ mod tests {
         let corners = [[[2.0, 2.0], [6.0, 2.0], [2.0, 6.0]]];
         let uvs = [[[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]];
         let pixels: Vec<u8> = (0..=255).collect();
-        let image =
-            Image { pixels: &pixels, width: 256, height: 1, channels: 1, wrap: [Wrap::Clamp; 2] };
+        let image = Image { pixels: &pixels, width: 256, height: 1, channels: 1, wrap: [Wrap::Clamp; 2] };
         let mut texels = vec![[0u8]; 64];
         let triangles = [0; 64];
         let drawn = Drawn { triangles: &triangles, corners: &corners, uvs: &uvs, is_shown: &[true] };
