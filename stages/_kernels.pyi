@@ -20,6 +20,7 @@ __all__ = [
     "LaidOut",
     "Levels",
     "LimitError",
+    "NearestSurface",
     "NormalMesh",
     "Photo",
     "PlanarPatches",
@@ -390,6 +391,32 @@ def texels(
     corners: NDArray[np.float64], pages: NDArray[np.int32], *, page: int, width: int, height: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
     """Return the texels of one image, by triangles: pixels, triangles and shares of their corners."""
+
+@final
+class NearestSurface:
+    """A surface that is asked for its nearest points."""
+
+    def __new__(
+        cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
+    ) -> NearestSurface: ...
+    def closest(
+        self, points: NDArray[np.float64], *, wanted_threads: int
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the nearest points to points (n, 3): triangles (n,), weights (n, 3) and distances (n,)."""
+
+    def facing(
+        self,
+        points: NDArray[np.float64],
+        normals: NDArray[np.float64],
+        *,
+        reach: float,
+        wanted_threads: int,
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the same for points of another surface with its unit normals (n, 3).
+
+        A point that faces away is passed over for one that does not, along the normal and within reach.
+        Instead of distances, where that was so.
+        """
 
 def draw_sources(
     simplified: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]],

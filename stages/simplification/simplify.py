@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RESULT_VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-RESULT_VERSION = 13
+RESULT_VERSION = 14
 
 
 @overload

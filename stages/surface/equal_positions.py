@@ -37,7 +37,7 @@ def position_keys(vertices: Vertices) -> NDArray[np.uint64]:
 
 
 def rank_labels(labels: NDArray[Any]) -> NDArray[np.int32]:
-    """Number labels from 0 in the order they first occur."""
+    """Replace labels by numbers from 0 in the order they first occur."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int32)
     rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)

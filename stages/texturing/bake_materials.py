@@ -24,7 +24,7 @@ from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
 from stages.surface.formats.gltf_materials import GltfStatements, multiplies_colors
 from stages.surface.formats.mtl import MtlStatements
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
+from stages.surface.raycasting import bounding_box
 from stages.surface.texture import Image, Material, Texture, signed_areas
 from stages.surface.topology import areas
 from stages.texturing.bake import Baked
@@ -332,11 +332,9 @@ def _compute_budgets(
 def _bake_class(
     part: _Part, one: MaterialClass, budget: _Budget, name: str, totals: _Totals
 ) -> tuple[Pages, list[_Draft]]:
-    box = bounding_box(part.simplified, part.original)
-    surface = Surface(part.simplified, box)
     total = float(budget.covered.sum())
     limit = None if budget.texels is None else max(budget.texels, _MIN_TEXELS)
-    vertices = locate_vertices(surface, part.original)
+    vertices = locate_vertices(part.simplified, part.original)
     nearest = vertices.located.triangles[part.original.triangles]
     densities = _compute_densities(part.simplified, part.original, nearest, budget.covered)
     pages = lay_out_within(
@@ -346,7 +344,7 @@ def _bake_class(
         max_texels=limit,
         max_side=min(1 << max(budget.max_side - 1, 1).bit_length(), 8192),
     )
-    correspondence = Correspondence(surface, part.original, pages, vertices)
+    correspondence = Correspondence(part.simplified, part.original, pages, vertices)
     totals.charts += int(pages.charts.max()) + 1
     totals.padding = min(totals.padding, pages.padding)
     baker = _ClassBaker(part, one, budget, pages, total)

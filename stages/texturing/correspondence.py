@@ -7,6 +7,7 @@ that fold over or tear there are left out. Texels that stay empty get a query of
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,9 +17,9 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.surface.equal_positions import equal_positions
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Located, Surface, bounding_box, unit_normals
+from stages.surface.raycasting import Floats, Located, unit_normals
 from stages.surface.texture import signed_areas
-from stages.texturing.facing import FacingColors
+from stages.texturing.facing import INWARDS, PROBES, move_inwards
 from stages.texturing.pages import Pages
 from stages.texturing.sampling import sample_image
 
@@ -173,23 +174,22 @@ class Correspondence:
 
     Parameters
     ----------
-    simplified : its box holds the original too.
-    original : mesh.
+    simplified, original : meshes.
     pages : atlas of the simplified mesh.
     vertices : of `locate_vertices`.
     """
 
-    def __init__(self, simplified: Surface, original: Mesh, pages: Pages, vertices: VertexLocations) -> None:
+    def __init__(self, simplified: Mesh, original: Mesh, pages: Pages, vertices: VertexLocations) -> None:
         self._simplified, self._original, self._pages = simplified, original, pages
-        self._texel_size = pages.texel_size(simplified.mesh)
+        self._normals = unit_normals(simplified)
+        self._texel_size = pages.texel_size(simplified)
         self._placed = self._place_triangles(vertices)
-        self._facing: FacingColors | None = None
         self._images: dict[int, NDArray[np.int32]] = {}
 
     def find_sources(self, page: int) -> TexelSources:
         """Find the point of the original for each texel of an image."""
         width, height = self._pages.sizes[page]
-        mesh, original, pages = self._simplified.mesh, self._original, self._pages
+        mesh, original, pages = self._simplified, self._original, self._pages
         placed = self._placed.select(np.flatnonzero(self._placed.pages == page))
         rows = np.flatnonzero(pages.pages == page)
         image, drawn = _kernels.draw_sources(
@@ -203,16 +203,13 @@ class Correspondence:
         self._images[page] = image
         is_filled = image >= 0
         missing = np.flatnonzero(is_filled & (drawn < 0))
-        own = self.locate_texels(page, missing)
         found, weights, turned_count = [np.zeros(0, np.int32)], [np.zeros((0, 3), np.float32)], 0
         for start in range(0, len(missing), _AT_ONCE):
-            part = slice(start, start + _AT_ONCE)
-            some, some_weights, turned = self._get_facing_lookup().locate(
-                own.triangles[part].astype(np.int64), own.weights[part].astype(np.float64)
-            )
-            found.append(some.astype(np.int32))
+            own = self.locate_texels(page, missing[start : start + _AT_ONCE])
+            some, some_weights, is_turned = self._look_up(own)
+            found.append(some)
             weights.append(some_weights.astype(np.float32))
-            turned_count += turned
+            turned_count += int(np.count_nonzero(is_turned))
         looked_up = TexelPoints(missing, np.concatenate(found), np.concatenate(weights))
         return TexelSources(is_filled, placed, drawn, looked_up, turned_count)
 
@@ -226,11 +223,36 @@ class Correspondence:
         weights = _locate(self._pages.corners, triangles, texels, self._pages.sizes[page][0])
         return TexelPoints(texels, triangles, weights)
 
-    def _get_facing_lookup(self) -> FacingColors:
-        if self._facing is None:
-            box = bounding_box(self._original, self._simplified.mesh)
-            self._facing = FacingColors(Surface(self._original, box), self._simplified.mesh, self._texel_size)
-        return self._facing
+    def _look_up(self, own: TexelPoints) -> tuple[NDArray[np.int32], Floats, NDArray[np.bool_]]:
+        """Find the points of the original nearest to points of the simplified mesh, facing the same way.
+
+        Returns
+        -------
+        Triangles (k,) of the original, weights (k, 3), and where a nearer point faced away.
+        """
+        mesh = self._simplified
+        a, b, c = (
+            mesh.vertices.take(corner, axis=0) for corner in mesh.triangles.take(own.triangles, axis=0).T
+        )
+        u, v, w = own.weights.astype(np.float64).T[:, :, None]
+        points = move_inwards(u * a + v * b + w * c, (a + b + c) / 3, INWARDS * self._texel_size)
+        surface, reach = self._original_surface
+        return surface.facing(
+            points, self._normals.take(own.triangles, axis=0), reach=reach, wanted_threads=0
+        )
+
+    @cached_property
+    def _original_surface(self) -> tuple[_kernels.NearestSurface, float]:
+        """The original, and how far, in metres, a surface that faces the right way is looked for.
+
+        Twice the largest distance found between both meshes: where a thin sheet has come out on the wrong
+        side of itself, its right side is not much farther than that.
+        """
+        surface = _create_surface(self._original)
+        step = math.ceil(len(self._simplified.triangles) / PROBES)
+        middles = self._simplified.vertices[self._simplified.triangles[::step]].mean(axis=1)
+        _, _, distances = surface.closest(middles, wanted_threads=0)
+        return surface, 2 * float(distances.max())
 
     def _place_triangles(self, vertices: VertexLocations) -> PlacedTriangles:
         """Place the triangles of the original in the atlas, in drawing order."""
@@ -252,7 +274,7 @@ class Correspondence:
         whole, corners, distances = whole[order], corners[order], distances[order]
         first = located.triangles[corners[:, 0]]
         own = normals[whole]
-        under = self._simplified.normals[located.triangles]
+        under = self._normals[located.triangles]
         is_doubtful = np.zeros(len(whole), bool)
         for corner in corners.T:
             is_doubtful |= _dot(own, under.take(corner, axis=0)) < _MIN_ALIGNED_WITHIN
@@ -284,7 +306,7 @@ class Correspondence:
         normals: Floats,
     ) -> list[PlacedTriangles]:
         """Place chart-crossing triangles in each of their charts, extended beyond the border."""
-        mesh, pages, simplified = self._original, self._pages, self._simplified.mesh
+        mesh, pages, simplified = self._original, self._pages, self._simplified
         corners_of = mesh.triangles[triangles]
         charts = vertex_charts[corners_of]
         distances = _max_of_corners(located.distances, corners_of)
@@ -304,7 +326,7 @@ class Correspondence:
                 extended = _mix(weights, pages.corners[base])
                 is_here = (charts[rows, j] == charts[rows, k])[:, None]
                 corners[:, j] = np.where(is_here, at[vertices], extended)
-            is_doubtful = _dot(normals[triangles[rows]], self._simplified.normals[base]) < _MIN_ALIGNED
+            is_doubtful = _dot(normals[triangles[rows]], self._normals[base]) < _MIN_ALIGNED
             found.append(
                 PlacedTriangles(
                     corners,
@@ -338,20 +360,20 @@ class Correspondence:
         return placed.select(np.flatnonzero(is_sound))
 
 
-def locate_vertices(simplified: Surface, original: Mesh) -> VertexLocations:
-    """Find the nearest simplified point of each vertex, and compare normals.
-
-    Parameters
-    ----------
-    simplified : its box holds the original too.
-    """
+def locate_vertices(simplified: Mesh, original: Mesh) -> VertexLocations:
+    """Find the nearest simplified point of each vertex, and compare normals."""
     sets, first = equal_positions(original.vertices)
-    found = simplified.closest(original.vertices[first])
-    normals = _sum_normals(original, sets)
-    is_facing = _dot(normals, simplified.normals[found.triangles]) > 0
-    return VertexLocations(
-        Located(found.triangles[sets], found.weights[sets], found.distances[sets]), is_facing[sets]
+    triangles, weights, distances = _create_surface(simplified).closest(
+        original.vertices[first], wanted_threads=0
     )
+    normals = _sum_normals(original, sets)
+    is_facing = _dot(normals, unit_normals(simplified)[triangles]) > 0
+    located = Located(triangles.astype(np.int64)[sets], weights[sets], distances[sets])
+    return VertexLocations(located, is_facing[sets])
+
+
+def _create_surface(mesh: Mesh) -> _kernels.NearestSurface:
+    return _kernels.NearestSurface(mesh.vertices, mesh.triangles, wanted_threads=0)
 
 
 def _sum_normals(mesh: Mesh, sets: NDArray[np.int32]) -> Floats:

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coloured_meshes import ball
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.surface.color import sampled
-from stages.surface.raycasting import closest_weights
+from stages.surface.raycasting import Surface, closest_weights, unit_normals
 
 WRAPS = ("repeat", "clamp", "mirror")
 
@@ -25,7 +26,8 @@ def some_triangles(count: int, size: float, seed: int) -> NDArray[np.float64]:
     """Triangles of all sizes in a square, some of them beyond its edges, tiny, thin or without area."""
     rng = np.random.default_rng(seed)
     middles = rng.uniform(-0.1 * size, 1.1 * size, (count, 1, 2))
-    corners: NDArray[np.float64] = middles + rng.normal(size=(count, 3, 2)) * rng.choice([0.1, 3, 20], (count, 1, 1))
+    sizes = rng.choice([0.1, 3, 20], (count, 1, 1))
+    corners: NDArray[np.float64] = middles + rng.normal(size=(count, 3, 2)) * sizes
     corners[::7, 2] = corners[::7, 1]
     corners[1::7, 2] = (corners[1::7, 0] + corners[1::7, 1]) / 2
     return corners
@@ -136,7 +138,7 @@ def test_far_points_are_not_drawn() -> None:
     _, near = drawn(case | {"max_distances": np.full(300, 1e-6)})
     assert np.array_equal(drawn(case)[1][near >= 0], near[near >= 0])
     corners, charts, positions = case["original"]
-    moved = (corners, charts, positions + (0, 0, 2.0))
+    moved = (corners, charts, positions + np.array([0, 0, 2.0]))
     assert (drawn(case | {"original": moved, "max_distances": np.full(300, 1.9)})[1] < 0).all()
     limits = np.where(np.arange(300) % 2 == 0, 1.9, np.inf)
     _, found = drawn(case | {"original": moved, "max_distances": limits})
@@ -208,6 +210,45 @@ def test_texels_are_located_at_the_nearest_point(seed: int) -> None:
     assert np.allclose(found.sum(axis=1), 1, atol=1e-6)
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_nearest_points_of_a_surface_are_found(threads: int) -> None:
+    mesh = ball()
+    surface = _kernels.NearestSurface(mesh.vertices, mesh.triangles, wanted_threads=threads)
+    points = np.random.default_rng(0).normal(size=(3000, 3))
+    triangles, weights, distances = surface.closest(points, wanted_threads=threads)
+    expected = Surface(mesh, np.array([points.min(axis=0), points.max(axis=0)])).closest(points)
+    assert np.allclose(distances, expected.distances, atol=1e-9)
+    at = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
+    assert np.allclose(np.linalg.norm(points - at, axis=1), distances)
+    # Points within look outwards, those beyond inwards: the nearest side of the ball, or the one behind.
+    normals = points / np.linalg.norm(points, axis=1)[:, None]
+    for sign in (1, -1):
+        found, _, is_turned = surface.facing(points, sign * normals, reach=1e9, wanted_threads=threads)
+        towards = np.einsum("kx,kx->k", unit_normals(mesh)[found], sign * normals)
+        assert (towards > 0).all()
+        assert is_turned.all() == (sign < 0)
+    _, _, is_turned = surface.facing(points, -normals, reach=1e-3, wanted_threads=threads)
+    assert not is_turned.any()
+
+
+def test_a_surface_refuses_what_it_cannot_find() -> None:
+    mesh = ball()
+    surface = _kernels.NearestSurface(mesh.vertices, mesh.triangles, wanted_threads=1)
+    nowhere = np.full((1, 3), np.nan)
+    with pytest.raises(ValueError, match="not finite"):
+        surface.closest(nowhere, wanted_threads=1)
+    with pytest.raises(ValueError, match="not finite"):
+        surface.facing(nowhere, nowhere, reach=1.0, wanted_threads=1)
+    with pytest.raises(ValueError, match="each point"):
+        surface.facing(np.zeros((2, 3)), np.zeros((1, 3)), reach=1.0, wanted_threads=1)
+    with pytest.raises(ValueError, match="needs a triangle"):
+        _kernels.NearestSurface(mesh.vertices, mesh.triangles[:0], wanted_threads=1)
+    with pytest.raises(ValueError, match="vertex"):
+        _kernels.NearestSurface(mesh.vertices[:3], mesh.triangles, wanted_threads=1)
+    with pytest.raises(ValueError, match="not finite"):
+        _kernels.NearestSurface(mesh.vertices * np.nan, mesh.triangles, wanted_threads=1)
+
+
 def change(case: dict[str, Any], name: str, place: int, value: Any) -> dict[str, Any]:
     arrays = list(case[name])
     arrays[place] = value
@@ -216,7 +257,7 @@ def change(case: dict[str, Any], name: str, place: int, value: Any) -> dict[str,
 
 def test_what_cannot_be_drawn_is_refused() -> None:
     case = inputs()
-    corners, charts, positions = case["original"]
+    _, charts, positions = case["original"]
     for bad in (np.nan, np.inf):
         for name in ("simplified", "original"):
             for place in (0, 2):
