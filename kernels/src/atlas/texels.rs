@@ -30,7 +30,11 @@ pub fn spans(
 }
 
 fn between(low: f64, high: f64, size: usize) -> Range<usize> {
-    let bound = |at: f64| (at - 0.5).ceil().clamp(0.0, size as f64) as usize;
+    // Rounded up by hand: without wide instructions that is a call.
+    let bound = |at: f64| {
+        let at = (at - 0.5).clamp(0.0, size as f64);
+        at as usize + usize::from(at > (at as usize) as f64)
+    };
     bound(low)..bound(high).max(bound(low))
 }
 

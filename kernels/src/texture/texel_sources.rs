@@ -91,7 +91,7 @@ impl Bands {
             let high = c[0][1].max(c[1][1]).max(c[2][1]) + (HALO + 1) as f64;
             // What is above or below the image saturates.
             let band = |y: f64| (y / BAND as f64) as usize;
-            if high < 0.0 { 0..0 } else { band(low).min(count)..(band(high) + 1).min(count) }
+            if high < 0.0 { 0..0 } else { band(low).min(count)..band(high).min(count - 1) + 1 }
         };
         let mut starts = vec![0u32; count + 2];
         for c in corners {
