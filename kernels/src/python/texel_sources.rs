@@ -22,6 +22,11 @@ const MAX_TEXELS: usize = 1 << 30;
 /// Triangles in the atlas, their charts, and their corners in space.
 type Placed<'py> = (PyReadonlyArray3<'py, f64>, PyReadonlyArray1<'py, i32>, PyReadonlyArray3<'py, f64>);
 
+/// Such arrays.
+type Slices<'a> = (&'a [Corners], &'a [i32], &'a [[Vec3; 3]]);
+/// Images of triangles.
+type Drawings = (Py<PyArray2<i32>>, Py<PyArray2<i32>>);
+
 /// Draw the triangles of a simplified mesh, and those of its original into their charts.
 ///
 /// Returns images (height, width) of both, which hold triangles, or −1 for none.
@@ -35,7 +40,7 @@ pub fn draw_sources(
     width: usize,
     height: usize,
     wanted_threads: usize,
-) -> PyResult<(Py<PyArray2<i32>>, Py<PyArray2<i32>>)> {
+) -> PyResult<Drawings> {
     check_size(width, height)?;
     let rows = simplified.0.len() + original.0.len();
     guarded(rows + width * height / 8, || {
@@ -48,7 +53,7 @@ pub fn draw_sources(
         }
         let sources = Sources { corners, charts, positions, max_distances };
         let found = py.detach(|| draw(of_simplified, sources, width, height, threads(wanted_threads)));
-        let image = |values| PyResult::Ok(Array2::from_shape_vec((height, width), values).map_err(shape)?);
+        let image = |values| Array2::from_shape_vec((height, width), values).map_err(shape);
         Ok((
             image(found.simplified)?.into_pyarray(py).unbind(),
             image(found.sources)?.into_pyarray(py).unbind(),
@@ -188,7 +193,7 @@ fn check_size(width: usize, height: usize) -> PyResult<()> {
     Ok(())
 }
 
-fn placed<'a>(arrays: &'a Placed<'_>) -> PyResult<(&'a [Corners], &'a [i32], &'a [[Vec3; 3]])> {
+fn placed<'a>(arrays: &'a Placed<'_>) -> PyResult<Slices<'a>> {
     let (corners, charts) = (corners_of(&arrays.0)?, arrays.1.as_slice()?);
     let positions = finite(&arrays.2, 3)?.as_chunks::<3>().0.as_chunks::<3>().0;
     if [charts.len(), positions.len()] != [corners.len(); 2] || corners.len() > i32::MAX as usize {
