@@ -398,7 +398,7 @@ def _locate(
 def _max_of_corners(values: Floats, triangles: NDArray[np.int32]) -> Floats:
     """Return the largest value of the corners of each triangle."""
     a, b, c = (values.take(corner) for corner in triangles.T)
-    return np.maximum(np.maximum(a, b), c)
+    return np.asarray(np.maximum(np.maximum(a, b), c))
 
 
 def _mix(weights: Floats, corners: Floats) -> Floats:
