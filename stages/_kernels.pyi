@@ -20,6 +20,7 @@ __all__ = [
     "LaidOut",
     "Levels",
     "LimitError",
+    "NearestSurface",
     "NormalMesh",
     "Photo",
     "PlanarPatches",
@@ -42,6 +43,7 @@ __all__ = [
     "decode_indices",
     "decode_normal_mesh",
     "decode_rows",
+    "draw_sources",
     "encode_rows",
     "encode_triangles",
     "first_inside",
@@ -50,12 +52,15 @@ __all__ = [
     "inside_all",
     "intersecting_triangles",
     "lay_out",
+    "locate_texels",
     "match_descriptors",
     "match_pair",
     "not_before",
     "oriented_depth",
     "planar_patches",
     "remesh",
+    "sample_points",
+    "sample_texels",
     "side_lengths",
     "simplify",
     "simplify_by_quadrics",
@@ -386,6 +391,80 @@ def texels(
     corners: NDArray[np.float64], pages: NDArray[np.int32], *, page: int, width: int, height: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
     """Return the texels of one image, by triangles: pixels, triangles and shares of their corners."""
+
+@final
+class NearestSurface:
+    """A surface that is asked for its nearest points."""
+
+    def __new__(
+        cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
+    ) -> NearestSurface: ...
+    def closest(
+        self, points: NDArray[np.float64], *, wanted_threads: int
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the nearest points to points (n, 3): triangles (n,), weights (n, 3) and distances (n,)."""
+
+    def facing(
+        self,
+        points: NDArray[np.float64],
+        normals: NDArray[np.float64],
+        *,
+        reach: float,
+        wanted_threads: int,
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the same for points of another surface with its unit normals (n, 3).
+
+        A point that faces away is passed over for one that does not, along the normal and within reach.
+        Instead of distances, where that was so.
+        """
+
+def draw_sources(
+    simplified: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]],
+    original: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]],
+    max_distances: NDArray[np.float64],
+    *,
+    width: int,
+    height: int,
+    wanted_threads: int,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Draw the triangles of a simplified mesh, and those of its original into their charts.
+
+    A mesh is given by corners (m, 3, 2) in texels, charts (m,), and corners in space (m, 3, 3). Returns
+    images (height, width) of both, which hold triangles, or −1 for none.
+    """
+
+def locate_texels(
+    corners: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    texels: NDArray[np.int64],
+    *,
+    width: int,
+    wanted_threads: int,
+) -> NDArray[np.float32]:
+    """Return weights (n, 3) of the point of a triangle that is nearest to the centre of a texel."""
+
+def sample_texels(
+    atlas: NDArray[np.uint8],
+    triangles: NDArray[np.int32],
+    corners: NDArray[np.float64],
+    uvs: NDArray[np.float64],
+    is_shown: NDArray[np.bool_],
+    image: NDArray[np.uint8],
+    *,
+    wrap: tuple[str, str],
+    wanted_threads: int,
+) -> None:
+    """Sample an image into the texels of an atlas whose triangles show it; the others stay."""
+
+def sample_points(
+    image: NDArray[np.uint8],
+    uvs: NDArray[np.float64],
+    *,
+    channels: int,
+    wrap: tuple[str, str],
+    wanted_threads: int,
+) -> NDArray[np.uint8]:
+    """Sample the first channels of an image at texture coordinates (n, 2), v up."""
 
 @final
 class Volume:

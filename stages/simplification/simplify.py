@@ -24,6 +24,7 @@ from stages.simplification.task import Task
 from stages.simplification.textured import (
     choose_texture,
     derive_max_shape,
+    has_few_seams,
     has_texture_images,
     is_better_baked,
     is_visibly_different,
@@ -31,6 +32,7 @@ from stages.simplification.textured import (
     plan_baking,
 )
 from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.mesh import Mesh
 from stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
@@ -261,7 +263,7 @@ def simplify(
             note = f"the images are left out, as they could not be baked anew: {error}"
             return _with_notes(found, (note,))
         note = f"the images are kept with their seams, as they could not be baked anew: {error}"
-    if baked is not None and not _has_alternative(params, baked):
+    if baked is not None and not _has_alternative(mesh, params, baked):
         return baked
     try:
         kept = simplify_again(keep_uv=True)
@@ -275,13 +277,15 @@ def simplify(
     return _with_notes(replace(kept, default_max_shape=bound), (note,) if note else ())
 
 
-def _has_alternative(params: SimplifyParams, baked: Simplified[Any]) -> bool:
+def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: Simplified[Any]) -> bool:
     """Return whether the model's own images may turn out better than baked ones."""
     is_count = params.triangles is not None or params.ratio is not None
     is_open = params.method == AUTO and params.bake is None
     is_bounded = params.max_shape is not None
     is_done = baked.stopped_by != "request"
-    return is_open and is_count and not is_bounded and is_done and is_visibly_different(baked)
+    if not (is_open and is_count and not is_bounded and is_done and is_visibly_different(baked)):
+        return False
+    return has_few_seams(mesh, len(baked.mesh.triangles))
 
 
 def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:

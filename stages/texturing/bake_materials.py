@@ -24,11 +24,11 @@ from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
 from stages.surface.formats.gltf_materials import GltfStatements, multiplies_colors
 from stages.surface.formats.mtl import MtlStatements
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
+from stages.surface.raycasting import bounding_box
 from stages.surface.texture import Image, Material, Texture, signed_areas
 from stages.surface.topology import areas
 from stages.texturing.bake import Baked
-from stages.texturing.correspondence import Correspondence
+from stages.texturing.correspondence import Correspondence, TexelPoints, locate_vertices
 from stages.texturing.detail import details_of
 from stages.texturing.filling import fill_gaps
 from stages.texturing.image_format import (
@@ -48,13 +48,12 @@ from stages.texturing.material_classes import (
     value_at,
 )
 from stages.texturing.pages import Pages, lay_out_within
-from stages.texturing.sampling import sample_image
 from stages.texturing.tangent_frames import decode_normals, encode_normals, tangent_frames
 
 Pixels = NDArray[np.uint8]
 
 # Points of the original at which the colour error is measured.
-_COMPARED = 50_000
+_COMPARED = 30_000
 # Bytes that a triangle takes at least in a file of any format: what is removed leaves as many for images, and
 # the file is no larger than before.
 _BYTES_PER_TRIANGLE = 12
@@ -70,10 +69,10 @@ _MIN_TEXELS = 64 * 64
 _UNEVEN = 4.0
 # Limits of the density of a triangle, relative to the mean.
 _MIN_DENSITY, _MAX_DENSITY = 1 / 16, 4.0
-# Coordinates beyond this are summed in double precision.
-_FAR = 4.0
 _WHITE = 255
 _FLAT_NORMAL = (128, 128, 255)
+# Normals transformed at a time: bounds the memory.
+_AT_ONCE = 1 << 18
 _CLAMP = {"wrapS": 33071, "wrapT": 33071}
 _SRGB_LEVELS = np.arange(256) / 255
 
@@ -333,11 +332,11 @@ def _compute_budgets(
 def _bake_class(
     part: _Part, one: MaterialClass, budget: _Budget, name: str, totals: _Totals
 ) -> tuple[Pages, list[_Draft]]:
-    box = bounding_box(part.simplified, part.original)
-    surface = Surface(part.simplified, box)
     total = float(budget.covered.sum())
     limit = None if budget.texels is None else max(budget.texels, _MIN_TEXELS)
-    densities = _compute_densities(surface, part.original, budget.covered)
+    vertices = locate_vertices(part.simplified, part.original)
+    nearest = vertices.located.triangles[part.original.triangles]
+    densities = _compute_densities(part.simplified, part.original, nearest, budget.covered)
     pages = lay_out_within(
         part.simplified,
         densities,
@@ -345,7 +344,7 @@ def _bake_class(
         max_texels=limit,
         max_side=min(1 << max(budget.max_side - 1, 1).bit_length(), 8192),
     )
-    correspondence = Correspondence(surface, part.original, pages)
+    correspondence = Correspondence(part.simplified, part.original, pages, vertices)
     totals.charts += int(pages.charts.max()) + 1
     totals.padding = min(totals.padding, pages.padding)
     baker = _ClassBaker(part, one, budget, pages, total)
@@ -357,13 +356,18 @@ def _bake_class(
 
 
 def _compute_densities(
-    simplified: Surface, original: Mesh, covered: NDArray[np.float64]
+    mesh: Mesh, original: Mesh, nearest: NDArray[np.int64], covered: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Compute the relative texel density of each triangle of the simplified mesh.
 
     The density is even unless that of the original varies strongly over its surface.
+
+    Parameters
+    ----------
+    mesh : the simplified mesh.
+    nearest : (m, 3) triangles of the simplified mesh under the corners of the original.
+    covered : texels of each triangle of the original.
     """
-    mesh = simplified.mesh
     even = np.ones(len(mesh.triangles))
     area = areas(original.vertices, original.triangles)
     density = np.sqrt(np.divide(covered, area, out=np.zeros_like(area), where=area > 0))
@@ -373,8 +377,9 @@ def _compute_densities(
     if high <= _UNEVEN * low:
         return even
     count = len(mesh.triangles)
-    nearest = simplified.closest(original.vertices[original.triangles].mean(axis=1)).triangles
-    texels, beneath = (np.bincount(nearest, values, minlength=count) for values in (covered, area))
+    texels, beneath = (
+        np.bincount(nearest.reshape(-1), np.repeat(values, 3), minlength=count) for values in (covered, area)
+    )
     corners = mesh.triangles.reshape(-1)
     for _ in range(2):
         # Spread over neighbours: small triangles of the simplified mesh have hardly any of the original.
@@ -417,32 +422,25 @@ class _ClassBaker:
         width, height = self._pages.sizes[page]
         filled = sources.is_filled
         self._sources = sources
-        self._single = len(self._class.numbers) == 1
-        self._numbers = None if self._single else sources.spread(self._texture.material_ids)
-        self._uvs = self._interpolate_uvs()
         totals.texels += width * height
         totals.shown += int(np.count_nonzero(filled))
         totals.turned += sources.turned_count
         first = self._first_material()
-        jobs: list[tuple[Any, Path, Pixels]] = []
+        jobs: list[tuple[Any, Path]] = []
+        canvases = []
         base = self._bake_base_color()
         if base is not None:
-            jobs.append((BASE_COLOR, BASE_COLOR, base))
+            jobs.append((BASE_COLOR, BASE_COLOR))
+            canvases.append(base)
         for path in self._class.maps:
             if not _list_images(self._texture, self._class, path):
                 continue
             key = self._map_key(path)
-            if all(key != other for other, _, _ in jobs):
-                jobs.append((key, path, self._bake_map(path)))
-        canvases = []
-        for _, _, texels in jobs:
-            canvas = np.zeros((height * width, texels.shape[1]), np.uint8)
-            # As one item of three bytes each, which is moved at once.
-            whole = np.dtype(("V", texels.shape[1]))
-            canvas.view(whole)[sources.pixels] = np.ascontiguousarray(texels).view(whole)
-            canvases.append(canvas.reshape(height, width, -1))
-        fill_gaps(canvases, filled.reshape(height, width))
-        index_of = {key: index for index, (key, _, _) in enumerate(jobs)}
+            if all(key != other for other, _ in jobs):
+                jobs.append((key, path))
+                canvases.append(self._bake_map(path))
+        fill_gaps(canvases, filled)
+        index_of = {key: index for index, (key, _) in enumerate(jobs)}
         places = {}
         for path in (BASE_COLOR, *self._class.maps):
             key = BASE_COLOR if path == BASE_COLOR else self._map_key(path)
@@ -451,7 +449,7 @@ class _ClassBaker:
         return _Draft(
             [
                 self._prepare_image(path, canvas, name)
-                for (_, path, _), canvas in zip(jobs, canvases, strict=True)
+                for (_, path), canvas in zip(jobs, canvases, strict=True)
             ],
             places,
             lambda images: self._build_material(first, images, totals),
@@ -460,22 +458,6 @@ class _ClassBaker:
     def _first_material(self) -> Material:
         number = self._class.numbers[0]
         return self._texture.materials[number] if number >= 0 else Material()
-
-    def _interpolate_uvs(self) -> NDArray[np.floating[Any]]:
-        """Interpolate the original texture coordinates (n, 2) at each texel."""
-        uvs = self._texture.uvs
-        kind = np.float64 if np.abs(uvs).max(initial=0) > _FAR else np.float32
-        weights = self._sources.weights
-        # A row for each axis: columns of a matrix are several times as slow.
-        found = np.zeros((2, len(weights)), kind)
-        for corner in range(3):
-            shares = np.ascontiguousarray(weights[:, corner])
-            for axis in range(2):
-                values = self._sources.spread(np.ascontiguousarray(uvs[:, corner, axis], kind))
-                values *= shares
-                found[axis] += values
-        coordinates: NDArray[np.floating[Any]] = found.T
-        return coordinates
 
     def _load_map(self, number: int, path: Path, channels: int) -> Pixels | None:
         """Load a map, averaged to the resolution of the atlas if it is finer."""
@@ -501,14 +483,19 @@ class _ClassBaker:
         shown = float(self._budget.covered[its].sum())
         return max(self._laid * shown / max(self._covered, 1e-300), 1e-300)
 
-    def _sample_map(
-        self, number: int, path: Path, chosen: NDArray[np.intp] | slice, channels: int
-    ) -> Pixels | None:
-        pixels = self._load_map(number, path, channels)
-        if pixels is None:
-            return None
-        wrap = self._get_wrap(number, path)
-        return sample_image(pixels, self._uvs[chosen], wrap)
+    def _sample(self, canvas: Pixels, image: Pixels, number: int, path: Path) -> None:
+        """Sample an image into the texels of a canvas that show a material."""
+        is_shown = self._texture.material_ids == number
+        self._sources.sample(canvas, image, self._texture.uvs, is_shown, self._get_wrap(number, path))
+
+    def _create_canvas(self, color: Sequence[int]) -> Pixels:
+        width, height = self._pages.sizes[self._page]
+        if len(set(color)) == 1:
+            # Much faster than a pattern.
+            return np.full((height, width, len(color)), color[0], np.uint8)
+        canvas = np.empty((height, width, len(color)), np.uint8)
+        canvas[:] = color
+        return canvas
 
     def _get_wrap(self, number: int, path: Path) -> tuple[str, str]:
         material = self._texture.materials[number]
@@ -519,33 +506,39 @@ class _ClassBaker:
         sampler = material.kept.textures[info["index"]][1]
         return codes.get(sampler.get("wrapS"), "repeat"), codes.get(sampler.get("wrapT"), "repeat")
 
-    def _find_rows(self, number: int) -> NDArray[np.intp] | slice:
-        return slice(None) if self._single else np.flatnonzero(self._numbers == number)
+    def _find_points(self, is_shown: NDArray[np.bool_]) -> TexelPoints:
+        """Find the points of some triangles (m,) of the original at texels."""
+        points = self._sources.points
+        return points if is_shown.all() else points[is_shown[points.triangles]]
 
     def _bake_base_color(self) -> Pixels | None:
-        """Bake the base colours (n, 3 or 4); None if the class has none."""
+        """Bake the base colours (h, w, 3 or 4); None if the class has none."""
         mesh, one = self._part.original, self._class
         images = _list_images(self._texture, one, BASE_COLOR)
         if not images and mesh.colors is None:
             return None
         channels = 4 if self.has_alpha() else 3
-        found = np.full((len(self._sources.triangles), channels), _WHITE, np.uint8)
+        canvas = self._create_canvas((_WHITE,) * channels)
+        texels = canvas.reshape(-1, channels)
+        has_image = np.zeros(len(mesh.triangles), bool)
         for number in one.numbers:
-            rows = self._find_rows(number)
-            sampled = self._sample_map(number, BASE_COLOR, rows, channels)
-            if sampled is None:
-                found[rows, :3] = self._sample_colors(rows)
+            image = self._load_map(number, BASE_COLOR, channels)
+            if image is None:
                 continue
+            is_its = self._texture.material_ids == number
+            has_image |= is_its
             material = self._texture.materials[number]
             if material.base_color is not None and not self._keeps_color():
-                sampled = _apply_tint(sampled, material.base_color)
+                image = _apply_tint(image, material.base_color)
+            self._sample(canvas, image, number, BASE_COLOR)
             if mesh.colors is not None and multiplies_colors(material):
-                sampled = self._multiply_colors(sampled, rows)
-            found[rows] = sampled
-        if images and not self._has_uvs.all():
-            bare = np.flatnonzero(~self._sources.spread(self._has_uvs))
-            found[bare, :3] = self._sample_colors(bare)
-        return found
+                points = self._find_points(is_its)
+                texels[points.texels, :3] = self._multiply_colors(texels[points.texels, :3], points)
+        is_bare = ~(has_image & self._has_uvs)
+        if is_bare.any():
+            points = self._find_points(is_bare)
+            texels[points.texels, :3] = self._sample_colors(points)
+        return canvas
 
     def has_alpha(self) -> bool:
         """Return whether any image of the class has visible transparency."""
@@ -562,78 +555,72 @@ class _ClassBaker:
         colors = {self._texture.materials[number].base_color for number in self._class.numbers if number >= 0}
         return len(colors) == 1 and bool(_list_images(self._texture, self._class, BASE_COLOR))
 
-    def _sample_colors(self, rows: NDArray[np.intp] | slice) -> Pixels:
-        weights = self._sources.weights[rows]
-        found = color_at(self._part.original, self._sources.triangles[rows], weights)
+    def _sample_colors(self, points: TexelPoints) -> Pixels:
+        found = color_at(self._part.original, points.triangles, points.weights)
         return np.rint(found).clip(0, 255).astype(np.uint8)
 
-    def _multiply_colors(self, sampled: Pixels, rows: NDArray[np.intp] | slice) -> Pixels:
+    def _multiply_colors(self, sampled: Pixels, points: TexelPoints) -> Pixels:
         bare = self._part.original.with_(texture=None)
-        colors = color_at(bare, self._sources.triangles[rows], self._sources.weights[rows])
-        light = linear_from_srgb(_SRGB_LEVELS)[sampled[:, :3]] * linear_from_srgb(colors / 255)
-        sampled = sampled.copy()
-        sampled[:, :3] = np.rint(255 * srgb_from_linear(light)).clip(0, 255)
-        return sampled
+        colors = color_at(bare, points.triangles, points.weights)
+        light = linear_from_srgb(_SRGB_LEVELS)[sampled] * linear_from_srgb(colors / 255)
+        return np.rint(255 * srgb_from_linear(light)).clip(0, 255).astype(np.uint8)
 
     def _bake_map(self, path: Path) -> Pixels:
-        """Bake a map other than the base colour, (n, 3)."""
-        found = np.full((len(self._sources.triangles), 3), _WHITE, np.uint8)
+        """Bake a map other than the base colour, (h, w, 3)."""
         is_normal = path[-1].lower().endswith("normaltexture")
-        if is_normal:
-            found[:] = _FLAT_NORMAL
-        scale: Any = 1.0
-        scales = np.ones(len(found), np.float32) if is_normal else None
+        canvas = self._create_canvas(_FLAT_NORMAL if is_normal else (_WHITE,) * 3)
         for number in self._class.numbers:
-            rows = self._find_rows(number)
-            sampled = self._sample_map(number, path, rows, 3)
-            if sampled is None:
-                continue
-            if is_normal and scales is not None:
-                tree = self._texture.materials[number].kept.tree
-                scales[rows] = float(value_at(tree, (*path, "scale"), 1.0))
-            else:
-                sampled = self._apply_factors(sampled, number, path)
-            found[rows] = sampled
-        if not is_normal:
-            return found
-        scale = scales
-        return self._transform_normals(found, scale)
+            image = self._load_map(number, path, 3)
+            if image is not None:
+                self._sample(
+                    canvas, image if is_normal else self._apply_factors(image, number, path), number, path
+                )
+        if is_normal:
+            self._transform_normals(canvas, path)
+        return canvas
 
-    def _transform_normals(self, texels: Pixels, scales: NDArray[np.float32]) -> Pixels:
-        """Transform normals from original to simplified tangent frames."""
+    def _transform_normals(self, canvas: Pixels, path: Path) -> None:
+        """Transform normals from original to simplified tangent frames, in place."""
         if self._frames is None:
             self._frames = (
                 tangent_frames(self._part.original, self._texture.uvs),
                 tangent_frames(self._part.simplified, self._pages.uvs),
             )
         old, new = self._frames
-        sources = self._sources
-        found = np.empty_like(texels)
-        under, shares = self._correspondence.locate_texels(self._page, sources.pixels)
-        step = 1 << 19
-        for start in range(0, len(texels), step):
-            rows = slice(start, start + step)
+        # One more for triangles without a material.
+        scales = np.ones(len(self._texture.materials) + 1, np.float32)
+        for number in self._class.numbers:
+            if number >= 0:
+                scales[number] = float(
+                    value_at(self._texture.materials[number].kept.tree, (*path, "scale"), 1.0)
+                )
+        points = self._sources.points
+        texels = canvas.reshape(-1, 3)
+        for start in range(0, len(points.texels), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            at, triangles = points.texels[part], points.triangles[part]
             directions = decode_normals(
-                texels[rows], old.at(sources.triangles[rows], sources.weights[rows]), scales[rows]
+                texels[at],
+                old.at(triangles, points.weights[part]),
+                scales[self._texture.material_ids[triangles]],
             )
-            frame = new.at(under[rows], shares[rows])
-            found[rows] = encode_normals(directions, frame)
-        return found
+            own = self._correspondence.locate_texels(self._page, at)
+            texels[at] = encode_normals(directions, new.at(own.triangles, own.weights))
 
-    def _apply_factors(self, sampled: Pixels, number: int, path: Path) -> Pixels:
+    def _apply_factors(self, image: Pixels, number: int, path: Path) -> Pixels:
         """Multiply a map by its factors if the materials of the class differ in them."""
         if path not in FACTORS or self._shares_factors(path):
-            return sampled
+            return image
         tree = self._texture.materials[number].kept.tree
         values = [value_at(tree, place, default) for place, default in FACTORS[path]]
-        shown = sampled.astype(np.float32)
+        shown = image.astype(np.float32)
         if path == ("emissiveTexture",):
-            return _apply_tint(sampled, (*map(float, srgb_from_linear(np.array(values[0]))), 1.0))
+            return _apply_tint(image, (*map(float, srgb_from_linear(np.array(values[0]))), 1.0))
         if path == ("occlusionTexture",):
             shown = 255 + float(values[0]) * (shown - 255)
         else:
-            shown[:, 1] *= float(values[0])
-            shown[:, 2] *= float(values[1])
+            shown[..., 1] *= float(values[0])
+            shown[..., 2] *= float(values[1])
         return np.rint(shown).clip(0, 255).astype(np.uint8)
 
     def _shares_factors(self, path: Path) -> bool:
@@ -734,17 +721,13 @@ def _remove_maps(kept: MtlStatements, totals: _Totals) -> MtlStatements:
 
 
 def _apply_tint(texels: Pixels, color: tuple[float, ...]) -> Pixels:
-    """Multiply sRGB colours (n, 3 or 4) by a factor in linear light."""
+    """Multiply sRGB colours (h, w, 3 or 4) by a factor in linear light."""
     import cv2
 
-    if not len(texels):
-        # OpenCV refuses empty arrays.
-        return texels
     factor = linear_from_srgb(np.array(color[:3]))
     light = linear_from_srgb(_SRGB_LEVELS)[:, None] * factor
     table = np.rint(255 * srgb_from_linear(light)).clip(0, 255).astype(np.uint8)
-    if texels.shape[1] == 4:
+    if texels.shape[2] == 4:
         alpha = np.rint(np.arange(256) * color[3]).clip(0, 255).astype(np.uint8)
         table = np.column_stack([table, alpha])
-    found = cv2.LUT(texels[None], np.ascontiguousarray(table[None]))
-    return np.asarray(found, np.uint8).reshape(texels.shape)
+    return np.asarray(cv2.LUT(texels, np.ascontiguousarray(table[None])), np.uint8)

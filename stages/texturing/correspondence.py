@@ -7,26 +7,23 @@ that fold over or tear there are left out. Texels that stay empty get a query of
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages._opencv import require_opencv
+from stages.surface.equal_positions import equal_positions
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import (
-    Floats,
-    Located,
-    Surface,
-    bounding_box,
-    closest_weights,
-    unit_normals,
-)
+from stages.surface.raycasting import Floats, Located, unit_normals
 from stages.surface.texture import signed_areas
-from stages.texturing.facing import FacingColors
+from stages.texturing.facing import INWARDS, PROBES, move_inwards
 from stages.texturing.pages import Pages
+from stages.texturing.sampling import sample_image
+
+Pixels = NDArray[np.uint8]
 
 # Largest stretch of an edge of the original in the atlas, relative to its length on the surface, and texels
 # that are always allowed, as rounding weighs most where triangles are small.
@@ -40,10 +37,40 @@ _MIN_ALIGNED_WITHIN = 0.6
 _MAX_DETOUR = 1.5
 # Texels looked up at a time: bounds the memory.
 _AT_ONCE = 1 << 18
-# Around a texel, the nearest first.
-_NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
-# Bits of the fraction of a coordinate that OpenCV draws with, and charts that 16 bits can number.
-_FRACTION, _MAX_LABEL = 8, (1 << 16) - 2
+
+
+@dataclass(frozen=True, eq=False)
+class VertexLocations:
+    """Nearest points of the simplified mesh to the vertices of the original.
+
+    Attributes
+    ----------
+    located : of each vertex.
+    is_facing : (n,) whether the surface at the vertex faces the way of the simplified mesh.
+    """
+
+    located: Located
+    is_facing: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class TexelPoints:
+    """Points of a surface at texels.
+
+    Attributes
+    ----------
+    texels : (n,) int64, row × width + column.
+    triangles : (n,) int32.
+    weights : (n, 3) float32, barycentric weights of the corners.
+    """
+
+    texels: NDArray[np.int64]
+    triangles: NDArray[np.int32]
+    weights: NDArray[np.float32]
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> TexelPoints:
+        """Return the points that a mask (n,) chooses."""
+        return TexelPoints(self.texels[chosen], self.triangles[chosen], self.weights[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,48 +79,94 @@ class TexelSources:
 
     Attributes
     ----------
-    pixels : (n,) uint32, row × width + column; of several for one texel the last one counts.
-    triangles : (n,) int32, triangle of the original for each texel.
-    weights : (n, 3) float32, barycentric weights of its corners.
-    is_filled : (h · w,) bool, texels of charts, with one around each; what others show is of no use.
+    is_filled : (h, w) bool, texels of charts, with one around each.
+    placed : triangles of the original in the atlas.
+    drawn : (h, w) int32, index into `placed` for each texel; −1 for gaps and for texels that were looked up.
+    looked_up : points for the other texels.
     turned_count : texels whose nearest point faced away, so that another one was taken.
-    run_triangles, run_lengths : (k,) triangles of the first texels, and how many texels of each follow each
-        other; all further texels were looked up.
     """
 
-    pixels: NDArray[np.uint32]
-    triangles: NDArray[np.int32]
-    weights: NDArray[np.float32]
     is_filled: NDArray[np.bool_]
+    placed: PlacedTriangles
+    drawn: NDArray[np.int32]
+    looked_up: TexelPoints
     turned_count: int
-    run_triangles: NDArray[np.int64]
-    run_lengths: NDArray[np.int64]
 
-    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return values (m,) of the original triangles for the texels (n,)."""
-        # Repeating is several times as fast as looking up.
-        found = np.repeat(values[self.run_triangles], self.run_lengths)
-        rest = self.triangles[len(found) :]
-        return np.concatenate([found, values[rest]]) if len(rest) else found
+    @cached_property
+    def points(self) -> TexelPoints:
+        """Points of the original for all texels of charts."""
+        texels = np.flatnonzero(self.drawn >= 0)
+        entries = self.drawn.reshape(-1)[texels]
+        weights = _locate(self.placed.corners, entries, texels, self.drawn.shape[1])
+        triangles = self.placed.triangles.astype(np.int32)[entries]
+        more = self.looked_up
+        return TexelPoints(
+            np.concatenate([texels, more.texels]),
+            np.concatenate([triangles, more.triangles]),
+            np.concatenate([weights, more.weights]),
+        )
+
+    def sample(
+        self,
+        canvas: Pixels,
+        image: Pixels,
+        uvs: NDArray[np.float64],
+        is_shown: NDArray[np.bool_],
+        wrap: tuple[str, str],
+    ) -> None:
+        """Sample an image into the texels of a canvas (h, w, c) in place.
+
+        Parameters
+        ----------
+        uvs : (m, 3, 2) of the triangles of the original.
+        is_shown : (m,) triangles that show the image; texels of others stay.
+        """
+        placed = self.placed
+        _kernels.sample_texels(
+            canvas,
+            self.drawn,
+            placed.corners,
+            uvs[placed.triangles],
+            is_shown[placed.triangles],
+            np.ascontiguousarray(image),
+            wrap=wrap,
+            wanted_threads=0,
+        )
+        points = self.looked_up[is_shown[self.looked_up.triangles]]
+        if len(points.texels):
+            at = np.einsum("kc,kcx->kx", points.weights, uvs[points.triangles])
+            channels = canvas.shape[2]
+            canvas.reshape(-1, channels)[points.texels] = sample_image(image, at, wrap, channels)
 
 
 @dataclass(frozen=True, eq=False)
-class _Entries:
-    """Triangles of the original in the atlas.
+class PlacedTriangles:
+    """Triangles of the original in the atlas, in drawing order.
 
     Attributes
     ----------
     corners : (k, 3, 2) float64, texels.
     triangles : (k,) triangle of the original.
-    charts, pages : (k,) of the simplified mesh.
-    is_doubtful : (k,) whether it is extended around a sharp edge, so that each of its texels is checked.
+    charts, pages : (k,) int32 of the simplified mesh.
+    max_distances : (k,) largest distance, in metres, of a texel from the point it shows; infinite for those
+        that are not extended around a sharp edge.
     """
 
     corners: Floats
     triangles: NDArray[np.int64]
     charts: NDArray[np.int32]
     pages: NDArray[np.int32]
-    is_doubtful: NDArray[np.bool_]
+    max_distances: Floats
+
+    def select(self, rows: NDArray[np.intp]) -> PlacedTriangles:
+        """Return some of the triangles."""
+        return PlacedTriangles(
+            self.corners[rows],
+            self.triangles[rows],
+            self.charts[rows],
+            self.pages[rows],
+            self.max_distances[rows],
+        )
 
 
 class Correspondence:
@@ -101,194 +174,142 @@ class Correspondence:
 
     Parameters
     ----------
-    simplified : its box holds the original too.
-    original : mesh.
+    simplified, original : meshes.
     pages : atlas of the simplified mesh.
+    vertices : of `locate_vertices`.
     """
 
-    def __init__(self, simplified: Surface, original: Mesh, pages: Pages) -> None:
+    def __init__(self, simplified: Mesh, original: Mesh, pages: Pages, vertices: VertexLocations) -> None:
         self._simplified, self._original, self._pages = simplified, original, pages
-        self._texel_size = pages.texel_size(simplified.mesh)
-        self._entries = self._place_triangles()
-        self._facing: FacingColors | None = None
-        self._triangle_images: dict[int, NDArray[np.int32]] = {}
+        self._normals = unit_normals(simplified)
+        self._texel_size = pages.texel_size(simplified)
+        self._placed = self._place_triangles(vertices)
+        self._images: dict[int, NDArray[np.int32]] = {}
 
     def find_sources(self, page: int) -> TexelSources:
         """Find the point of the original for each texel of an image."""
         width, height = self._pages.sizes[page]
-        charts = self._draw_charts(page).reshape(-1)
-        entries = self._entries
-        pixels, drawn, weights = _kernels.texels(
-            entries.corners, entries.pages, page=page, width=width, height=height
+        mesh, original, pages = self._simplified, self._original, self._pages
+        placed = self._placed.select(np.flatnonzero(self._placed.pages == page))
+        rows = np.flatnonzero(pages.pages == page)
+        image, drawn = _kernels.draw_sources(
+            (pages.corners[rows], pages.charts[rows], mesh.vertices[mesh.triangles[rows]]),
+            (placed.corners, placed.charts, original.vertices[original.triangles[placed.triangles]]),
+            placed.max_distances,
+            width=width,
+            height=height,
+            wanted_threads=0,
         )
-        # Texels are in the order of the triangles.
-        counts = np.bincount(drawn, minlength=len(entries.triangles))
-        triangles = np.repeat(entries.triangles.astype(np.int32), counts)
-        shown = np.zeros_like(charts)
-        shown[pixels] = np.repeat(entries.charts.astype(charts.dtype) + charts.dtype.type(1), counts)
-        doubtful = np.flatnonzero(np.repeat(entries.is_doubtful, counts))
-        is_far = self._is_far(page, pixels[doubtful], triangles[doubtful], weights[doubtful])
-        shown[pixels[doubtful[is_far]]] = 0
-        is_filled = charts > 0
-        missing = np.flatnonzero(is_filled & (shown != charts)).astype(np.uint32)
-        if not len(missing):
-            return TexelSources(pixels, triangles, weights, is_filled, 0, entries.triangles, counts)
-        own_triangles, shares = self.locate_texels(page, missing)
-        facing = self._get_facing_lookup()
-        found, found_weights, turned_count = [triangles], [weights], 0
+        self._images[page] = image
+        is_filled = image >= 0
+        missing = np.flatnonzero(is_filled & (drawn < 0))
+        found, weights, turned_count = [np.zeros(0, np.int32)], [np.zeros((0, 3), np.float32)], 0
         for start in range(0, len(missing), _AT_ONCE):
-            rows = slice(start, start + _AT_ONCE)
-            some, some_weights, turned = facing.locate(
-                own_triangles[rows].astype(np.int64), shares[rows].astype(np.float64)
-            )
-            found.append(some.astype(np.int32))
-            found_weights.append(some_weights.astype(np.float32))
-            turned_count += turned
-        return TexelSources(
-            np.concatenate([pixels, missing]),
-            np.concatenate(found),
-            np.concatenate(found_weights),
-            is_filled,
-            turned_count,
-            entries.triangles,
-            counts,
-        )
+            own = self.locate_texels(page, missing[start : start + _AT_ONCE])
+            some, some_weights, is_turned = self._look_up(own)
+            found.append(some)
+            weights.append(some_weights.astype(np.float32))
+            turned_count += int(np.count_nonzero(is_turned))
+        looked_up = TexelPoints(missing, np.concatenate(found), np.concatenate(weights))
+        return TexelSources(is_filled, placed, drawn, looked_up, turned_count)
 
-    def locate_texels(
-        self, page: int, pixels: NDArray[np.uint32]
-    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Locate texels on the simplified mesh: triangles (k,) and weights (k, 3).
+    def locate_texels(self, page: int, texels: NDArray[np.int64]) -> TexelPoints:
+        """Locate texels of `find_sources` on the simplified mesh.
 
         A texel beside a chart gets the nearest point of its border.
         """
-        width = self._pages.sizes[page][0]
-        row, column = np.divmod(pixels.astype(np.int32), np.int32(width))
-        triangles = self._find_triangles(page, row, column)
-        flat = np.zeros((len(pixels), 3, 3))
-        flat[..., :2] = self._pages.corners[triangles]
-        points = np.stack([column + 0.5, row + 0.5, np.zeros(len(pixels))], axis=1)
-        return triangles, closest_weights(points, flat).astype(np.float32)
+        rows = np.flatnonzero(self._pages.pages == page).astype(np.int32)
+        triangles = rows[self._images[page].reshape(-1)[texels]]
+        weights = _locate(self._pages.corners, triangles, texels, self._pages.sizes[page][0])
+        return TexelPoints(texels, triangles, weights)
 
-    def _is_far(
-        self,
-        page: int,
-        pixels: NDArray[np.uint32],
-        triangles: NDArray[np.int32],
-        weights: NDArray[np.float32],
-    ) -> NDArray[np.bool_]:
-        """Mark texels that are far from the points of the original they show."""
-        own, shares = self.locate_texels(page, pixels)
-        mesh, original = self._simplified.mesh, self._original
-        points = np.einsum("kc,kcx->kx", shares, mesh.vertices[mesh.triangles[own]])
-        shown = np.einsum("kc,kcx->kx", weights, original.vertices[original.triangles[triangles]])
-        allowed = self._distances[original.triangles[triangles]].max(axis=1)
-        distances = np.linalg.norm(points - shown, axis=1)
-        return np.asarray(distances > _MAX_DETOUR * allowed + _MAX_DETOUR * self._texel_size)
+    def _look_up(self, own: TexelPoints) -> tuple[NDArray[np.int32], Floats, NDArray[np.bool_]]:
+        """Find the points of the original nearest to points of the simplified mesh, facing the same way.
 
-    def _find_triangles(
-        self, page: int, row: NDArray[np.int32], column: NDArray[np.int32]
-    ) -> NDArray[np.int32]:
-        """Find the triangle of the simplified mesh at each texel or its neighbours."""
-        if page not in self._triangle_images:
-            numbers = np.arange(len(self._pages.charts), dtype=np.int32)
-            self._triangle_images[page] = self._draw_triangles(page, numbers, np.dtype(np.int32))
-        image = self._triangle_images[page]
-        found = image[row, column]
-        for down, right in _NEIGHBOURS:
-            (left,) = np.nonzero(found == 0)
-            if not len(left):
-                break
-            rows = (row[left] + down).clip(0, image.shape[0] - 1)
-            found[left] = image[rows, (column[left] + right).clip(0, image.shape[1] - 1)]
-        return np.asarray((found - 1).clip(0), np.int32)
-
-    def _draw_charts(self, page: int) -> NDArray[Any]:
-        """Draw the index of each chart plus 1, (h, w); 0 marks gaps."""
-        require_opencv()
-        import cv2
-
-        kind = np.uint16 if self._pages.charts.max() < _MAX_LABEL else np.float32
-        image = self._draw_triangles(page, self._pages.charts, np.dtype(kind))
-        # Bilinear samples at a border reach one texel further. Padding keeps charts farther apart than that.
-        spread: NDArray[Any] = np.asarray(
-            cv2.dilate(image, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+        Returns
+        -------
+        Triangles (k,) of the original, weights (k, 3), and where a nearer point faced away.
+        """
+        mesh = self._simplified
+        a, b, c = (
+            mesh.vertices.take(corner, axis=0) for corner in mesh.triangles.take(own.triangles, axis=0).T
         )
-        return spread
+        u, v, w = own.weights.astype(np.float64).T[:, :, None]
+        points = move_inwards(u * a + v * b + w * c, (a + b + c) / 3, INWARDS * self._texel_size)
+        surface, reach = self._original_surface
+        return surface.facing(
+            points, self._normals.take(own.triangles, axis=0), reach=reach, wanted_threads=0
+        )
 
-    def _draw_triangles(self, page: int, values: NDArray[np.int32], kind: np.dtype[Any]) -> NDArray[Any]:
-        """Draw the triangles of an atlas image with their values plus 1."""
-        require_opencv()
-        import cv2
+    @cached_property
+    def _original_surface(self) -> tuple[_kernels.NearestSurface, float]:
+        """The original, and how far, in metres, a surface that faces the right way is looked for.
 
-        width, height = self._pages.sizes[page]
-        image = np.zeros((height, width), kind)
-        chosen = np.flatnonzero(self._pages.pages == page)
-        # Texel centres lie at halves.
-        fixed = np.rint((self._pages.corners[chosen] - 0.5) * (1 << _FRACTION)).astype(np.int32)
-        for corners, value in zip(fixed, (values[chosen] + 1).tolist(), strict=True):
-            cv2.fillConvexPoly(image, corners, value, shift=_FRACTION)
-        return image
+        Twice the largest distance found between both meshes: where a thin sheet has come out on the wrong
+        side of itself, its right side is not much farther than that.
+        """
+        surface = _create_surface(self._original)
+        step = math.ceil(len(self._simplified.triangles) / PROBES)
+        middles = self._simplified.vertices[self._simplified.triangles[::step]].mean(axis=1)
+        _, _, distances = surface.closest(middles, wanted_threads=0)
+        return surface, 2 * float(distances.max())
 
-    def _get_facing_lookup(self) -> FacingColors:
-        if self._facing is None:
-            box = bounding_box(self._original, self._simplified.mesh)
-            self._facing = FacingColors(Surface(self._original, box), self._simplified.mesh, self._texel_size)
-        return self._facing
-
-    def _place_triangles(self) -> _Entries:
+    def _place_triangles(self, vertices: VertexLocations) -> PlacedTriangles:
         """Place the triangles of the original in the atlas, in drawing order."""
-        mesh, pages = self._original, self._pages
-        located, is_facing = self._find_nearest()
-        self._distances = located.distances
-        corner_charts = np.where(is_facing, pages.charts[located.triangles], -1)[mesh.triangles]
-        is_usable = (corner_charts >= 0).all(axis=1)
-        is_whole = is_usable & (corner_charts == corner_charts[:, :1]).all(axis=1)
-        at = np.einsum("kc,kcx->kx", located.weights, pages.corners[located.triangles])
-        parts = [self._place_crossing(np.flatnonzero(is_usable & ~is_whole), corner_charts, located, at)]
-        whole = np.flatnonzero(is_whole)
-        # What is near the simplified mesh is drawn last, over what may be another layer of the original.
-        distance = located.distances[mesh.triangles[whole]].max(axis=1)
-        whole = whole[np.argsort(-distance, kind="stable")]
-        first = located.triangles[mesh.triangles[whole, 0]]
-        under = self._simplified.normals[located.triangles[mesh.triangles[whole]]]
-        aligned = np.einsum("kx,kcx->kc", unit_normals(mesh)[whole], under)
-        is_doubtful = (aligned < _MIN_ALIGNED_WITHIN).any(axis=1)
-        parts.append(
-            _Entries(
-                at[mesh.triangles[whole]], whole, corner_charts[whole, 0], pages.pages[first], is_doubtful
-            )
+        mesh, pages, located = self._original, self._pages, vertices.located
+        vertex_charts = np.where(vertices.is_facing, pages.charts[located.triangles], -1)
+        at = _mix(located.weights, pages.corners[located.triangles])
+        normals = unit_normals(mesh)
+        a, b, c = (vertex_charts[corner] for corner in mesh.triangles.T)
+        is_usable = (a >= 0) & (b >= 0) & (c >= 0)
+        is_whole = is_usable & (a == b) & (b == c)
+        crossing = self._place_crossing(
+            np.flatnonzero(is_usable & ~is_whole), vertex_charts, located, at, normals
         )
-        joined = _Entries(
+        whole = np.flatnonzero(is_whole)
+        corners = mesh.triangles[whole]
+        distances = _max_of_corners(located.distances, corners)
+        # The nearest triangles are drawn last, over what may be another layer of the original.
+        order = np.argsort(-distances, kind="stable")
+        whole, corners, distances = whole[order], corners[order], distances[order]
+        first = located.triangles[corners[:, 0]]
+        own = normals[whole]
+        under = self._normals[located.triangles]
+        is_doubtful = np.zeros(len(whole), bool)
+        for corner in corners.T:
+            is_doubtful |= _dot(own, under.take(corner, axis=0)) < _MIN_ALIGNED_WITHIN
+        within = PlacedTriangles(
+            at[corners],
+            whole,
+            vertex_charts[corners[:, 0]],
+            pages.pages[first],
+            self._limit_distances(distances, is_doubtful),
+        )
+        parts = [*crossing, within]
+        joined = PlacedTriangles(
             *(
                 np.concatenate([getattr(part, name) for part in parts])
-                for name in _Entries.__dataclass_fields__
+                for name in PlacedTriangles.__dataclass_fields__
             )
         )
         return self._remove_unsound(joined, located)
 
-    def _find_nearest(self) -> tuple[Located, NDArray[np.bool_]]:
-        """Find the nearest simplified point of each vertex, and compare normals."""
-        mesh = self._original
-        normals = _vertex_normals(mesh)
-        points, inverse = np.unique(mesh.vertices, axis=0, return_inverse=True)
-        found = self._simplified.closest(points)
-        inverse = inverse.reshape(-1)
-        located = Located(found.triangles[inverse], found.weights[inverse], found.distances[inverse])
-        faces = np.einsum("kx,kx->k", normals, self._simplified.normals[located.triangles]) > 0
-        return located, faces
+    def _limit_distances(self, distances: Floats, is_doubtful: NDArray[np.bool_]) -> Floats:
+        return np.where(is_doubtful, _MAX_DETOUR * (distances + self._texel_size), np.inf)
 
     def _place_crossing(
         self,
         triangles: NDArray[np.int64],
-        corner_charts: NDArray[np.int32],
+        vertex_charts: NDArray[np.int32],
         located: Located,
         at: Floats,
-    ) -> _Entries:
+        normals: Floats,
+    ) -> list[PlacedTriangles]:
         """Place chart-crossing triangles in each of their charts, extended beyond the border."""
-        mesh, pages, light = self._original, self._pages, self._simplified.mesh
+        mesh, pages, simplified = self._original, self._pages, self._simplified
         corners_of = mesh.triangles[triangles]
-        charts = corner_charts[triangles]
-        own_normals = unit_normals(mesh)
+        charts = vertex_charts[corners_of]
+        distances = _max_of_corners(located.distances, corners_of)
         found = []
         for k in range(3):
             # Each chart once: where it is that of an earlier corner too, it was handled there.
@@ -297,68 +318,99 @@ class Correspondence:
                 is_new &= charts[:, j] != charts[:, k]
             rows = np.flatnonzero(is_new)
             base = located.triangles[corners_of[rows, k]]
-            plane = light.vertices[light.triangles[base]]
+            plane = simplified.vertices[simplified.triangles[base]]
             corners = np.empty((len(rows), 3, 2))
             for j in range(3):
                 vertices = corners_of[rows, j]
                 weights = _plane_weights(mesh.vertices[vertices], plane)
-                extended = np.einsum("kc,kcx->kx", weights, pages.corners[base])
+                extended = _mix(weights, pages.corners[base])
                 is_here = (charts[rows, j] == charts[rows, k])[:, None]
                 corners[:, j] = np.where(is_here, at[vertices], extended)
-            aligned = np.einsum("kx,kx->k", own_normals[triangles[rows]], self._simplified.normals[base])
+            is_doubtful = _dot(normals[triangles[rows]], self._normals[base]) < _MIN_ALIGNED
             found.append(
-                _Entries(
+                PlacedTriangles(
                     corners,
                     triangles[rows],
                     charts[rows, k].astype(np.int32),
                     pages.pages[base],
-                    aligned < _MIN_ALIGNED,
+                    self._limit_distances(distances[rows], is_doubtful),
                 )
             )
-        return _Entries(
-            *(
-                np.concatenate([getattr(part, name) for part in found])
-                for name in _Entries.__dataclass_fields__
-            )
-        )
+        return found
 
-    def _remove_unsound(self, entries: _Entries, located: Located) -> _Entries:
+    def _remove_unsound(self, placed: PlacedTriangles, located: Located) -> PlacedTriangles:
         """Remove triangles that fold over or tear in the atlas."""
         mesh = self._original
-        spread = signed_areas(entries.corners)
+        spread = signed_areas(placed.corners)
         # Charts may be mirrored: their own triangles say which way round is right.
         own = signed_areas(self._pages.corners)
-        sign = np.zeros(int(self._pages.charts.max()) + 1)
         is_laid = self._pages.charts >= 0
-        np.add.at(sign, self._pages.charts[is_laid], own[is_laid])
-        is_upright = spread * np.sign(sign[entries.charts]) > 0
-        corners = mesh.vertices[mesh.triangles[entries.triangles]]
-        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2) / self._texel_size
-        placed = np.linalg.norm(entries.corners - np.roll(entries.corners, 1, axis=1), axis=2)
-        away = located.distances[mesh.triangles[entries.triangles]].max(axis=1) / self._texel_size
-        is_torn = (placed > _MAX_STRETCH * sides + _FREE_TEXELS + away[:, None]).any(axis=1)
-        kept = np.flatnonzero(is_upright & ~is_torn & np.isfinite(entries.corners).all(axis=(1, 2)))
-        return _Entries(
-            np.ascontiguousarray(entries.corners[kept]),
-            entries.triangles[kept],
-            entries.charts[kept],
-            np.ascontiguousarray(entries.pages[kept], np.int32),
-            entries.is_doubtful[kept],
-        )
+        sign = np.sign(np.bincount(self._pages.charts[is_laid], own[is_laid]))
+        is_sound = spread * sign[placed.charts] > 0
+        corners = mesh.triangles[placed.triangles]
+        away = _max_of_corners(located.distances, corners) / self._texel_size
+        for start, end in ((0, 1), (1, 2), (2, 0)):
+            along = mesh.vertices.take(corners[:, end], axis=0) - mesh.vertices.take(
+                corners[:, start], axis=0
+            )
+            laid = placed.corners[:, end] - placed.corners[:, start]
+            allowed = _MAX_STRETCH * np.sqrt(_dot(along, along)) / self._texel_size + _FREE_TEXELS + away
+            # Comparing as it does with what is not finite, it removes that, too.
+            is_sound &= np.sqrt(_dot(laid, laid)) <= allowed
+        return placed.select(np.flatnonzero(is_sound))
 
 
-def _vertex_normals(mesh: Mesh) -> Floats:
-    """Sum the triangle normals at each position; copies of a vertex get equal sums."""
-    _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    place = place.reshape(-1)
-    corners = mesh.vertices[mesh.triangles]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    at = place[mesh.triangles].reshape(-1)
-    sums = np.stack(
-        [np.bincount(at, np.repeat(across[:, axis], 3), minlength=len(mesh.vertices)) for axis in range(3)],
-        axis=1,
+def locate_vertices(simplified: Mesh, original: Mesh) -> VertexLocations:
+    """Find the nearest simplified point of each vertex, and compare normals."""
+    sets, first = equal_positions(original.vertices)
+    triangles, weights, distances = _create_surface(simplified).closest(
+        original.vertices[first], wanted_threads=0
     )
-    return np.asarray(sums[place])
+    normals = _sum_normals(original, sets)
+    is_facing = _dot(normals, unit_normals(simplified)[triangles]) > 0
+    located = Located(triangles.astype(np.int64)[sets], weights[sets], distances[sets])
+    return VertexLocations(located, is_facing[sets])
+
+
+def _create_surface(mesh: Mesh) -> _kernels.NearestSurface:
+    return _kernels.NearestSurface(mesh.vertices, mesh.triangles, wanted_threads=0)
+
+
+def _sum_normals(mesh: Mesh, sets: NDArray[np.int32]) -> Floats:
+    """Sum the triangle normals, weighted by area, of each set of vertices."""
+    a, b, c = (mesh.vertices.take(corner, axis=0) for corner in mesh.triangles.T)
+    across = np.cross(b - a, c - a)
+    at = sets[mesh.triangles].T.reshape(-1)
+    count = int(sets.max(initial=-1)) + 1
+    sums: Floats = np.stack(
+        [np.bincount(at, np.tile(across[:, axis], 3), minlength=count) for axis in range(3)], axis=1
+    )
+    return sums
+
+
+def _locate(
+    corners: Floats, triangles: NDArray[np.int32], texels: NDArray[np.int64], width: int
+) -> NDArray[np.float32]:
+    """Find the points of triangles (m, 3, 2) nearest to texels (n,): weights (n, 3)."""
+    return _kernels.locate_texels(corners, triangles, texels, width=width, wanted_threads=0)
+
+
+def _max_of_corners(values: Floats, triangles: NDArray[np.int32]) -> Floats:
+    """Return the largest value of the corners of each triangle."""
+    a, b, c = (values.take(corner) for corner in triangles.T)
+    return np.asarray(np.maximum(np.maximum(a, b), c))
+
+
+def _mix(weights: Floats, corners: Floats) -> Floats:
+    """Interpolate the corners (k, 3, d) of triangles."""
+    found = weights[:, :1] * corners[:, 0]
+    for k in (1, 2):
+        found += weights[:, k : k + 1] * corners[:, k]
+    return np.asarray(found)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + (a[:, 2] * b[:, 2] if a.shape[1] == 3 else 0.0))
 
 
 def _plane_weights(points: Floats, corners: Floats) -> Floats:

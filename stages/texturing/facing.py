@@ -20,16 +20,16 @@ _PASSED = 4
 # A ray goes on behind what it met this share of its reach later.
 _STEP = 1e-4
 # Of a texel, that places are moved away from the edges of their triangles.
-_INWARDS = 0.02
+INWARDS = 0.02
 # Triangles whose middles tell how far the light mesh is from the original.
-_PROBES = 100_000
+PROBES = 100_000
 
 
 class FacingColors:
     """The colours of an original at places on a light mesh; several threads may ask at once."""
 
     def __init__(self, original: Surface, light: Mesh, texel_size: float) -> None:
-        self._inwards = _INWARDS * texel_size
+        self._inwards = INWARDS * texel_size
         self._original = original
         self._normals = original.normals
         self._light = light
@@ -53,7 +53,8 @@ class FacingColors:
         while another did not.
         """
         corners = self._light.vertices[self._light.triangles[triangles]]
-        points = self._moved_inwards(np.einsum("kc,kcx->kx", weights, corners), corners.mean(axis=1))
+        points = np.einsum("kc,kcx->kx", weights, corners)
+        points = move_inwards(points, corners.mean(axis=1), self._inwards)
         nearest = self._original.closest(points)
         found, shares = nearest.triangles, nearest.weights
         normals = self._light_normals[triangles]
@@ -65,24 +66,13 @@ class FacingColors:
             turned = len(chosen)
         return found, shares, turned
 
-    def _moved_inwards(self, points: Floats, middles: Floats) -> Floats:
-        """Move points a little towards the middles of their triangles.
-
-        Charts often end at texel centres: on a sharp edge rounding alone would choose the side it is taken
-        from, line by line, and what fills the gaps continues that.
-        """
-        towards = middles - points
-        lengths = np.sqrt(_dot(towards, towards))
-        share = self._inwards / np.maximum(lengths, max(self._inwards, np.finfo(np.float64).tiny))
-        return np.asarray(points + share[:, None] * towards)
-
     def _farthest(self) -> float:
         """Return how far, in metres, the original is looked for along a normal.
 
         Twice the largest distance found between the two: where a thin sheet has come out on the wrong side of
         itself, its right side is not much farther than that.
         """
-        step = math.ceil(len(self._light.triangles) / _PROBES)
+        step = math.ceil(len(self._light.triangles) / PROBES)
         corners = self._light.vertices[self._light.triangles[::step]]
         return 2 * float(self._original.closest(corners.mean(axis=1)).distances.max())
 
@@ -111,6 +101,18 @@ class FacingColors:
                     break
         (found,) = np.nonzero(triangles >= 0)
         return found, triangles[found], weights[found]
+
+
+def move_inwards(points: Floats, middles: Floats, distance: float) -> Floats:
+    """Move points a little towards the middles of their triangles.
+
+    Charts often end at texel centres: on a sharp edge rounding alone would choose the side it is taken
+    from, line by line, and what fills the gaps continues that.
+    """
+    towards = middles - points
+    lengths = np.sqrt(_dot(towards, towards))
+    share = distance / np.maximum(lengths, max(distance, np.finfo(np.float64).tiny))
+    return np.asarray(points + share[:, None] * towards)
 
 
 def _dot(a: Floats, b: Floats) -> Floats:

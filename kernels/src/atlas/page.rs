@@ -12,6 +12,8 @@ pub struct Page {
     /// Words of a row.
     words: usize,
     taken: Vec<u64>,
+    /// Longest range of free columns in each row.
+    free: Vec<usize>,
     /// Rows that are used.
     pub height: usize,
 }
@@ -19,7 +21,7 @@ pub struct Page {
 impl Page {
     pub fn new(side: usize) -> Self {
         let words = side.div_ceil(WORD);
-        Self { side, words, taken: vec![0; words * side], height: 0 }
+        Self { side, words, taken: vec![0; words * side], free: vec![side; side], height: 0 }
     }
 
     /// The first place with room for a shape, from a place on: row by row, and from the left.
@@ -28,10 +30,17 @@ impl Page {
             return None;
         }
         let step = (shape.height / STEPS).max(1);
+        let widest: Vec<usize> = (0..shape.height)
+            .map(|row| shape.row(row).iter().map(|range| (range[1] - range[0]) as usize).max().unwrap_or(0))
+            .collect();
         let mut x = from[0];
         // The row that is in the way most often.
         let mut worst = 0;
         for y in (from[1]..=self.side - shape.height).step_by(step) {
+            if widest.iter().zip(&self.free[y..]).any(|(wanted, free)| wanted > free) {
+                x = 0;
+                continue;
+            }
             'place: while x + shape.width <= self.side {
                 for row in std::iter::once(worst).chain(0..shape.height) {
                     for range in shape.row(row) {
@@ -56,8 +65,26 @@ impl Page {
                     self.taken[(y + row) * self.words + word] |= mask;
                 }
             }
+            self.free[y + row] = self.longest_free(y + row);
         }
         self.height = self.height.max(y + shape.height);
+    }
+
+    /// Length of the longest range of free columns.
+    fn longest_free(&self, row: usize) -> usize {
+        let (mut longest, mut start) = (0, 0);
+        for (index, &word) in self.taken[row * self.words..][..self.words].iter().enumerate() {
+            let mut rest = word;
+            while rest != 0 {
+                let bit = rest.trailing_zeros() as usize;
+                longest = longest.max((index * WORD + bit).saturating_sub(start));
+                // Goes on behind the bits that follow each other.
+                let run = (rest >> bit).trailing_ones() as usize;
+                start = index * WORD + bit + run;
+                rest = if bit + run < WORD { rest & (u64::MAX << (bit + run)) } else { 0 };
+            }
+        }
+        longest.max(self.side.saturating_sub(start))
     }
 
     /// The last column of a range that is taken.

@@ -31,24 +31,24 @@ impl Shape {
             }
         }
         // What is taken lies in the corner: wide ranges to the right, and rows downwards, bring it into the middle.
-        let mut below = vec![0; width];
-        let (mut starts, mut ranges) = (vec![0], vec![]);
-        for row in 0..height {
-            for (column, below) in below.iter_mut().enumerate() {
-                *below = if taken[row * width + column] {
-                    2 * padding + 1
-                } else {
-                    usize::saturating_sub(*below, 1)
-                };
+        let reach = 2 * padding + 1;
+        let mut below = vec![0u32; width];
+        let (mut starts, mut ranges) = (vec![0], Vec::<[u32; 2]>::new());
+        for taken in taken.chunks_exact(width) {
+            for (below, &is_taken) in below.iter_mut().zip(taken) {
+                *below = if is_taken { reach as u32 } else { below.saturating_sub(1) };
             }
-            let mut end = 0;
             let first = ranges.len();
-            for column in (0..width).filter(|&column| below[column] > 0) {
-                if column > end || ranges.len() == first {
-                    ranges.push([column as u32, 0]);
+            let mut column = 0;
+            for run in below.chunk_by(|a, b| (*a > 0) == (*b > 0)) {
+                let range = [column as u32, (column + run.len() - 1 + reach) as u32];
+                column += run.len();
+                if run[0] > 0 {
+                    match ranges[first..].last_mut() {
+                        Some(last) if range[0] <= last[1] => last[1] = range[1],
+                        _ => ranges.push(range),
+                    }
                 }
-                end = column + 2 * padding + 1;
-                ranges.last_mut().unwrap_or(&mut [0; 2])[1] = end as u32;
             }
             starts.push(ranges.len() as u32);
         }

@@ -30,7 +30,11 @@ pub fn spans(
 }
 
 fn between(low: f64, high: f64, size: usize) -> Range<usize> {
-    let bound = |at: f64| (at - 0.5).ceil().clamp(0.0, size as f64) as usize;
+    // Rounded up by hand: without wide instructions that is a call.
+    let bound = |at: f64| {
+        let at = (at - 0.5).clamp(0.0, size as f64);
+        at as usize + usize::from(at > (at as usize) as f64)
+    };
     bound(low)..bound(high).max(bound(low))
 }
 
@@ -108,8 +112,8 @@ pub fn texels(
     Texels { pixels, triangles, shares }
 }
 
-/// The shares of the corners of the place in a triangle that is nearest to a point.
-fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
+/// Compute the barycentric weights of the point of a triangle nearest to a point.
+pub fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
     let [a, b, c] = corners;
     let area = turn(a, b, c);
     if area != 0.0 {
@@ -130,7 +134,7 @@ fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
     best.0
 }
 
-fn distance2(corners: &[[f64; 2]; 3], p: [f64; 2]) -> f64 {
+pub fn distance2(corners: &[[f64; 2]; 3], p: [f64; 2]) -> f64 {
     (0..3).map(|k| along(&corners[k], &corners[(k + 1) % 3], p).1).fold(f64::INFINITY, f64::min)
 }
 

@@ -16,6 +16,7 @@ mod intersections;
 mod jia01;
 mod lod;
 mod memory;
+mod nearest;
 mod normal_mesh;
 mod order;
 mod planar;
@@ -24,6 +25,7 @@ mod recognition;
 mod seams;
 mod simplified;
 mod stereo;
+mod texel_sources;
 mod texture;
 
 use pyo3::create_exception;
@@ -95,6 +97,11 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<atlas::LaidOut>()?;
     module.add_function(wrap_pyfunction!(atlas::lay_out, module)?)?;
     module.add_function(wrap_pyfunction!(atlas::texels, module)?)?;
+    module.add_class::<nearest::NearestSurface>()?;
+    module.add_function(wrap_pyfunction!(texel_sources::draw_sources, module)?)?;
+    module.add_function(wrap_pyfunction!(texel_sources::locate_texels, module)?)?;
+    module.add_function(wrap_pyfunction!(texel_sources::sample_points, module)?)?;
+    module.add_function(wrap_pyfunction!(texel_sources::sample_texels, module)?)?;
     module.add_class::<texture::DrawnMesh>()?;
     module.add_class::<texture::Photo>()?;
     module.add_class::<texture::View>()?;

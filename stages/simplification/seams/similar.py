@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import UsageError
+from stages.surface.equal_positions import equal_positions, first_members, position_keys, rank_labels
 from stages.surface.mesh import Triangles, Vertices
 from stages.surface.sheets import taken_apart
 
@@ -25,7 +26,7 @@ _MOST_STEPS = 32
 
 def equal_sets(vertices: Vertices) -> NDArray[np.int32]:
     """Return the set of equal vertices each vertex is in, numbered from 0 in the order of first vertices."""
-    return _equal(vertices)[0]
+    return equal_positions(vertices)[0]
 
 
 def joinable_sets(
@@ -56,7 +57,7 @@ def joinable_sets(
     UsageError
         If `distance` is so large that most of the mesh would be one.
     """
-    equal, first = _equal(vertices)
+    equal, first = equal_positions(vertices)
     links, lengths = _links(vertices[first], equal, triangles, distance)
     if not len(links):
         return equal, vertices[first][equal], np.zeros(len(equal), bool)
@@ -104,48 +105,13 @@ def _without_touching(
         taken = is_joined & is_refused[sets]
         if not taken.any():
             return sets
-        sets = _ranked(np.where(taken, len(sets) + before, sets))
-
-
-def _equal(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Return the set of equal vertices each one is in, and the first vertex of each set."""
-    sets = _ranked(_keys(vertices))
-    first = _firsts(sets)
-    if not np.array_equal(vertices[first][sets], vertices):
-        # Two positions with the same key.
-        sets = _ranked(np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1))
-        first = _firsts(sets)
-    return sets, first
+        sets = rank_labels(np.where(taken, len(sets) + before, sets))
 
 
 def may_have_equal(vertices: Vertices) -> bool:
     """Return False if all positions differ; in a tenth of the time that it takes to tell which are equal."""
-    keys = np.sort(_keys(vertices))
+    keys = np.sort(position_keys(vertices))
     return bool((keys[1:] == keys[:-1]).any())
-
-
-def _keys(vertices: Vertices) -> NDArray[np.uint64]:
-    """Return a number for each position (n,), equal for those that are, and hardly ever for others."""
-    # Adding 0 makes −0 equal to 0 to the bit.
-    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
-    with np.errstate(over="ignore"):
-        mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
-        return np.asarray((mixed ^ (mixed >> np.uint64(29))).sum(axis=1))
-
-
-def _ranked(labels: NDArray[Any]) -> NDArray[np.int32]:
-    """Return labels numbered from 0 in the order they first occur."""
-    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int32)
-    rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
-    return rank[inverse.reshape(-1)]
-
-
-def _firsts(sets: NDArray[np.int32]) -> NDArray[Any]:
-    """Return the first member of each set."""
-    first = np.empty(int(sets.max(initial=-1)) + 1, np.int64)
-    first[sets[::-1]] = np.arange(len(sets))[::-1]
-    return first
 
 
 def _links(
@@ -174,7 +140,7 @@ def _chained(links: NDArray[np.integer[Any]], equal: NDArray[np.int32], count: i
     from scipy.sparse.csgraph import connected_components
 
     graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(count, count))
-    return _ranked(connected_components(graph, directed=False)[1][equal])
+    return rank_labels(connected_components(graph, directed=False)[1][equal])
 
 
 def _few_pairs(positions: Vertices, distance: float) -> NDArray[np.integer[Any]] | None:
@@ -227,7 +193,7 @@ def _means(vertices: Vertices, sets: NDArray[np.int32]) -> Vertices:
     size = np.bincount(sets)
     total = np.stack([np.bincount(sets, vertices[:, axis]) for axis in range(3)], axis=1)
     mean = (total / np.maximum(size, 1)[:, None])[sets]
-    one = vertices[_firsts(sets)]
+    one = vertices[first_members(sets)]
     # A set of equal vertices keeps their position to the bit, which a mean need not.
     uneven = np.zeros(len(size), bool)
     np.logical_or.at(uneven, sets, (vertices != one[sets]).any(axis=1))

@@ -1,0 +1,221 @@
+//! `stages._kernels.draw_sources`, `locate_texels`, `sample_texels` and `sample_points`.
+
+use numpy::ndarray::Array2;
+use numpy::{
+    IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3,
+    PyUntypedArrayMethods,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::atlas::shape;
+use super::guarded::guarded;
+use crate::atlas::texels::shares;
+use crate::base::geometry::Vec3;
+use crate::base::parallel::{collect, threads};
+use crate::texture::sampling::{Drawn, Image, Wrap, sample, sample_points as samples};
+use crate::texture::texel_sources::{Charts, Corners, Sources, draw};
+
+/// Texels of an image, which have numbers of 32 bits, and triangles.
+const MAX_TEXELS: usize = 1 << 30;
+
+/// Triangles in the atlas, their charts, and their corners in space.
+type Placed<'py> = (PyReadonlyArray3<'py, f64>, PyReadonlyArray1<'py, i32>, PyReadonlyArray3<'py, f64>);
+
+/// Such arrays.
+type Slices<'a> = (&'a [Corners], &'a [i32], &'a [[Vec3; 3]]);
+/// Images of triangles.
+type Drawings = (Py<PyArray2<i32>>, Py<PyArray2<i32>>);
+
+/// Draw the triangles of a simplified mesh, and those of its original into their charts.
+///
+/// Returns images (height, width) of both, which hold triangles, or −1 for none.
+#[pyfunction]
+#[pyo3(signature = (simplified, original, max_distances, *, width, height, wanted_threads))]
+pub fn draw_sources(
+    py: Python<'_>,
+    simplified: Placed<'_>,
+    original: Placed<'_>,
+    max_distances: PyReadonlyArray1<'_, f64>,
+    width: usize,
+    height: usize,
+    wanted_threads: usize,
+) -> PyResult<Drawings> {
+    check_size(width, height)?;
+    let rows = simplified.0.len() + original.0.len();
+    guarded(rows + width * height / 8, || {
+        let (corners, charts, positions) = placed(&simplified)?;
+        let of_simplified = Charts { corners, charts, positions };
+        let (corners, charts, positions) = placed(&original)?;
+        let max_distances = max_distances.as_slice()?;
+        if max_distances.len() != corners.len() {
+            return Err(PyValueError::new_err("max_distances needs one value for each triangle"));
+        }
+        let sources = Sources { corners, charts, positions, max_distances };
+        let found = py.detach(|| draw(of_simplified, sources, width, height, threads(wanted_threads)));
+        let image = |values| Array2::from_shape_vec((height, width), values).map_err(shape);
+        Ok((
+            image(found.simplified)?.into_pyarray(py).unbind(),
+            image(found.sources)?.into_pyarray(py).unbind(),
+        ))
+    })
+}
+
+/// Barycentric weights (n, 3) of the point of a triangle that is nearest to the centre of a texel.
+#[pyfunction]
+#[pyo3(signature = (corners, triangles, texels, *, width, wanted_threads))]
+pub fn locate_texels(
+    py: Python<'_>,
+    corners: PyReadonlyArray3<'_, f64>,
+    triangles: PyReadonlyArray1<'_, i32>,
+    texels: PyReadonlyArray1<'_, i64>,
+    width: usize,
+    wanted_threads: usize,
+) -> PyResult<Py<PyArray2<f32>>> {
+    guarded(triangles.len(), || {
+        let (corners, triangles, texels) = (corners_of(&corners)?, triangles.as_slice()?, texels.as_slice()?);
+        let is_known = |&t: &i32| usize::try_from(t).is_ok_and(|t| t < corners.len());
+        if triangles.len() != texels.len() || !triangles.iter().all(is_known) || width == 0 {
+            return Err(PyValueError::new_err("texels do not go with their triangles or an image"));
+        }
+        let weights = py.detach(|| {
+            collect(texels.len(), threads(wanted_threads), |i| {
+                let at = [texels[i].rem_euclid(width as i64), texels[i].div_euclid(width as i64)];
+                shares(&corners[triangles[i] as usize], at.map(|x| x as f64 + 0.5)).map(|x| x as f32)
+            })
+        });
+        let weights = weights.into_flattened();
+        Ok(Array2::from_shape_vec((texels.len(), 3), weights).map_err(shape)?.into_pyarray(py).unbind())
+    })
+}
+
+/// Sample an image into the texels of an atlas whose triangles show it; the others stay.
+#[pyfunction]
+#[pyo3(signature = (atlas, triangles, corners, uvs, is_shown, image, *, wrap, wanted_threads))]
+#[allow(clippy::too_many_arguments)]
+pub fn sample_texels(
+    py: Python<'_>,
+    mut atlas: PyReadwriteArray3<'_, u8>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    corners: PyReadonlyArray3<'_, f64>,
+    uvs: PyReadonlyArray3<'_, f64>,
+    is_shown: PyReadonlyArray1<'_, bool>,
+    image: PyReadonlyArray3<'_, u8>,
+    wrap: (String, String),
+    wanted_threads: usize,
+) -> PyResult<()> {
+    guarded(0, || {
+        let &[height, width, channels] = atlas.shape() else { return Err(unfit("the atlas")) };
+        check_size(width, height)?;
+        let image = image_of(&image, &wrap, channels)?;
+        if triangles.shape() != [height, width] {
+            return Err(unfit("the atlas"));
+        }
+        let (corners, uvs) = (corners_of(&corners)?, corners_of(&uvs)?);
+        let (triangles, is_shown) = (triangles.as_slice()?, is_shown.as_slice()?);
+        if uvs.len() != corners.len()
+            || is_shown.len() != corners.len()
+            || triangles.iter().any(|&t| t >= 0 && t as usize >= corners.len())
+        {
+            return Err(unfit("a triangle"));
+        }
+        let drawn = Drawn { triangles, corners, uvs, is_shown };
+        let (texels, count) = (atlas.as_slice_mut()?, threads(wanted_threads));
+        py.detach(|| match channels {
+            1 => sample::<1>(&image, &drawn, texels.as_chunks_mut().0, width, count),
+            2 => sample::<2>(&image, &drawn, texels.as_chunks_mut().0, width, count),
+            3 => sample::<3>(&image, &drawn, texels.as_chunks_mut().0, width, count),
+            _ => sample::<4>(&image, &drawn, texels.as_chunks_mut().0, width, count),
+        });
+        Ok(())
+    })
+}
+
+/// Sample the first channels of an image at texture coordinates (n, 2), v up.
+#[pyfunction]
+#[pyo3(signature = (image, uvs, *, channels, wrap, wanted_threads))]
+pub fn sample_points(
+    py: Python<'_>,
+    image: PyReadonlyArray3<'_, u8>,
+    uvs: PyReadonlyArray2<'_, f64>,
+    channels: usize,
+    wrap: (String, String),
+    wanted_threads: usize,
+) -> PyResult<Py<PyArray2<u8>>> {
+    guarded(uvs.len(), || {
+        let image = image_of(&image, &wrap, channels)?;
+        if uvs.shape()[1] != 2 || !uvs.as_slice()?.iter().all(|x| x.is_finite()) {
+            return Err(unfit("a texture coordinate"));
+        }
+        let (uvs, count) = (uvs.as_slice()?.as_chunks::<2>().0, threads(wanted_threads));
+        let found = py.detach(|| match channels {
+            1 => samples::<1>(&image, uvs, count).into_flattened(),
+            2 => samples::<2>(&image, uvs, count).into_flattened(),
+            3 => samples::<3>(&image, uvs, count).into_flattened(),
+            _ => samples::<4>(&image, uvs, count).into_flattened(),
+        });
+        Ok(Array2::from_shape_vec((uvs.len(), channels), found).map_err(shape)?.into_pyarray(py).unbind())
+    })
+}
+
+/// An image that has at least so many channels.
+fn image_of<'a>(
+    image: &'a PyReadonlyArray3<'_, u8>,
+    wrap: &(String, String),
+    channels: usize,
+) -> PyResult<Image<'a>> {
+    let &[height, width, found] = image.shape() else { return Err(unfit("the image")) };
+    check_size(width, height)?;
+    if !(1..=4).contains(&channels) || channels > found {
+        return Err(unfit("the image"));
+    }
+    let wrap = [wrap_of(&wrap.0)?, wrap_of(&wrap.1)?];
+    Ok(Image { pixels: image.as_slice()?, width, height, channels: found, wrap })
+}
+
+fn wrap_of(name: &str) -> PyResult<Wrap> {
+    match name {
+        "repeat" => Ok(Wrap::Repeat),
+        "clamp" => Ok(Wrap::Clamp),
+        "mirror" => Ok(Wrap::Mirror),
+        _ => Err(PyValueError::new_err(format!("{name:?} is no way to continue an image"))),
+    }
+}
+
+fn unfit(what: &str) -> PyErr {
+    PyValueError::new_err(format!("{what} does not go with the other arrays"))
+}
+
+fn check_size(width: usize, height: usize) -> PyResult<()> {
+    if width == 0 || height == 0 || width.checked_mul(height).is_none_or(|texels| texels > MAX_TEXELS) {
+        return Err(PyValueError::new_err(format!("an image of {width} × {height} is empty or too large")));
+    }
+    Ok(())
+}
+
+fn placed<'a>(arrays: &'a Placed<'_>) -> PyResult<Slices<'a>> {
+    let (corners, charts) = (corners_of(&arrays.0)?, arrays.1.as_slice()?);
+    let positions = finite(&arrays.2, 3)?.as_chunks::<3>().0.as_chunks::<3>().0;
+    if [charts.len(), positions.len()] != [corners.len(); 2] || corners.len() > i32::MAX as usize {
+        return Err(PyValueError::new_err("charts and positions need one row for each triangle"));
+    }
+    Ok((corners, charts, positions))
+}
+
+/// Corners of triangles in a plane, m × 3 × 2.
+fn corners_of<'a>(array: &'a PyReadonlyArray3<'_, f64>) -> PyResult<&'a [Corners]> {
+    Ok(finite(array, 2)?.as_chunks::<2>().0.as_chunks::<3>().0)
+}
+
+/// Numbers of an array m × 3 × k.
+fn finite<'a>(array: &'a PyReadonlyArray3<'_, f64>, k: usize) -> PyResult<&'a [f64]> {
+    if array.shape()[1..] != [3, k] {
+        let found = array.shape();
+        return Err(PyValueError::new_err(format!("an array is {found:?}; m × 3 × {k} is expected")));
+    }
+    let numbers = array.as_slice()?;
+    if !numbers.iter().all(|x| x.is_finite()) {
+        return Err(PyValueError::new_err("an array has numbers that are not finite"));
+    }
+    Ok(numbers)
+}

@@ -1,0 +1,176 @@
+//! Nearest points of a surface, also among those that face a given way.
+//!
+//! Points follow each other in space, so that each search starts from the triangle that was found before.
+
+use crate::base::geometry::{Vec3, cross, dot, nearest_on_triangle, sub};
+use crate::base::parallel::map;
+use crate::mesh::bvh::Bvh;
+
+/// Points of which one starts where the one before was found. The last of them does not depend on the number of threads.
+const IN_ROW: usize = 512;
+
+/// A triangle mesh that is ready for queries.
+pub struct Surface {
+    tree: Bvh,
+    /// Number, corners and normal, of any length, of the triangle in each slot of the tree.
+    numbers: Vec<u32>,
+    corners: Vec<[Vec3; 3]>,
+    normals: Vec<Vec3>,
+}
+
+/// A point of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Located {
+    pub triangle: u32,
+    /// Barycentric.
+    pub weights: [f64; 3],
+    pub distance: f64,
+    /// Whether a nearer point was passed over, as it faced away.
+    pub is_turned: bool,
+}
+
+impl Surface {
+    /// The triangles of a mesh, of which there is one at least; indices are in range.
+    pub fn new(points: &[Vec3], triangles: &[[u32; 3]], threads: usize) -> Self {
+        let corners = |t: usize| triangles[t].map(|v| points[v as usize]);
+        let (tree, numbers) = Bvh::new(triangles.len(), threads, |t| {
+            let [a, b, c] = corners(t);
+            let bound = |by: fn(f64, f64) -> f64| [0, 1, 2].map(|i| by(by(a[i], b[i]), c[i]));
+            [bound(f64::min), bound(f64::max)]
+        });
+        let corners: Vec<_> = numbers.iter().map(|&t| corners(t as usize)).collect();
+        let normals = corners.iter().map(|[a, b, c]| cross(&sub(b, a), &sub(c, a))).collect();
+        Self { tree, numbers, corners, normals }
+    }
+
+    /// The nearest point to each of some points.
+    pub fn closest(&self, points: &[Vec3], threads: usize) -> Vec<Located> {
+        self.each(points.len(), threads, |i, from| {
+            let slot = self.nearest(&points[i], from);
+            (slot, self.located(&points[i], slot))
+        })
+    }
+
+    /// The nearest point to each of some points; where it faces away from the normal there, the nearest one along the
+    /// normal, to either side and no farther than `reach`, that does not, if there is one.
+    pub fn facing(&self, points: &[Vec3], normals: &[Vec3], reach: f64, threads: usize) -> Vec<Located> {
+        self.each(points.len(), threads, |i, from| {
+            let slot = self.nearest(&points[i], from);
+            let found = if dot(&normals[i], &self.normals[slot as usize]) < 0.0 {
+                self.along(&points[i], &normals[i], reach)
+            } else {
+                None
+            };
+            (slot, found.unwrap_or_else(|| self.located(&points[i], slot)))
+        })
+    }
+
+    /// `work` on each number, which gets the slot that was found before.
+    fn each(
+        &self,
+        count: usize,
+        threads: usize,
+        work: impl Fn(usize, u32) -> (u32, Located) + Sync,
+    ) -> Vec<Located> {
+        let rows = map(
+            count.div_ceil(IN_ROW),
+            threads,
+            || (),
+            |(), row| {
+                let mut slot = 0;
+                let numbers = row * IN_ROW..((row + 1) * IN_ROW).min(count);
+                let find = |i| {
+                    let found;
+                    (slot, found) = work(i, slot);
+                    found
+                };
+                numbers.map(find).collect::<Vec<_>>()
+            },
+        );
+        rows.concat()
+    }
+
+    fn nearest(&self, p: &Vec3, from: u32) -> u32 {
+        let distance2 = |slot: u32| nearest_on_triangle(p, self.corners[slot as usize].each_ref()).1;
+        self.tree.nearest(p, (from, distance2(from)), distance2).0
+    }
+
+    fn located(&self, p: &Vec3, slot: u32) -> Located {
+        let (weights, distance2) = nearest_on_triangle(p, self.corners[slot as usize].each_ref());
+        let triangle = self.numbers[slot as usize];
+        Located { triangle, weights, distance: distance2.sqrt(), is_turned: false }
+    }
+
+    fn along(&self, p: &Vec3, direction: &Vec3, reach: f64) -> Option<Located> {
+        let mut best = None;
+        self.tree.along(p, direction, reach, |slot, reach| {
+            if dot(direction, &self.normals[slot as usize]) <= 0.0 {
+                return reach;
+            }
+            match crossing(p, direction, &self.corners[slot as usize]) {
+                Some((distance, weights)) if distance < reach => {
+                    let triangle = self.numbers[slot as usize];
+                    best = Some(Located { triangle, weights, distance, is_turned: true });
+                    distance
+                }
+                _ => reach,
+            }
+        });
+        best
+    }
+}
+
+/// How far along a line, in either direction, a triangle is, and where (Möller and Trumbore 1997, "Fast, minimum
+/// storage ray-triangle intersection").
+fn crossing(p: &Vec3, direction: &Vec3, [a, b, c]: &[Vec3; 3]) -> Option<(f64, [f64; 3])> {
+    let (ab, ac, ap) = (sub(b, a), sub(c, a), sub(p, a));
+    let across = cross(direction, &ac);
+    let along = cross(&ap, &ab);
+    let determinant = dot(&ab, &across);
+    let (v, w) = (dot(&ap, &across) / determinant, dot(direction, &along) / determinant);
+    let u = 1.0 - v - w;
+    // Of a line within the plane, none of them is a number.
+    (u >= 0.0 && v >= 0.0 && w >= 0.0).then(|| ((dot(&ac, &along) / determinant).abs(), [u, v, w]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two sheets, one above the other, that face down (at 0) and up (at −1).
+    fn sheets() -> Surface {
+        let mut points = vec![];
+        for z in [0.0, -1.0] {
+            points.extend([[0.0, 0.0, z], [4.0, 0.0, z], [0.0, 4.0, z], [4.0, 4.0, z]]);
+        }
+        Surface::new(&points, &[[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6]], 1)
+    }
+
+    #[test]
+    fn the_nearest_point_is_found_whatever_was_found_before() {
+        let surface = sheets();
+        let points: Vec<Vec3> = (0..2000)
+            .map(|i| [f64::from(i % 41) / 9.0, f64::from(i % 37) / 8.0, f64::from(i % 7) - 3.0])
+            .collect();
+        let found = surface.closest(&points, 1);
+        for (p, one) in points.iter().zip(&found) {
+            let all = (0..4).map(|slot| surface.located(p, slot).distance).fold(f64::INFINITY, f64::min);
+            assert_eq!(one.distance, all);
+        }
+        assert_eq!(found, surface.closest(&points, 3));
+    }
+
+    #[test]
+    fn what_faces_away_is_passed_over_within_reach() {
+        let surface = sheets();
+        let at = |z: f64, up: f64, reach: f64| {
+            let found = surface.facing(&[[1.0, 1.0, z]], &[[0.0, 0.0, up]], reach, 1)[0];
+            (found.triangle, found.is_turned, found.distance)
+        };
+        assert_eq!(at(0.25, 1.0, 2.0), (2, true, 1.25));
+        assert_eq!(at(0.25, 1.0, 1.0), (0, false, 0.25));
+        assert_eq!(at(0.25, -1.0, 2.0), (0, false, 0.25));
+        assert_eq!(at(-1.25, -1.0, 2.0), (0, true, 1.25));
+        assert_eq!(at(-0.9, 1.0, 2.0).0, 2);
+    }
+}

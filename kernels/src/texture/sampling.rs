@@ -1,0 +1,227 @@
+//! Bilinear samples of an image under the texels of an atlas.
+
+use super::texel_sources::Corners;
+use crate::atlas::texels::shares;
+use crate::base::parallel::{collect, each};
+
+/// Bits of the share of a texel in a sample.
+const BITS: u32 = 8;
+const ONE: u32 = 1 << BITS;
+
+/// How an image goes on beyond its edges.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Wrap {
+    Repeat,
+    Clamp,
+    Mirror,
+}
+
+impl Wrap {
+    /// Convert a coordinate in units of the image to texels; 0.5 is before the first one.
+    #[inline]
+    fn place(self, at: f64, count: usize) -> f64 {
+        let at = match self {
+            _ if (0.0..=1.0).contains(&at) => at,
+            Self::Clamp => at.clamp(0.0, 1.0),
+            Self::Repeat => at - at.floor(),
+            Self::Mirror => 1.0 - (1.0 - (at - 2.0 * (0.5 * at).floor())).abs(),
+        };
+        at * count as f64 + 0.5
+    }
+
+    /// The texels before and after one end of an image, where the first one after it is number 0 or `count`.
+    fn around(self, after: usize, count: usize) -> [usize; 2] {
+        match self {
+            Self::Repeat => [(after + count - 1) % count, after % count],
+            _ => [after.saturating_sub(1), after.min(count - 1)],
+        }
+    }
+}
+
+/// An image, row after row.
+#[derive(Clone, Copy, Debug)]
+pub struct Image<'a> {
+    pub pixels: &'a [u8],
+    pub width: usize,
+    pub height: usize,
+    pub channels: usize,
+    pub wrap: [Wrap; 2],
+}
+
+impl Image<'_> {
+    /// Sample the first channels at a texture coordinate, v up.
+    #[inline]
+    fn sample<const C: usize>(&self, [u, v]: [f64; 2]) -> [u8; C] {
+        let (x, y) = (self.wrap[0].place(u, self.width), self.wrap[1].place(1.0 - v, self.height));
+        // Of 32 bits, which processors convert at once; what is not finite becomes 0.
+        let [column, row] = [x as i32, y as i32];
+        let share = |at: f64, whole: i32| ((at - f64::from(whole)) * f64::from(ONE) + 0.5) as i32 as u32;
+        let (right, below) = (share(x, column).min(ONE), share(y, row).min(ONE));
+        let (column, row) = (column as usize, row as usize);
+        if (1..self.width).contains(&column) && (1..self.height).contains(&row) {
+            let start = ((row - 1) * self.width + column - 1) * self.channels;
+            let [above, under] = [start, start + self.width * self.channels]
+                .map(|start| &self.pixels[start..start + self.channels + C]);
+            let across = |texels: &[u8], k: usize| mix(texels[k], texels[self.channels + k], right);
+            return std::array::from_fn(|k| round(across(above, k), across(under, k), below));
+        }
+        let columns = self.wrap[0].around(column.min(self.width), self.width);
+        let rows = self.wrap[1].around(row.min(self.height), self.height);
+        let [above, under] = rows.map(|row| {
+            columns.map(|column| &self.pixels[(row * self.width + column) * self.channels..][..C])
+        });
+        let across = |texels: &[&[u8]; 2], k: usize| mix(texels[0][k], texels[1][k], right);
+        std::array::from_fn(|k| round(across(&above, k), across(&under, k), below))
+    }
+}
+
+#[inline]
+fn mix(one: u8, other: u8, share: u32) -> u32 {
+    u32::from(one) * (ONE - share) + u32::from(other) * share
+}
+
+#[inline]
+fn round(one: u32, other: u32, share: u32) -> u8 {
+    ((one * (ONE - share) + other * share + (1 << (2 * BITS - 1))) >> (2 * BITS)) as u8
+}
+
+/// Triangles that are drawn into an atlas.
+#[derive(Clone, Copy)]
+pub struct Drawn<'a> {
+    /// The triangle of each texel of the atlas, row by row; negative for none.
+    pub triangles: &'a [i32],
+    /// In texels of the atlas, and in units of the image.
+    pub corners: &'a [Corners],
+    pub uvs: &'a [Corners],
+    /// Triangles that show the image.
+    pub is_shown: &'a [bool],
+}
+
+/// Write samples of an image into the texels of an atlas, C channels, whose triangles show it.
+///
+/// `texels` has as many items as there are triangles of texels, all of which are in range. `image` has at least C
+/// channels.
+pub fn sample<const C: usize>(
+    image: &Image<'_>,
+    drawn: &Drawn<'_>,
+    texels: &mut [[u8; C]],
+    width: usize,
+    threads: usize,
+) {
+    let rows = texels.chunks_mut(width).zip(drawn.triangles.chunks(width)).enumerate().collect();
+    each(rows, threads, |(row, (texels, triangles)): (usize, (&mut [[u8; C]], &[i32]))| {
+        let y = row as f64 + 0.5;
+        let mut column = 0;
+        for run in triangles.chunk_by(|a, b| a == b) {
+            let columns = column..column + run.len();
+            column = columns.end;
+            let Ok(t) = usize::try_from(run[0]) else { continue };
+            if !drawn.is_shown[t] {
+                continue;
+            }
+            let (corners, uvs) = (&drawn.corners[t], &drawn.uvs[t]);
+            let across = Across::new(corners, y);
+            let at = |column: usize| across.shares(column as f64 + 0.5);
+            let texels = &mut texels[columns.clone()];
+            if let (Some(first), Some(last)) = (at(columns.start), at(columns.end - 1)) {
+                // Between two points of a triangle all points are in it.
+                let [start, end] = [first, last].map(|shares| mixed(&shares, uvs));
+                let step = [0, 1].map(|k| (end[k] - start[k]) / (run.len() - 1).max(1) as f64);
+                for (i, texel) in texels.iter_mut().enumerate() {
+                    *texel = image.sample([0, 1].map(|k| start[k] + i as f64 * step[k]));
+                }
+            } else {
+                for (column, texel) in columns.zip(texels) {
+                    let near = || shares(corners, [column as f64 + 0.5, y]);
+                    *texel = image.sample(mixed(&at(column).unwrap_or_else(near), uvs));
+                }
+            }
+        }
+    });
+}
+
+/// Sample the first C channels of an image at texture coordinates, v up.
+pub fn sample_points<const C: usize>(image: &Image<'_>, uvs: &[[f64; 2]], threads: usize) -> Vec<[u8; C]> {
+    collect(uvs.len(), threads, |i| image.sample(uvs[i]))
+}
+
+/// Barycentric coordinates along a row.
+struct Across {
+    is_sound: bool,
+    first: f64,
+    values: [f64; 2],
+    steps: [f64; 2],
+}
+
+impl Across {
+    fn new([a, b, c]: &Corners, y: f64) -> Self {
+        let (ab, ac) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
+        let area = ab[0] * ac[1] - ab[1] * ac[0];
+        let below = y - a[1];
+        Self {
+            is_sound: area != 0.0,
+            first: a[0],
+            values: [-below * ac[0] / area, ab[0] * below / area],
+            steps: [ac[1] / area, -ab[1] / area],
+        }
+    }
+
+    /// Shares of the corners at a point; `None` beside the triangle.
+    #[inline]
+    fn shares(&self, x: f64) -> Option<[f64; 3]> {
+        let [v, w] = [0, 1].map(|k| self.values[k] + (x - self.first) * self.steps[k]);
+        let u = 1.0 - v - w;
+        (self.is_sound && u >= 0.0 && v >= 0.0 && w >= 0.0).then_some([u, v, w])
+    }
+}
+
+#[inline]
+fn mixed(shares: &[f64; 3], values: &Corners) -> [f64; 2] {
+    [0, 1].map(|k| shares[0] * values[0][k] + shares[1] * values[1][k] + shares[2] * values[2][k])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_go_on_beyond_their_edges_as_they_say() {
+        let pixels = [0u8, 100, 200];
+        let at = |wrap: Wrap, u: f64| {
+            let image = Image { pixels: &pixels, width: 3, height: 1, channels: 1, wrap: [wrap; 2] };
+            image.sample::<1>([u, 0.5])[0]
+        };
+        for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
+            for (column, &level) in pixels.iter().enumerate() {
+                assert_eq!(at(wrap, (column as f64 + 0.5) / 3.0), level);
+            }
+        }
+        for u in [-1.0, 0.0, 1.0, 2.0] {
+            assert_eq!(at(Wrap::Repeat, u), 100);
+        }
+        assert_eq!([-5.0, 0.0, 1.0, 5.0].map(|u| at(Wrap::Clamp, u)), [0, 0, 200, 200]);
+        assert_eq!([-1.0, 0.0, 1.0, 2.0, 3.0].map(|u| at(Wrap::Mirror, u)), [200, 0, 200, 0, 200]);
+        assert_eq!(at(Wrap::Mirror, -0.5), 100);
+        // Beyond all that is exact, any texel will do.
+        for u in [1e300, -1e300, f64::MAX] {
+            for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
+                at(wrap, u);
+            }
+        }
+    }
+
+    #[test]
+    fn a_texel_beside_a_triangle_gets_the_nearest_point() {
+        let corners = [[[2.0, 2.0], [6.0, 2.0], [2.0, 6.0]]];
+        let uvs = [[[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]];
+        let pixels: Vec<u8> = (0..=255).collect();
+        let image = Image { pixels: &pixels, width: 256, height: 1, channels: 1, wrap: [Wrap::Clamp; 2] };
+        let mut texels = vec![[0u8]; 64];
+        let triangles = [0; 64];
+        let drawn = Drawn { triangles: &triangles, corners: &corners, uvs: &uvs, is_shown: &[true] };
+        sample(&image, &drawn, &mut texels, 8, 2);
+        assert_eq!(texels[2 * 8 + 1], [0]);
+        assert_eq!(texels[2 * 8 + 3], [96]);
+        assert_eq!(texels[7], [255]);
+    }
+}
