@@ -23,9 +23,8 @@ from typing import Annotated, Any
 import typer
 
 from cli import errors, exit_codes
-from cli.one_line import one_line
 from cli.options import with_options
-from cli.output import to_json, with_schema
+from cli.output import one_line, to_json, with_schema
 from stages import __version__
 from stages.errors import ScanloomError, is_lack_of_memory
 

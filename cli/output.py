@@ -8,16 +8,21 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from cli.exit_codes import DONE, FAILED
-from cli.one_line import one_line
 from pipeline.run.schema import SCHEMA
 from stages.printing import name_and_value
 from stages.progress import Progress, silent
+
+# Control characters, among them line breaks and terminal escapes, and the line separators of Unicode.
+_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+# Maximum length of a message, in characters. Longer ones quote a damaged file.
+_MAX_LINE = 2000
 
 
 class Output:
@@ -115,6 +120,12 @@ class Output:
 def _say(text: str) -> None:
     sys.stderr.write(one_line(text) + "\n")
     sys.stderr.flush()
+
+
+def one_line(text: str) -> str:
+    r"""Return text as one line: controls are escaped (a line break as \n), and the middle is cut if long."""
+    line = _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text.rstrip())
+    return line if len(line) <= _MAX_LINE else f"{line[: _MAX_LINE // 2]} … {line[-_MAX_LINE // 2 :]}"
 
 
 def with_schema(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cli.output import Output
 from stages import Mesh
-from stages.comparing.overlap import gap_of_unrelated
+from stages.comparing.measurable import gap_of_unrelated
 
 
 def require_overlap(file: Path, mesh: Mesh, other_file: Path, other: Mesh, out: Output) -> None:

@@ -35,7 +35,7 @@ TYPES_ONLY = {"typing_extensions"}
 # Files that import what only an extra brings, and say so where it is missing.
 OF_EXTRAS = {
     "pipeline/batch/dask.py": {"distributed": "distributed", "dask_jobqueue": "dask-jobqueue"},
-    "pipeline/batch/parquet.py": {"pyarrow": "pyarrow"},
+    "pipeline/batch/summary.py": {"pyarrow": "pyarrow"},
     "stages/exporting/usd.py": {"pxr": "usd-core"},
     "stages/surface/formats/e57.py": {"pye57": "pye57"},
     "stages/surface/formats/las.py": {"laspy": "laspy"},

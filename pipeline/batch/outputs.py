@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pipeline.batch.page import PAGE, page_of_batch
-from pipeline.batch.parquet import parquet_of
-from pipeline.batch.summary import COLUMNS, CSV, PARQUET, Summary, csv_of
+from pipeline.batch.summary import COLUMNS, CSV, PARQUET, Summary, csv_of, parquet_of
 from pipeline.batch.whole import write_whole
 from pipeline.failures import explained
 from stages.errors import InputError
 from stages.files.opening import content_of
-from stages.picturing.page.one_file import is_page
+from stages.picturing.page.one_file import is_page, scans_page
 
+PAGE = "index.html"
 _PARQUET_MARK = b"PAR1"
 
 
@@ -26,8 +25,11 @@ def write_outputs(summary: Summary, title: str) -> list[Path]:
         If they cannot be written.
     """
     rows = summary.rows()
+    with_warnings = [
+        {**row, "warnings": list(record.warnings)} for row, record in zip(rows, summary.records, strict=True)
+    ]
     files = {
-        PAGE: page_of_batch(title, rows, [one.warnings for one in summary.records]),
+        PAGE: scans_page(title, with_warnings),
         CSV: csv_of(rows),
         PARQUET: parquet_of(rows),
     }

@@ -131,5 +131,23 @@ def csv_of(rows: Sequence[Mapping[str, Any]]) -> bytes:
     return text.getvalue().encode()
 
 
+def parquet_of(rows: Sequence[Mapping[str, Any]]) -> bytes | None:
+    """Return rows as a Parquet file, or None if pyarrow (extra `batch`) is not installed."""
+    try:
+        import pyarrow
+        import pyarrow.parquet as parquet
+    except ImportError:
+        return None
+    kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
+    schema = pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
+    columns = {
+        name: [None if row[name] is None else kind(row[name]) for row in rows]
+        for name, kind in COLUMNS.items()
+    }
+    sink = pyarrow.BufferOutputStream()
+    parquet.write_table(pyarrow.table(columns, schema=schema), sink)
+    return bytes(sink.getvalue().to_pybytes())
+
+
 def _plain(value: Any) -> Any:
     return str(value).lower() if isinstance(value, bool) else value

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.report.deviation_scale import range_in_words, scale_of
 from pipeline.report.page_told import deviation_tables
 from stages.comparing.change import Changes
 from stages.comparing.deviations import Deviations
+from stages.comparing.palette import colors_of
+from stages.picturing.page.one_file import PageScale
 from stages.picturing.page.packing import Shown, Warn, packed_page, turn_of_page
 from stages.picturing.spots import spots
 from stages.printing import place_in_words
@@ -26,6 +27,10 @@ _NEAR = 0.25
 # How dark it is where no light falls, and where that comes from.
 _AMBIENT, _LIGHT = 0.5, np.array((0.35, 0.55, 0.75)) / np.linalg.norm((0.35, 0.55, 0.75))
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
+# Steps of the colour scale.
+_STEPS = 40
+# Colours of deviations over, under and near zero, by palette.
+_COLORS = {"metrology": ("red", "blue", "green"), "safe": ("orange", "blue", "white")}
 
 
 def page_of_comparison(
@@ -49,9 +54,9 @@ def page_of_comparison(
     figures : of the command `compare`.
     """
     up = meshes[0].up or meshes[1].up
-    about = range_in_words(found.is_signed, palette)
+    about = _range_in_words(found.is_signed, palette)
     models = {
-        "deviation of B from A": _shown(found.painted, up, about)._replace(scale=scale_of(found, palette))
+        "deviation of B from A": _shown(found.painted, up, about)._replace(scale=_scale_of(found, palette))
     }
     for letter, name, mesh in zip("AB", names, meshes, strict=True):
         models[f"{letter}: {name}"] = _shown(mesh, up)
@@ -70,6 +75,24 @@ def _shown(mesh: Mesh, up: tuple[float, float, float] | None, note: str = "") ->
     drawn = spots(mesh, _MOST_SPOTS).with_(up=up)
     count = f"{len(drawn.triangles):,} of {len(mesh.vertices):,} points, each a triangle"
     return Shown(drawn, "; ".join(filter(None, (note, count))))
+
+
+def _range_in_words(is_signed: bool, palette: str) -> str:
+    """Return what the colours of a palette stand for, in words."""
+    over, under, near = _COLORS[palette]
+    return f"{over} outside, {under} inside; {near} is near" if is_signed else f"{over} far, {near} near"
+
+
+def _scale_of(found: Deviations, palette: str) -> PageScale:
+    """Return the colour scale of deviations in millimetres, with the share of the surface of each colour."""
+    most = found.color_range
+    low = -most if found.is_signed else 0.0
+    edges = np.linspace(low, most, _STEPS + 1)
+    colors = colors_of((edges[1:] + edges[:-1]) / 2, found.within, most, palette)
+    # Deviations beyond the scale are drawn in its last colours.
+    shares = np.histogram(found.samples.clip(low, most), edges)[0] / len(found.samples)
+    css = [f"rgb({r}, {g}, {b})" for r, g, b in colors.tolist()]
+    return PageScale("mm", 1000 * low, 1000 * most, 1000 * found.within, css, shares.round(5).tolist())
 
 
 def _shaded(mesh: Mesh) -> Mesh:

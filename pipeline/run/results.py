@@ -20,7 +20,6 @@ from pipeline.cache.files import copy_whole, remove_abandoned, write_whole
 from pipeline.cache.store import Cache
 from pipeline.failures import explained
 from pipeline.report.file_names import PAGE, REPORT
-from pipeline.run.json_text import to_json
 from stages.errors import InputError
 from stages.files.inside import leads_inside
 from stages.files.opening import text_in
@@ -150,10 +149,10 @@ class Results:
             for stage, files in {**(self._reported or {}), **recorded}.items()
         }
         # Numbers as a reader finds them: the digest is of what the text says.
-        document: dict[str, Any] = json.loads(to_json({**report, "placed": placed}))
+        document: dict[str, Any] = json.loads(_to_json({**report, "placed": placed}))
         document["digest"] = digest(document)
         with explained(f"results cannot be written to {self._out}"):
-            write_whole(self._out / REPORT, to_json(document).encode())
+            write_whole(self._out / REPORT, _to_json(document).encode())
             self._stages[REPORT] = {"placed": {REPORT: file_digest(self._out / REPORT)}}
             self._remember()
         return document
@@ -299,3 +298,8 @@ def _are_tables(value: object) -> bool:
 
 def _is_wanted(name: str, wanted: tuple[str, ...]) -> bool:
     return any(name == want or (want.endswith("/") and name.startswith(want)) for want in wanted)
+
+
+def _to_json(report: Mapping[str, Any]) -> str:
+    """Return a report as JSON text that people can read, too."""
+    return json.dumps(report, indent=2, allow_nan=False, ensure_ascii=False) + "\n"

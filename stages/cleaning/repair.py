@@ -22,12 +22,12 @@ import numpy as np
 from stages.cleaning.check import CLASSES, CheckParams
 from stages.cleaning.regularity import Limits, irregular
 from stages.cleaning.repairs.comparing import difference
-from stages.cleaning.repairs.edited import GONE, Edited
+from stages.cleaning.repairs.edited import GONE, Edited, repaired_mesh
+from stages.cleaning.repairs.neighbourhood import grown
 from stages.cleaning.repairs.operations import FINE, HELPLESS, REASONS, SEAM, TOO_FAR, WORSE
-from stages.cleaning.repairs.outcome import repaired_mesh
 from stages.cleaning.repairs.places import REPAIRABLE, edge_keys
-from stages.cleaning.repairs.proving import unproven
 from stages.cleaning.repairs.rounds import Account, repair_all
+from stages.comparing.certify import certify
 from stages.params import check as check_params
 from stages.params import described, param, resolve
 from stages.printing import by_figures, table
@@ -47,6 +47,10 @@ SHAPE_SHARE = 0.05
 # Places that figures name of each class.
 _NAMED = 10
 _STEPS = 3
+# Rings around written triangles that are part of their proof; a nearest point may lie there.
+_PROOF_RINGS = 1
+# Pieces per triangle in a proof. More do not tighten bounds, which are limited by what needles add.
+_PROOF_EFFORT = 1.0
 _DEGENERATE = REPAIRABLE.index("degenerate_triangles")
 _CHECKED = described(CheckParams)
 
@@ -199,7 +203,7 @@ def repair(
     repair_all(edited, _rows_of(joined, found), limits, account, lambda: progress(1, _STEPS))
     progress(2, _STEPS)
     while True:
-        far, bound = unproven(edited, max_shape, threads)
+        far, bound = _find_unproven(edited, max_shape, threads)
         if len(far):
             _undo(edited, account, far, TOO_FAR)
             continue
@@ -242,6 +246,41 @@ def _rows_of(triangles: Ids, found: dict[str, Ids]) -> Ids:
         marked = rows if CLASSES[name][0] == "triangle" else vertices
         marked[found[name]] = True
     return np.flatnonzero(rows | vertices[triangles].any(axis=1))
+
+
+def _find_unproven(edited: Edited, limit: float, threads: int) -> tuple[Ids, float]:
+    """Return the triangles whose distance is not proven to be within a limit, and the bound proven for all.
+
+    A triangle that no edit wrote is at distance zero from itself. So only written triangles are certified,
+    each against its surroundings before or after: the distance to part of a surface bounds the distance to
+    the entire surface.
+
+    Both are in metres, and the proof holds in both directions.
+    """
+    changed = edited.changed()
+    if len(changed) == 0:
+        return changed, 0.0
+    given = edited.given_triangles()
+    old = grown(given, len(edited.first), changed, _PROOF_RINGS)
+    new = old[edited.is_there(old)]
+    proof = certify(
+        _used_mesh(edited.places, edited.triangles[new]),
+        _used_mesh(edited.mesh.vertices, given[old]),
+        max_shape=limit,
+        effort=_PROOF_EFFORT,
+        threads=threads,
+    )
+    far, bound = [], 0.0
+    for rows, bounds in ((new, proof.shape_bound), (old, proof.original_shape_bound)):
+        written = np.isin(rows, changed)
+        far.append(rows[written & (bounds > limit)])
+        bound = max(bound, float(bounds[written].max(initial=0.0)))
+    return np.union1d(*far), bound
+
+
+def _used_mesh(vertices: Vertices, triangles: Ids) -> Mesh:
+    used, index = np.unique(triangles, return_inverse=True)
+    return Mesh(vertices[used], index.reshape(-1, 3).astype(np.int32))
 
 
 def _undo(edited: Edited, account: Account, rows: Ids, reason: int) -> None:

@@ -50,5 +50,18 @@ def box_of(*meshes: Mesh) -> Floats:
     return np.array([lows.min(axis=0), highs.max(axis=0)])
 
 
+def gap_of_unrelated(a: Mesh, b: Mesh) -> float | None:
+    """Return the gap between two meshes or clouds in metres if it exceeds the size of the smaller one.
+
+    Returns None otherwise: scans of one object need not touch, as two sides of a wall, but they are close
+    compared to their size. Both must have points.
+    """
+    (low_a, high_a), (low_b, high_b) = box_of(a), box_of(b)
+    between = np.maximum(np.maximum(low_a - high_b, low_b - high_a), 0)
+    gap = float(np.linalg.norm(between))
+    sizes = (float(np.linalg.norm(high - low)) for low, high in ((low_a, high_a), (low_b, high_b)))
+    return gap if gap > min(sizes) else None
+
+
 def _box_of_points(points: Floats) -> Floats:
     return np.array([points.min(axis=0), points.max(axis=0)])

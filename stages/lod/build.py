@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.errors import InputError
-from stages.lod.first_error import first_error
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.model import packed
 from stages.params import check as check_params
@@ -39,6 +38,10 @@ _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
 _FARTHEST_COLOR = 255 * math.sqrt(3)
 # The first bound over the base's error, where the base has one.
 _FIRST_PER_BASE = 2.5
+# The first bound over the median height of vertices, where the base has no error.
+_FIRST_PER_HEIGHT = 1.4
+# Minimum first bound as a share of the diagonal: flat meshes have levels, too.
+_MIN_FIRST_PER_DIAGONAL = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,7 +267,9 @@ def _of_manifold(
     weight = 0.0
     if mesh.colors is not None:
         weight = balanced_weight(mesh, max(len(mesh.triangles) // REDUCTION, 1), params.threads or 0)
-    first = params.first_error or (_FIRST_PER_BASE * base_error if base_error else first_error(mesh))
+    first = params.first_error or (
+        _FIRST_PER_BASE * base_error if base_error else _estimate_first_error(mesh)
+    )
     levels = _kernels.build_levels(
         mesh.vertices,
         attributes_of(mesh),
@@ -308,3 +313,31 @@ def _of_manifold(
         input_triangles=len(mesh.triangles),
         notes=notes,
     )
+
+
+def _estimate_first_error(mesh: Mesh) -> float:
+    """Estimate an error bound for the first level, in metres, from the heights of vertices over neighbours.
+
+    The height is measured along a vertex normal from the mean of the neighbours. Half of the vertices are
+    lower than the median height, and about as many can be removed within the bound.
+    """
+    corners, triangles = mesh.vertices[mesh.triangles], mesh.triangles
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    count = len(mesh.vertices)
+    corner = triangles.T.reshape(-1)
+    others = [corners[:, (i + 1) % 3] + corners[:, (i + 2) % 3] for i in range(3)]
+    normal = _sum_rows(corner, np.tile(normals, (3, 1)), count)
+    mean = _sum_rows(corner, np.concatenate(others), count)
+    valence = 2.0 * np.bincount(corner, minlength=count)
+    length = np.linalg.norm(normal, axis=1)
+    told = (length > 0) & (valence > 0)
+    offset = mesh.vertices[told] - mean[told] / valence[told, None]
+    height = np.abs(np.einsum("ij,ij->i", offset, normal[told])) / length[told]
+    found = _FIRST_PER_HEIGHT * float(np.median(height)) if told.any() else 0.0
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    return max(found, _MIN_FIRST_PER_DIAGONAL * diagonal, float(np.finfo(np.float64).tiny))
+
+
+def _sum_rows(at: NDArray[np.int32], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the sums (count, 3) of the rows (k, 3) with the same index `at`."""
+    return np.stack([np.bincount(at, column, minlength=count) for column in values.T], axis=1)

@@ -14,8 +14,7 @@ import typer
 
 import stages
 from cli.errors import bug_of, failure_of
-from cli.one_line import one_line
-from cli.output import Output, lines_of, to_json
+from cli.output import Output, lines_of, one_line, to_json
 from pipeline.run.schema import SCHEMA
 from stages.errors import InputError, MeshError, StageError, UsageError, is_lack_of_memory
 

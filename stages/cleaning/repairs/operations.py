@@ -11,6 +11,7 @@ d          d            u---…
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,8 @@ from stages.cleaning.regularity import corner_angles
 from stages.cleaning.repairs.edited import GONE
 from stages.cleaning.repairs.neighbourhood import Neighbourhood
 from stages.cleaning.repairs.ragged import distinct_pairs
-from stages.cleaning.repairs.sameness import Sameness
 from stages.surface.edges import Ids, next_corner
-from stages.surface.mesh import Vertices
+from stages.surface.mesh import Mesh, Vertices
 
 # Why something is not repaired, by number; 0 is for what may be.
 REASONS = (
@@ -37,6 +37,40 @@ REASONS = (
 BORDER, SEAM, TANGLED, TURNS, WORSE, TOO_FAR, HELPLESS = range(1, len(REASONS))
 # Reasons that only this program has: more has to be looked at.
 FINE, RIM = 0, -1
+
+
+class Sameness:
+    """Comparison of the attributes of corners, and of triangles, by their numbers in the given mesh.
+
+    Corners that are the same but for their triangle can stand for each other.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        texture, normals = mesh.texture, mesh.corner_normals
+        self._of_corners: list[NDArray[Any]] = [mesh.triangles.reshape(-1, 1)]
+        if texture is not None:
+            self._of_corners.append(texture.uvs.reshape(-1, 2))
+        if normals is not None:
+            self._of_corners.append(normals.reshape(-1, 3))
+        self._of_triangles: list[NDArray[Any]] = (
+            [] if texture is None else [texture.material_ids, texture.has_uvs()]
+        )
+        if mesh.part_ids is not None:
+            self._of_triangles.append(mesh.part_ids)
+
+    def corners(self, one: Ids, other: Ids) -> NDArray[np.bool_]:
+        """Return a mask of the corners with the same vertex, texture coordinate and normal as others."""
+        found = np.ones(len(one), bool)
+        for values in self._of_corners:
+            found &= (values[one] == values[other]).all(axis=1)
+        return found
+
+    def triangles(self, one: Ids, other: Ids) -> NDArray[np.bool_]:
+        """Return a mask of the triangles with the same material and part as others."""
+        found = np.ones(len(one), bool)
+        for values in self._of_triangles:
+            found &= values[one] == values[other]
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from stages.cleaning.repairs.operations import (
     FINE,
     RIM,
     Operations,
+    Sameness,
     collapses,
     drops,
     flips,
@@ -31,7 +32,6 @@ from stages.cleaning.repairs.operations import (
     together,
 )
 from stages.cleaning.repairs.places import REPAIRABLE, edge_keys
-from stages.cleaning.repairs.sameness import Sameness
 from stages.surface.edges import Ids
 
 # An operation looks two rings far. What comes of one may look beyond, and waits.

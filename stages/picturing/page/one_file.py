@@ -1,4 +1,4 @@
-"""A page of models in one file, which opens from a disk without a network."""
+"""Pages in one file, which open from a disk without a network: of models, and of the results of scans."""
 
 from __future__ import annotations
 
@@ -144,8 +144,7 @@ def one_file(
     page = content_of(_HERE / "model" / "index.html").decode()
     licenses = content_of(_HERE / "LICENSES.txt").decode().replace("--", "- -")
     page = page.replace("IMPORTS", json.dumps({"imports": imports}), 1)
-    # In a script element only what looks like its end, or a comment's start, would be read as HTML.
-    page = page.replace("CONTENT", json.dumps(content).replace("<", "\\u003c"), 1)
+    page = page.replace("CONTENT", _script_json(content), 1)
     return f"{page}<!--\n{licenses}\n-->\n".encode()
 
 
@@ -172,8 +171,28 @@ def _described(file: int, model: PageModel, look: PageModel | PageLook) -> dict[
     }
 
 
+def scans_page(title: str, rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return a page that lists the results of many scans, which lie in folders beside the page.
+
+    Pictures are loaded from these folders, and nothing else is loaded.
+
+    Parameters
+    ----------
+    rows : for JSON, one for each scan: `scan` (name), `state`, `reason`, `warnings` (sentences), `out`
+        (folder of the results, relative to the page), files in that folder (`picture`, `page`, `result`), and
+        the scan's statistics by name; None for a missing value.
+    """
+    page = content_of(_HERE / "scans" / "index.html").decode()
+    return page.replace("CONTENT", _script_json({"title": title, "rows": rows}), 1).encode()
+
+
+def _script_json(content: Mapping[str, Any]) -> str:
+    """Return JSON text for a script element, where HTML would read the end tag or a comment in a string."""
+    return json.dumps(content).replace("<", "\\u003c")
+
+
 def is_page(path: Path) -> bool:
-    """Return whether a file is a page that `one_file` made."""
+    """Return whether a file is a page that `one_file` or `scans_page` made."""
     with opened(path) as file:
         return _MARK in file.read(1024)
 

@@ -12,9 +12,8 @@ import pytest
 
 from pipeline.batch import outputs
 from pipeline.batch.outputs import require_replaceable, withdraw_outputs, write_outputs
-from pipeline.batch.parquet import parquet_of
 from pipeline.batch.records import DONE, FAILED, RUNNING, UNUSABLE, WAITING, Record
-from pipeline.batch.summary import COLUMNS, Summary, csv_of
+from pipeline.batch.summary import COLUMNS, Summary, csv_of, parquet_of
 from stages.errors import InputError
 
 FIGURES = {

@@ -14,9 +14,8 @@ from real_parts import quarter
 
 from stages.cleaning.clean import clean
 from stages.progress import Progress, silent
-from stages.simplification.planar.flatness import fewest_patches
 from stages.simplification.planar.run import planar_patches
-from stages.simplification.planar.tighter import fewest_triangles
+from stages.simplification.planar.tighter import fewest_patches, fewest_triangles
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
 from stages.surface.mesh import Mesh
