@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.fusion.posed_depth import PosedDepth
+from stages.frames.posed_depth import PosedDepth
 from stages.scans.scan import DepthImage
 
 _STEP = 4  # every fourth pixel of a row and a column is looked at

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.features import detect_keypoints, match_descriptors
 from stages.registration.points import Matched, fitted
-from stages.registration.sift import keypoints, matches
 from stages.scans.scan import Camera, DepthImage, Pose
 
 # Features are looked for in images of at most so many pixels, and the strongest that have a depth are kept.
@@ -82,7 +82,7 @@ def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> F
     camera : of the grey image, without distortion.
     depth : metres, of any size.
     """
-    found = keypoints(grey, _FOUND, contrast=_CONTRAST)
+    found = detect_keypoints(grey, _FOUND, contrast=_CONTRAST)
     pixels = found.pixels
     across, down = depth.shape[1] / grey.shape[1], depth.shape[0] / grey.shape[0]
     z = _depth_at(depth, (pixels + 0.5) * (across, down) - 0.5)
@@ -101,7 +101,7 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
     """
     if min(len(source.points), len(target.points)) < _LEAST or target.camera is None:
         return []
-    pairs = matches(source.descriptors, target.descriptors)
+    pairs = match_descriptors(source.descriptors, target.descriptors)
     found: list[Recognised] = []
     least: float = _LEAST
     while len(found) < _MOTIONS and len(pairs) >= least:

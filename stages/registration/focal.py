@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.frames.features import match_descriptors
 from stages.registration.appearance import likeness
 from stages.registration.features import Features
-from stages.registration.sift import matches
 from stages.registration.still import is_still
 from stages.registration.view import read_view
 from stages.scans.prefetch import read_ahead, workers
@@ -174,7 +174,7 @@ def _couples(frames: Sequence[Frame]) -> tuple[list[_Couple], float]:
     pairs = sorted(itertools.combinations(range(len(views)), 2), key=lambda pair: -alike[pair])
     found = []
     for a, b in pairs[: 2 * _COUPLES]:
-        indices = matches(views[a].descriptors, views[b].descriptors)
+        indices = match_descriptors(views[a].descriptors, views[b].descriptors)
         indices = indices[~is_still(views[a], views[b], indices)]
         if len(indices) >= _MATCHES:
             found.append(_couple(views[a], views[b], indices))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
 from stages.registration.view import smaller
 from stages.scans.images import read_depth
 from stages.scans.prefetch import read_ahead, workers

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.errors import InputError
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
 from stages.registration.features import PIXELS, Features, features_of
 from stages.registration.points import deviation
 from stages.scans.images import read_color, read_depth
