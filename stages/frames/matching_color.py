@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stages.errors import InputError
+from stages.frames.projection import project
 from stages.scans.images import read_color
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, scaled
 
@@ -53,10 +54,10 @@ def _reproject_color(color: ColorImage, frame: Frame, camera: Camera, depth: Dep
     if frame.color_from_depth is not None:
         pose = np.asarray(frame.color_from_depth, np.float64)
         points = np.tensordot(pose[:3, :3], points, 1) + pose[:3, 3, None, None]
-    behind = points[2] <= 0
-    points[2][behind] = 1
-    across = np.where(behind, -1, points[0] / points[2] * to.fx + to.cx).astype(np.float32)
-    down = np.where(behind, -1, points[1] / points[2] * to.fy + to.cy).astype(np.float32)
+    across, down = (
+        np.where(np.isnan(positions), -1, positions).astype(np.float32)
+        for positions in project(np.moveaxis(points, 0, -1), to)
+    )
     return np.asarray(
         cv2.remap(color, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.frames.features import Keypoints, detect_keypoints, find_epipolar_inliers, match_descriptors
+from stages.frames.sampling import sample_evenly
 from stages.inspecting.meant import AS_GIVEN, advice, motions
 from stages.scans.images import read_pinhole
 from stages.scans.prefetch import read_ahead, workers
@@ -90,9 +91,7 @@ def _matched(
 ) -> list[tuple[int, int, Pixels, Pixels, tuple[Camera, Camera]]]:
     """Return couples of views: their places, the pixels in each of what both show, and their cameras."""
     count = len(frames)
-    starts = np.unique(
-        np.linspace(0, max(count - 2, 0), min(_COUPLES, max(count - 1, 0))).round().astype(int)
-    )
+    starts = sample_evenly(max(count - 1, 0), _COUPLES)
     places = sorted({int(at) + n for at in starts for n in range(_AFTER + 1) if at + n < count})
     threads = workers()
     seen = dict(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.frames.features import match_descriptors
+from stages.frames.sampling import sample_evenly
 from stages.registration.appearance import likeness
 from stages.registration.features import Features
 from stages.registration.still import is_still
@@ -164,7 +165,7 @@ def _couples(frames: Sequence[Frame]) -> tuple[list[_Couple], float]:
         except InputError:
             return None
 
-    chosen = np.unique(np.linspace(0, len(frames) - 1, _FRAMES).round().astype(int))
+    chosen = sample_evenly(len(frames), _FRAMES)
     threads = workers()
     read = read_ahead(features, [frames[n] for n in chosen], threads=threads, ahead=threads)
     views = [one for one in read if one is not None and one.camera is not None]
