@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from stages._open3d import open3d
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
 from stages.scans.images import read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame
 

@@ -41,8 +41,8 @@ from stages.adjusting.adjust import adjust
 from stages.adjusting.look import look
 from stages.comparing.compare import compare
 from stages.errors import InputError
+from stages.frames.rigid_pose import require_rigid_pose
 from stages.fusion.fuse import fuse
-from stages.fusion.posed_depth import rigid_pose
 from stages.registration.motion import angle
 from stages.registration.register import register
 from stages.registration.registered import Registration
@@ -279,7 +279,7 @@ def _errors(truth: Sequence[Frame], poses: dict[int, Pose]) -> list[str]:
     places = sorted(poses)
     a, b = (
         np.array([one[:3, 3] for one in of])
-        for of in ([poses[p] for p in places], [rigid_pose(truth[p]) for p in places])
+        for of in ([poses[p] for p in places], [require_rigid_pose(truth[p]) for p in places])
     )
     path = np.linalg.norm(np.diff(b, axis=0), axis=1).sum()
     ates = []
@@ -287,8 +287,9 @@ def _errors(truth: Sequence[Frame], poses: dict[int, Pose]) -> list[str]:
         pose, factor = umeyama(a, b, scale=scale)
         off = factor * a @ pose[:3, :3].T + pose[:3, 3] - b
         ates.append(float(np.sqrt((off**2).sum(axis=1).mean())))
+    true_poses = {p: require_rigid_pose(truth[p]) for p in places}
     steps = [
-        inverted(inverted(rigid_pose(truth[p])) @ rigid_pose(truth[q])) @ inverted(poses[p]) @ poses[q]
+        inverted(inverted(true_poses[p]) @ true_poses[q]) @ inverted(poses[p]) @ poses[q]
         for p, q in itertools.pairwise(places)
     ]
     shift = float(np.median([np.linalg.norm(step[:3, 3]) for step in steps]))
@@ -319,7 +320,7 @@ def _mesh_distance(truth: Sequence[Frame], poses: dict[int, Pose], true_mesh: Me
     places = sorted(poses)
     aligned, _ = umeyama(
         np.array([poses[p][:3, 3] for p in places]),
-        np.array([rigid_pose(truth[p])[:3, 3] for p in places]),
+        np.array([require_rigid_pose(truth[p])[:3, 3] for p in places]),
         scale=False,
     )
     mesh = fuse([replace(truth[p], world_from_camera=aligned @ poses[p]) for p in places]).mesh
@@ -330,7 +331,8 @@ def _pieces(found: Registration) -> list[dict[int, Pose]]:
     """Return poses by place, of each piece in its own world; that which is used first."""
     used = dict(zip(found.places, found.frames, strict=True))
     return [
-        {place: rigid_pose(frame) for place, frame in one.items()} for one in (used, *found.apart.values())
+        {place: require_rigid_pose(frame) for place, frame in one.items()}
+        for one in (used, *found.apart.values())
     ]
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline.stage import Artifact
 from stages.adjusting.adjusted import Adjusted
-from stages.fusion.posed_depth import rigid_pose
+from stages.frames.rigid_pose import require_rigid_pose
 from stages.scans.formats.trajectories import write_tum
 from stages.scans.scan import Camera, Frame, Scan
 
@@ -44,11 +44,11 @@ class AdjustedCameras(Artifact):
 
 def write_adjusted(folder: Path, found: Adjusted) -> Mapping[str, Any]:
     """Write the files into an empty folder; return figures."""
-    poses = {place: rigid_pose(found.frames[place]) for place in found.places}
+    poses = {place: require_rigid_pose(found.frames[place]) for place in found.places}
     if poses:
         posed = {place: one for place, one in enumerate(found.frames) if one.world_from_camera is not None}
         times = [_time(place, frame) for place, frame in posed.items()]
-        write_tum(folder / "trajectory.tum", times, [rigid_pose(frame) for frame in posed.values()])
+        write_tum(folder / "trajectory.tum", times, [require_rigid_pose(frame) for frame in posed.values()])
     camera, apart = _color_camera(found)
     document = {
         "accepted": found.accepted,

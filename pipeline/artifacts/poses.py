@@ -24,7 +24,8 @@ from pipeline.own_paths import from_folder
 from pipeline.stage import Artifact
 from stages.errors import InputError
 from stages.files.image_bytes import encoded_gray_png
-from stages.fusion.posed_depth import read_matching_color, rigid_pose
+from stages.frames.matching_color import read_matching_color
+from stages.frames.rigid_pose import require_rigid_pose
 from stages.registration.registered import Registration
 from stages.scans.formats.trajectories import write_tum
 from stages.scans.images import read_depth
@@ -118,11 +119,11 @@ def _mask_name(place: int) -> str:
 
 def _write_trajectory(path: Path, frames: Mapping[int, Frame]) -> None:
     times = [place if frame.timestamp is None else frame.timestamp / 1e9 for place, frame in frames.items()]
-    write_tum(path, times, [rigid_pose(frame) for frame in frames.values()])
+    write_tum(path, times, [require_rigid_pose(frame) for frame in frames.values()])
 
 
 def _by_place(frames: Mapping[int, Frame]) -> dict[str, Any]:
-    return {str(place): rigid_pose(frame).tolist() for place, frame in frames.items()}
+    return {str(place): require_rigid_pose(frame).tolist() for place, frame in frames.items()}
 
 
 def _cloud(frames: Sequence[Frame]) -> tuple[NDArray[np.float32], ColorImage]:

@@ -12,6 +12,7 @@ import numpy as np
 from stages._opencv import require_opencv
 from stages.errors import InputError
 from stages.files.image_bytes import encoded_image
+from stages.frames.sampling import sample_evenly
 from stages.scans.images import read_photo
 from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead
@@ -41,9 +42,9 @@ def write_photos(folder: Path, frames: Sequence[Frame], count: int, held_out: Se
 
     posed = [frame for frame in (*frames, *held_out) if frame.world_from_camera is not None]
     last = len(posed) - sum(frame.world_from_camera is not None for frame in held_out)
-    shown = _spread(len(posed), _MOST_CAMERAS)
+    shown = sample_evenly(len(posed), _MOST_CAMERAS).tolist()
     told = [posed[number] for number in shown]
-    chosen = [number for number in _spread(len(told), count) if told[number].color is not None]
+    chosen = [number for number in sample_evenly(len(told), count).tolist() if told[number].color is not None]
     (folder / PHOTOS).mkdir()
 
     def written(number: int) -> tuple[int, str | None]:
@@ -67,11 +68,6 @@ def write_photos(folder: Path, frames: Sequence[Frame], count: int, held_out: Se
         json.dumps({"posed": len(posed), "cameras": cameras}) + "\n", encoding="utf-8", newline="\n"
     )
     return sum(name is not None for name in photos.values())
-
-
-def _spread(length: int, count: int) -> list[int]:
-    chosen: list[int] = np.linspace(0, length - 1, min(count, length)).round().astype(int).tolist()
-    return chosen
 
 
 def _told(frame: Frame, photo: str | None) -> dict[str, Any]:

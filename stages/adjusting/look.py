@@ -12,6 +12,7 @@ from stages.adjusting.cameras import Cameras, is_rigid
 from stages.adjusting.matching import GAP_SHARE, errors, gaps, match
 from stages.adjusting.partners import overlap_of
 from stages.adjusting.view import View, view_or_none
+from stages.frames.sampling import sample_evenly
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Pose, SkippedFrame
 
@@ -79,7 +80,7 @@ def usable(frames: Sequence[Frame]) -> list[int]:
 def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
     """Look at a few couples of frames, spread over those at these places (with poses, colour and depth)."""
     poses = np.stack([_pose(frames[place]) for place in places])
-    chosen = np.unique(np.linspace(0, len(places) - 1, min(_LOOKS, len(places))).round().astype(int))
+    chosen = sample_evenly(len(places), _LOOKS)
     skipped: list[SkippedFrame] = []
     views = _read(frames, [places[n] for n in chosen], skipped)
     wanted = {}

@@ -13,8 +13,8 @@ from stages.adjusting.lens import rays
 from stages.adjusting.lifting import in_world, lifted, transfer_errors
 from stages.adjusting.shutter import late_of
 from stages.adjusting.view import View
+from stages.frames.features import find_epipolar_inliers, match_descriptors
 from stages.progress import Progress, silent
-from stages.registration.sift import matches, of_one_motion
 from stages.scans.prefetch import read_ahead, workers
 
 # How far apart two views may measure a match, a share of its distance, for it to be of one thing.
@@ -55,7 +55,7 @@ def match(views: Sequence[View], couples: Sequence[tuple[int, int]], progress: P
 
     def of(couple: tuple[int, int]) -> NDArray[np.int64]:
         a, b = (views[number] for number in couple)
-        return _agreeing(a, b, matches(a.descriptors, b.descriptors))
+        return _agreeing(a, b, match_descriptors(a.descriptors, b.descriptors))
 
     which, pairs = [np.zeros((0, 2), int)], [np.zeros((0, 2), int)]
     for done, (couple, found) in enumerate(
@@ -73,7 +73,7 @@ def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
         (rays(one.pixels[pairs[:, side]], one.lens)[:, :2] * one.lens[:2] + one.lens[2:4]).astype(np.float32)
         for side, one in enumerate((a, b))
     )
-    return pairs[of_one_motion(first, second)]
+    return pairs[find_epipolar_inliers(first, second)]
 
 
 def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ from stages.adjusting.lens import OPENCV, project, rays
 from stages.adjusting.outlines import outlines
 from stages.adjusting.view import as_taken
 from stages.errors import InputError
+from stages.frames.sampling import sample_evenly
 from stages.scans.images import read_depth
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose
@@ -120,7 +121,7 @@ def sights(frames: Sequence[Frame], places: Sequence[int]) -> list[Sight]:
 
     None are returned unless all photos are of one size.
     """
-    chosen = np.unique(np.linspace(0, len(places) - 1, min(_FRAMES, len(places))).round().astype(int))
+    chosen = sample_evenly(len(places), _FRAMES)
     threads = workers()
     wanted = [frames[places[n]] for n in chosen]
     found = [one for one in read_ahead(_sight, wanted, threads=threads, ahead=threads + 2) if one is not None]

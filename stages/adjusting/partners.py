@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stages.adjusting.cameras import Cameras, inverted_all
 from stages.adjusting.surfaces import points_of
 from stages.adjusting.view import View
+from stages.frames.sampling import sample_evenly
 from stages.scans.scan import Pose
 
 # Partners of a view: some that overlap most, and as many spread among those that overlap enough.
@@ -28,9 +29,7 @@ def partners(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
         order = np.argsort(-row, kind="stable")
         order = order[(row[order] >= _LEAST_OVERLAP) & (order != number)]
         rest = order[_NEAREST:]
-        spread = (
-            rest[np.unique(np.linspace(0, len(rest) - 1, _SPREAD).round().astype(int))] if len(rest) else []
-        )
+        spread = rest[sample_evenly(len(rest), _SPREAD)]
         couples |= {(min(number, int(n)), max(number, int(n))) for n in (*order[:_NEAREST], *spread)}
     return sorted(couples)
 

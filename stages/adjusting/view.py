@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.adjusting.cameras import lens_of
 from stages.adjusting.lens import OPENCV
 from stages.errors import InputError
-from stages.registration.sift import keypoints
+from stages.frames.features import detect_keypoints
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
@@ -106,7 +106,7 @@ def read_view(frame: Frame) -> View:
     if grey.shape[1] > WIDEST:
         size = (WIDEST, max(round(grey.shape[0] * WIDEST / grey.shape[1]), 1))
         grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-    found = keypoints(grey, _POINTS, contrast=_CONTRAST)
+    found = detect_keypoints(grey, _POINTS, contrast=_CONTRAST)
     height, width = grey.shape
     step = max(-(-depth.shape[1] // _WIDEST_DEPTH), 1)
     given = frame.camera

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.projection import unproject
 from stages.scans.scan import Camera, Pose
 from stages.surface.color import color_at
 from stages.surface.raycasting import Surface
@@ -26,9 +27,7 @@ class Seen:
 def seen_from(surface: Surface, camera: Camera, pose: Pose) -> Seen:
     """Return the mesh as a camera without lens distortion sees it from a pose (world_from_camera)."""
     rows, columns = np.mgrid[: camera.height, : camera.width]
-    rays = np.stack(
-        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)], 2
-    )
+    rays = unproject(columns, rows, 1, camera)
     directions = (rays.reshape(-1, 3) @ pose[:3, :3].T).astype(np.float32)
     hits = surface.cast(pose[:3, 3], directions)
     levels = np.zeros((rows.size, 3), np.float32)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
+from stages.frames.matching_color import read_matching_color
+from stages.frames.posed_depth import PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import Plan, make_plan
-from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
 from stages.fusion.relief import evened_alone
 from stages.fusion.upsampling import upsampled_alone, upsampled_frame
 from stages.fusion.voxels import Box, Field, Keys, Volume, touched_blocks

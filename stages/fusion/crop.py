@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.posed_depth import PosedDepth
 from stages.fusion.params import Corners, Point
-from stages.fusion.posed_depth import PosedDepth
 from stages.fusion.scene import in_words
 from stages.surface.mesh import Mesh
 

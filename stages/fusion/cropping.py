@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stages.errors import InputError, UsageError
+from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.params import FuseParams, Point
-from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.scene import Scene
 from stages.fusion.support import Support, find_support
 from stages.fusion.survey import Noise

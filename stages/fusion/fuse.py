@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stages.errors import InputError, UsageError
+from stages.frames.matching_color import read_matching_color
 from stages.fusion.adding import (
     Work,
     add_frames,
@@ -25,7 +26,6 @@ from stages.fusion.crop import corners_of, cut, part_of, within
 from stages.fusion.facts import Facts, MeshFigures
 from stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
 from stages.fusion.params import FuseKeywords, FuseParams
-from stages.fusion.posed_depth import read_matching_color
 from stages.fusion.relief import read_whole, relief
 from stages.fusion.voxels import Field, OutgrownError, Seen, block_bytes
 from stages.fusion.writing import write_fused

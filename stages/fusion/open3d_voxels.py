@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.fusion.posed_depth import PosedDepth
+from stages.frames.posed_depth import PosedDepth
 from stages.fusion.voxels import BLOCK, outgrown
 from stages.scans.scan import ColorImage, Pose
 from stages.surface.mesh import Mesh

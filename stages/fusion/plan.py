@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE, DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.cropping import above_plane, what_is_kept
 from stages.fusion.params import FuseParams
-from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.scene import Scene, scene_of
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise, Survey, measured_noise, survey
@@ -39,8 +39,6 @@ _EVERY, _SHOWN = 16, 1 / 6
 _BEYOND = 0.05
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
-# Degrees. What is seen more obliquely, other frames see better, if there are any.
-MAX_ANGLE, MAX_ANGLE_ALONE = 87.0, 89.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.fusion.depth_filter import Differences, bridged, differences
-from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
+from stages.frames.depth_filter import Differences, bridge_gaps, inverse_depth_differences
+from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import ColorImage, DepthImage, Frame, pinhole
 from stages.surface.mesh import Mesh
@@ -47,7 +47,7 @@ def evened_alone(frames: Sequence[Frame], max_jump: float) -> Sequence[Frame]:
         return frames  # Told where the frame is read.
     if depth is None:
         return frames
-    depth, _ = bridged(depth, max_jump)
+    depth, _ = bridge_gaps(depth, max_jump)
     # What was read has none of what reading takes away: the lens, what is unsure or masked.
     return [
         replace(
@@ -80,7 +80,7 @@ def evened(depth: DepthImage, max_jump: float) -> DepthImage:
     slopes, error = [], np.zeros_like(depth)
     torn = np.zeros(depth.shape, bool)
     for axis in (1, 0):
-        found = differences(inverse, axis, max_jump, torn)
+        found = inverse_depth_differences(inverse, axis, max_jump, torn)
         slope = found.mean(_WINDOW)
         slopes.append(slope)
         off_slope = np.abs(found.value - slope) * found.known

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.posed_depth import PosedDepth
 from stages.fusion.params import Point
-from stages.fusion.posed_depth import PosedDepth
 from stages.fusion.scene import point_of
 from stages.printing import by_fields
 from stages.surface.upright import up_of_cameras

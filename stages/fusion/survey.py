@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.fusion.posed_depth import PosedDepth
+from stages.frames.posed_depth import PosedDepth
+from stages.frames.projection import project
 from stages.scans.scan import DepthImage
 
 _STEP = 4  # every fourth pixel of a row and a column is looked at
@@ -143,8 +144,7 @@ def _differences(a: PosedDepth, b: PosedDepth) -> tuple[NDArray[np.float64], NDA
     seen = (a.points(_STEP) - b.pose[:3, 3]) @ b.pose[:3, :3]
     seen = seen[seen[:, 2] > 0]
     camera = b.camera
-    column = np.rint(seen[:, 0] / seen[:, 2] * camera.fx + camera.cx)
-    row = np.rint(seen[:, 1] / seen[:, 2] * camera.fy + camera.cy)
+    column, row = map(np.rint, project(seen, camera))
     inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     column, row, predicted = column[inside].astype(int), row[inside].astype(int), seen[inside, 2]
     measured = b.surface.depth[row, column]

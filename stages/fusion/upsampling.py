@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.fusion.depth_filter import bridged
+from stages.frames.depth_filter import bridge_gaps
+from stages.frames.matching_color import read_matching_color
 from stages.fusion.params import FuseParams
-from stages.fusion.posed_depth import read_matching_color
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import ColorImage, DepthImage, Frame, pinhole, scaled
 
@@ -73,7 +73,7 @@ def upsampled_frame(frame: Frame, params: FuseParams, least_ratio: float = 0.0) 
     depth, photo = read_depth(frame), read_color(frame)
     if depth is None or (photo.shape[1] if photo is not None else 0) < least_ratio * depth.shape[1]:
         return frame
-    depth, _ = bridged(depth, params.max_jump)
+    depth, _ = bridge_gaps(depth, params.max_jump)
     factor, (height, width) = params.upsample_factor, depth.shape
     wide = scaled(pinhole(frame.camera), factor * width, factor * height)
     # Depth that is read has neither any more.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.errors import StageError
-from stages.fusion.posed_depth import PosedDepth
+from stages.frames.posed_depth import PosedDepth
 from stages.scans.scan import Camera, ColorImage, Pose
 from stages.surface.mesh import Mesh
 

@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from stages.adjusting.look import look, usable
 from stages.adjusting.offset import offset, sights
 from stages.adjusting.view import color_camera, has_one_camera, place_of_color
 from stages.errors import InputError
+from stages.frames.sampling import sample_evenly
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import Plan, make_plan
 from stages.fusion.upsampling import upsampled_alone
@@ -127,7 +126,7 @@ class _Sample:
 
 def _samples(scan: Scan) -> tuple[list[_Sample], list[str]]:
     """Read a few frames spread over the scan; what cannot be read is told."""
-    chosen = np.unique(np.linspace(0, len(scan.frames) - 1, _SAMPLED).round().astype(int))
+    chosen = sample_evenly(len(scan.frames), _SAMPLED)
     found = [_sample(scan.frames[i]) for i in chosen]
     samples = [one for one in found if isinstance(one, _Sample)]
     faults = [one for one in found if isinstance(one, InputError)]

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.frames.projection import project, unproject
+from stages.frames.sampling import sample_evenly
 from stages.inspecting.meant import AS_GIVEN, advice, motions
 from stages.scans.images import read_depth
 from stages.scans.poses import inverted
@@ -218,7 +220,7 @@ def _couples(frames: Sequence[Frame]) -> list[_Couple]:
     last = len(frames) - 1 - step
     if last < 0:
         return []
-    starts = np.unique(np.linspace(0, last, _COUPLES).round().astype(int))
+    starts = sample_evenly(last + 1, _COUPLES)
     couples = []
     for i in starts:
         first, second = (_depth_or_none(frames[place]) for place in (i, i + step))
@@ -244,9 +246,7 @@ def _points(depth: DepthImage, camera: Camera) -> NDArray[np.float64]:
     """Return (n, 3) points in the camera's axes from every eighth pixel that has depth."""
     rows, columns = np.mgrid[4 : depth.shape[0] : 8, 4 : depth.shape[1] : 8]
     z = depth[rows, columns].astype(np.float64)
-    x = (columns - camera.cx) / camera.fx * z
-    y = (rows - camera.cy) / camera.fy * z
-    points: NDArray[np.float64] = np.stack([x, y, z], axis=-1)[z > 0]
+    points: NDArray[np.float64] = unproject(columns, rows, z, camera)[z > 0]
     return points
 
 
@@ -263,8 +263,7 @@ def _meeting(
     """Return the points that fall on depth of a map, (n, 4): column, row, distance, how far it is behind."""
     moved = points @ second_from_first[:3, :3].T + second_from_first[:3, 3]
     moved = moved[moved[:, 2] > 0.05]
-    columns = np.rint(moved[:, 0] / moved[:, 2] * camera.fx + camera.cx)
-    rows = np.rint(moved[:, 1] / moved[:, 2] * camera.fy + camera.cy)
+    columns, rows = map(np.rint, project(moved, camera))
     inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
     seen = depth[rows[inside].astype(int), columns[inside].astype(int)]
     distance = moved[inside, 2]

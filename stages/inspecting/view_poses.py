@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.frames.features import Keypoints, detect_keypoints, find_epipolar_inliers, match_descriptors
+from stages.frames.sampling import sample_evenly
 from stages.inspecting.meant import AS_GIVEN, advice, motions
-from stages.registration.sift import Keypoints, keypoints, matches, of_one_motion
 from stages.scans.images import read_pinhole
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, Frame, Pose, Scan, pinhole, scaled
@@ -90,9 +91,7 @@ def _matched(
 ) -> list[tuple[int, int, Pixels, Pixels, tuple[Camera, Camera]]]:
     """Return couples of views: their places, the pixels in each of what both show, and their cameras."""
     count = len(frames)
-    starts = np.unique(
-        np.linspace(0, max(count - 2, 0), min(_COUPLES, max(count - 1, 0))).round().astype(int)
-    )
+    starts = sample_evenly(max(count - 1, 0), _COUPLES)
     places = sorted({int(at) + n for at in starts for n in range(_AFTER + 1) if at + n < count})
     threads = workers()
     seen = dict(
@@ -130,14 +129,14 @@ def _seen(frame: Frame) -> tuple[Keypoints, Camera] | None:
     if camera.width > _WIDEST:
         camera = scaled(camera, _WIDEST, max(round(camera.height * _WIDEST / camera.width), 1))
         grey = cv2.resize(grey, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-    return keypoints(np.asarray(grey, np.uint8), _KEYPOINTS), camera
+    return detect_keypoints(np.asarray(grey, np.uint8), _KEYPOINTS), camera
 
 
 def _agreeing(one: Keypoints, other: Keypoints) -> tuple[Pixels, Pixels] | None:
     """Return the pixels of matches that one motion of the camera explains, None where they are too few."""
-    pairs = matches(one.descriptors, other.descriptors)
+    pairs = match_descriptors(one.descriptors, other.descriptors)
     first, second = one.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
-    good = of_one_motion(first, second)
+    good = find_epipolar_inliers(first, second)
     if np.count_nonzero(good) < _LEAST:
         return None
     return first[good].astype(np.float64), second[good].astype(np.float64)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.features import root_descriptors
 from stages.registration.features import Features
-from stages.registration.sift import rooted
 
 _WORDS = 32
 _SAMPLE = 20_000
@@ -22,13 +22,13 @@ def likeness(views: Sequence[Features]) -> NDArray[np.float32]:
     if sum(counts) < 4 * _WORDS:
         return np.zeros((len(views), len(views)), np.float32)
     everything = np.concatenate([view.descriptors for view in views])
-    sample = rooted(everything[:: max(len(everything) // _SAMPLE, 1)])
+    sample = root_descriptors(everything[:: max(len(everything) // _SAMPLE, 1)])
     cv2.setRNGSeed(0)
     stop = (cv2.TERM_CRITERIA_MAX_ITER, 15, 0.0)
     labels = np.zeros((len(sample), 1), np.int32)
     _, _, centres = cv2.kmeans(sample, _WORDS, labels, stop, 1, cv2.KMEANS_PP_CENTERS)
     words = np.asarray(centres, np.float32)
-    vectors = np.stack([_vector(rooted(view.descriptors), words) for view in views])
+    vectors = np.stack([_vector(root_descriptors(view.descriptors), words) for view in views])
     return np.asarray(vectors @ vectors.T, np.float32)
 
 

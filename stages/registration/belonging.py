@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.projection import project
+from stages.frames.sampling import sample_evenly
 from stages.registration.looks import Look, read_look, read_looks, same_within
 from stages.registration.motion import angle
 from stages.registration.still import Mask
@@ -101,7 +103,7 @@ def masks_of_thing(frames: Mapping[int, Frame]) -> dict[int, Mask]:
     """
     poses = {n: frame.world_from_camera for n, frame in frames.items() if frame.world_from_camera is not None}
     places = list(poses)
-    asked = [places[k] for k in np.unique(np.linspace(0, len(places) - 1, _ASKED + 1).round().astype(int))]
+    asked = [places[k] for k in sample_evenly(len(places), _ASKED + 1)]
     others = read_looks(frames, asked)
     said = {n: _said(look, poses[n], others, poses, n) for n, look in others.items()}
     reach = _reach(others, said, poses)
@@ -263,10 +265,9 @@ def _core(mask: Mask) -> Mask:
 
 def _pixels(points: Floats, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
     """Return the row and column that see each point (h, w, 3), and which of them are in the image."""
-    z = np.where(points[..., 2] > 1e-6, points[..., 2], np.inf)
-    columns = np.rint(points[..., 0] / z * camera.fx + camera.cx)
-    rows = np.rint(points[..., 1] / z * camera.fy + camera.cy)
-    inside = np.isfinite(z) & (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    columns, rows = map(np.rint, project(points, camera))
+    inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    inside &= points[..., 2] > 1e-6
     return (
         np.where(inside, rows, 0).astype(np.int64),
         np.where(inside, columns, 0).astype(np.int64),

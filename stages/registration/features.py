@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.features import detect_keypoints, match_descriptors
+from stages.frames.projection import project, unproject
 from stages.registration.points import Matched, fitted
-from stages.registration.sift import keypoints, matches
 from stages.scans.scan import Camera, DepthImage, Pose
 
 # Features are looked for in images of at most so many pixels, and the strongest that have a depth are kept.
@@ -82,15 +83,15 @@ def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> F
     camera : of the grey image, without distortion.
     depth : metres, of any size.
     """
-    found = keypoints(grey, _FOUND, contrast=_CONTRAST)
+    found = detect_keypoints(grey, _FOUND, contrast=_CONTRAST)
     pixels = found.pixels
     across, down = depth.shape[1] / grey.shape[1], depth.shape[0] / grey.shape[0]
     z = _depth_at(depth, (pixels + 0.5) * (across, down) - 0.5)
     there = np.flatnonzero(z > 0)
     there = there[_spread(pixels[there] / (grey.shape[1], grey.shape[0]), found.strength[there])[:_MOST]]
     pixels, z = pixels[there], z[there]
-    rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    points = np.column_stack([rays * z[:, None], z]).astype(np.float32)
+    columns, rows = pixels.T.astype(np.float64)
+    points = unproject(columns, rows, z, camera).astype(np.float32)
     return Features(pixels, points, found.descriptors[there], camera)
 
 
@@ -101,7 +102,7 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
     """
     if min(len(source.points), len(target.points)) < _LEAST or target.camera is None:
         return []
-    pairs = matches(source.descriptors, target.descriptors)
+    pairs = match_descriptors(source.descriptors, target.descriptors)
     found: list[Recognised] = []
     least: float = _LEAST
     while len(found) < _MOTIONS and len(pairs) >= least:
@@ -195,7 +196,6 @@ def _agree(
 ) -> NDArray[np.bool_]:
     """Say which points come to where they were matched: to the pixel, and to its depth."""
     moved = points @ pose[:3, :3].T + pose[:3, 3]
-    z = np.where(moved[:, 2] > 0, moved[:, 2], np.inf)
-    off = moved[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy) - pixels
-    near = np.hypot(*off.T) <= slack * _OFF_PX
+    columns, rows = project(moved, camera)
+    near = np.hypot(columns - pixels[:, 0], rows - pixels[:, 1]) <= slack * _OFF_PX
     return np.asarray(near & (np.abs(moved[:, 2] - there[:, 2]) <= slack * _OFF_DEPTH * there[:, 2]), bool)

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.frames.features import match_descriptors
+from stages.frames.sampling import sample_evenly
 from stages.registration.appearance import likeness
 from stages.registration.features import Features
-from stages.registration.sift import matches
 from stages.registration.still import is_still
 from stages.registration.view import read_view
 from stages.scans.prefetch import read_ahead, workers
@@ -164,7 +165,7 @@ def _couples(frames: Sequence[Frame]) -> tuple[list[_Couple], float]:
         except InputError:
             return None
 
-    chosen = np.unique(np.linspace(0, len(frames) - 1, _FRAMES).round().astype(int))
+    chosen = sample_evenly(len(frames), _FRAMES)
     threads = workers()
     read = read_ahead(features, [frames[n] for n in chosen], threads=threads, ahead=threads)
     views = [one for one in read if one is not None and one.camera is not None]
@@ -174,7 +175,7 @@ def _couples(frames: Sequence[Frame]) -> tuple[list[_Couple], float]:
     pairs = sorted(itertools.combinations(range(len(views)), 2), key=lambda pair: -alike[pair])
     found = []
     for a, b in pairs[: 2 * _COUPLES]:
-        indices = matches(views[a].descriptors, views[b].descriptors)
+        indices = match_descriptors(views[a].descriptors, views[b].descriptors)
         indices = indices[~is_still(views[a], views[b], indices)]
         if len(indices) >= _MATCHES:
             found.append(_couple(views[a], views[b], indices))

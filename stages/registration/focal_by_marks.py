@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stages.frames.sampling import sample_evenly
 from stages.registration.focal import Focal
 from stages.registration.looks import read_looks
 from stages.registration.still import backdrop_of
@@ -31,7 +32,7 @@ def focal_by_marks(frames: Sequence[Frame]) -> Focal | None:
     ----------
     frames : with one camera that is a guess, and stands still while something turns.
     """
-    chosen = [frames[n] for n in np.unique(np.linspace(0, len(frames) - 1, _FRAMES).round().astype(int))]
+    chosen = [frames[n] for n in sample_evenly(len(frames), _FRAMES)]
     found = {log: _agreeing(chosen, float(log)) for log in _TRIED}
     best = max(found, key=lambda log: found[log])
     marks, couples = found[best]

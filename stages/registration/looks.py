@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
+from stages.frames.projection import unproject
 from stages.registration.view import smaller
 from stages.scans.images import read_depth
 from stages.scans.prefetch import read_ahead, workers
@@ -38,14 +39,8 @@ class Look:
 
     def points(self) -> NDArray[np.float64]:
         """Return the point (h, w, 3) of each pixel, in axes of the camera; 0 where depth is missing."""
-        return rays(self.camera) * self.depth[..., None]
-
-
-def rays(camera: Camera) -> NDArray[np.float64]:
-    """Return where each pixel (h, w, 3) looks, 1 along the axis."""
-    rows, columns = np.mgrid[: camera.height, : camera.width].astype(np.float64)
-    x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
-    return np.stack([x, y, np.ones_like(x)], axis=-1)
+        rows, columns = np.mgrid[: self.camera.height, : self.camera.width]
+        return unproject(columns, rows, self.depth, self.camera)
 
 
 def same_within(depth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
+from stages.frames.projection import project
 from stages.scans.images import read_depth
 from stages.scans.scan import Camera, Frame, Pose, pinhole
 
@@ -171,7 +172,7 @@ def _seen_from_above(plate: Plate, camera: Camera) -> tuple[NDArray[np.float32],
     x, y = np.meshgrid(steps, steps)
     points = plate.origin + x[..., None] * plate.axes[:, 0] + y[..., None] * plate.axes[:, 1]
     z = np.where(points[..., 2] > 0, points[..., 2], np.inf)
-    pixels = points[..., :2] / z[..., None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    pixels = np.stack(project(points, camera), axis=-1)
     # Where the plane is behind the camera no pixel is.
     pixels[~np.isfinite(z)] = -1e4
     return pixels.clip(-1e4, 1e5).astype(np.float32), z.astype(np.float32)

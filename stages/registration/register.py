@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stages.errors import InputError
+from stages.frames.sampling import sample_evenly
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.registration import oddities
@@ -163,7 +164,7 @@ def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
 def _max_depth(frames: Sequence[Frame]) -> float:
     """Return how far depth is used: what is far is measured worse, and tells less of the motion."""
     medians = []
-    for i in np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).round().astype(int)) if frames else ():
+    for i in sample_evenly(len(frames), _SAMPLED):
         try:
             depth = read_depth(frames[i])
         except InputError:

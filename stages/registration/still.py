@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.features import match_descriptors
 from stages.registration.features import Features
 from stages.registration.looks import Look, same_within
-from stages.registration.sift import matches
 from stages.registration.view import View
 
 Mask = NDArray[np.bool_]
@@ -69,7 +69,7 @@ def is_still(source: Features, target: Features, pairs: NDArray[np.int64]) -> Ma
 def _has_still_points(source: Features, target: Features) -> bool:
     if source.camera is None:
         return False
-    pairs = matches(source.descriptors, target.descriptors)
+    pairs = match_descriptors(source.descriptors, target.descriptors)
     still = is_still(source, target, pairs)
     if np.count_nonzero(still) < _STILL_POINTS:
         return False

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.errors import InputError, StageError
+from stages.frames.sampling import sample_evenly
 from stages.registration.belonging import masks_of_thing
 from stages.registration.features import Features
 from stages.registration.looks import Look, read_look, read_looks
@@ -68,7 +69,7 @@ def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing
                 "takes all that is seen."
             )
         return None
-    more = [n for n in _spread(len(frames), _BEHIND) if n not in looks]
+    more = [n for n in sample_evenly(len(frames), _BEHIND).tolist() if n not in looks]
     looks |= read_looks(frames, more)
     backdrop = backdrop_of(looks)
     masked, features = list(frames), {}
@@ -130,7 +131,7 @@ def thing_not_placed(why: str, where: Path | None = None) -> StageError:
 
 def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
     """Return what a few frames show, whether the camera stands still, and whether something moves."""
-    looks = read_looks(frames, _spread(len(frames), _DECIDE))
+    looks = read_looks(frames, sample_evenly(len(frames), _DECIDE).tolist())
     views = {}
     for n in looks:
         with contextlib.suppress(InputError):
@@ -163,8 +164,3 @@ def _with_mask(frame: Frame, mask: Mask) -> Frame:
         size = (mask.shape[1], mask.shape[0])
         both &= cv2.resize(own, size, interpolation=cv2.INTER_NEAREST_EXACT)
     return replace(frame, mask=both)
-
-
-def _spread(count: int, most: int) -> list[int]:
-    places: list[int] = np.unique(np.linspace(0, count - 1, most).round().astype(int)).tolist()
-    return places

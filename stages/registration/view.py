@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.errors import InputError
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
+from stages.frames.projection import unproject
 from stages.registration.features import PIXELS, Features, features_of
 from stages.registration.points import deviation
 from stages.scans.images import read_color, read_depth
@@ -151,8 +152,7 @@ def _surface(depth: NDArray[np.float32], camera: Camera) -> tuple[float, NDArray
 
     def points(down: int, across: int) -> NDArray[np.float64]:
         v, u = rows + down, columns + across
-        rays = np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(rows))])
-        return rays * smooth[v, u, None]
+        return unproject(u, v, smooth[v, u], camera)
 
     n = np.cross(points(0, gap) - points(0, -gap), points(gap, 0) - points(-gap, 0))
     n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-30)

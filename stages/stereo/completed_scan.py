@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stages.errors import InputError, UsageError
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans.images import read_color, read_depth, read_seen

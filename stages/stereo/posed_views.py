@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.frames.projection import project, unproject
 from stages.scans.scan import Camera, Frame, Pose, Scan, pinhole
 
 # No scan is that far from its origin.
@@ -44,9 +45,7 @@ class PosedView:
 
     def rays(self, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rays (…, 3) through pixels, in camera axes, of z = 1."""
-        x = (columns - self.camera.cx) / self.camera.fx
-        y = (rows - self.camera.cy) / self.camera.fy
-        return np.stack([x, y, np.ones_like(x)], axis=-1)
+        return unproject(columns, rows, 1, self.camera)
 
     def spread_rays(self, count: int) -> NDArray[np.float64]:
         """Return rays (count², 3) evenly spread over the image, the corners' among them."""
@@ -66,8 +65,8 @@ class PosedView:
         """Return columns, rows (pixels) and depths (metres) of world points (…, 3); NaN for those behind."""
         seen = (points - self.centre) @ self.world_from_camera[:3, :3]
         z = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-        camera = self.camera
-        return seen[..., 0] / z * camera.fx + camera.cx, seen[..., 1] / z * camera.fy + camera.cy, z
+        columns, rows = project(seen, self.camera)
+        return columns, rows, z
 
     def pixels_to(self, other: PosedView) -> NDArray[np.float64]:
         """Return the (3, 4) matrix from (u z, v z, z, 1) to (u' z', v' z', z') of another view."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.registration.sift import Keypoints, matches
+from stages.frames.features import Keypoints, match_descriptors
 from stages.stereo.epipolar import off_lines
 from stages.stereo.posed_views import PosedView
 
@@ -65,7 +65,7 @@ def recognised(first: PosedView, second: PosedView, here: Keypoints, there: Keyp
     ----------
     here, there : the points of both images, without distortion.
     """
-    same = matches(here.descriptors, there.descriptors)
+    same = match_descriptors(here.descriptors, there.descriptors)
     one, other = (
         points.pixels[same[:, side]].astype(np.float64) for side, points in enumerate((here, there))
     )

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.frames.features import Keypoints, detect_keypoints
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.registration.sift import Keypoints, keypoints
 from stages.scans.depth_range import Range, range_of_points
 from stages.scans.images import read_seen
 from stages.scans.prefetch import read_ahead
@@ -250,7 +250,7 @@ def _recognised(
 
     def read(frame: Frame) -> Keypoints | None:
         try:
-            return keypoints(grey_of(color_of(frame)), _KEYPOINTS)
+            return detect_keypoints(grey_of(color_of(frame)), _KEYPOINTS)
         except InputError:
             return None  # Reported when its turn comes.
 

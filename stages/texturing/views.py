@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.errors import InputError
-from stages.fusion.plan import MAX_ANGLE, MAX_ANGLE_ALONE
+from stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE
 from stages.scans.images import read_depth
 from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.sampling import sample_evenly
 from stages.inspecting.coverage.patches import Patch, cut_up, squares, total_area
 from stages.inspecting.coverage.rims import Cap
 from stages.inspecting.coverage.sight import Sight
@@ -127,7 +128,7 @@ def before(patches: list[Patch], gaps: list[Patch], cell: float, reach: float) -
     kept = []
     for patch in patches:
         if patch.kind in ("unseen", "blank", "end"):
-            rows = np.linspace(0, len(patch.points) - 1, min(_ASKED, len(patch.points))).round().astype(int)
+            rows = sample_evenly(len(patch.points), _ASKED)
             behind = patch.points[rows, None] - depths[:, None] * patch.normal
             is_near = tree.query(behind, distance_upper_bound=2 * cell)[0] <= 2 * cell
             if is_near.any(axis=1).mean() >= _SHARE_BEFORE:

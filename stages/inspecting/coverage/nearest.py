@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.sampling import sample_evenly
 from stages.inspecting.coverage.views import Floats, Singles, View
 from stages.scans.scan import Camera
 
@@ -104,7 +105,7 @@ def looks_at(
     normal : (3,) to where one looks at it from.
     count : of the nearest frames that are told.
     """
-    rows = np.linspace(0, len(points) - 1, min(_POINTS, len(points))).round().astype(int)
+    rows = sample_evenly(len(points), _POINTS)
     chosen = points[rows].astype(np.float32)
     middle = chosen.mean(axis=0).astype(np.float64)
     scored: list[tuple[float, int, Look]] = []

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.projection import unproject
 from stages.inspecting.coverage.views import Floats, Singles, View
 
 # What is known of a cell: a frame looked through it; one measured what is before it, or has no depth there;
@@ -87,15 +88,7 @@ class Space:
         rows, columns = np.nonzero(view.coarse)
         z = view.coarse[rows, columns]
         middle = (view.step - 1) / 2
-        camera = view.camera
-        seen = np.stack(
-            [
-                (columns * view.step + middle - camera.cx) / camera.fx * z,
-                (rows * view.step + middle - camera.cy) / camera.fy * z,
-                z,
-            ],
-            axis=1,
-        )
+        seen = unproject(columns * view.step + middle, rows * view.step + middle, z, view.camera)
         numbers, _ = self._numbers((seen - view.shift).astype(np.float64) @ view.turn.astype(np.float64))
         self._state[numbers] |= _MEASURED
 

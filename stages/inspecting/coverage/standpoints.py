@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.frames.sampling import sample_evenly
 from stages.inspecting.coverage.directions import all_around
 from stages.inspecting.coverage.patches import Patch
 from stages.inspecting.coverage.sight import Sight
@@ -78,7 +79,7 @@ class Standing:
     """
 
     def __init__(self, space: Space, sight: Sight, cameras: Floats, usual: float, origin: Floats) -> None:
-        rows = np.linspace(0, len(cameras) - 1, min(_CAMERAS, len(cameras))).round().astype(int)
+        rows = sample_evenly(len(cameras), _CAMERAS)
         self._space, self._sight, self._usual = space, sight, usual
         self._cameras = cameras[rows] - origin
         self.origin = origin
@@ -123,7 +124,7 @@ class Standing:
             directions = directions[directions @ normal > _LEAST_COSINE]
         reaches = np.repeat(np.array(_DISTANCES) * self._usual, len(directions))
         places = middle + reaches[:, None] * np.tile(directions, (len(_DISTANCES), 1))
-        rows = np.linspace(0, len(patch.points) - 1, min(_POINTS, len(patch.points))).round().astype(int)
+        rows = sample_evenly(len(patch.points), _POINTS)
         lines = patch.points[rows][None] - places[:, None]
         lengths = np.linalg.norm(lines, axis=2)
         rays = lines / np.maximum(lengths, np.finfo(np.float64).tiny)[..., None]

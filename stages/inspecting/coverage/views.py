@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.fusion.posed_depth import rigid_pose
+from stages.frames.rigid_pose import require_rigid_pose
 from stages.scans.images import read_depth, read_seen
 from stages.scans.poses import inverted
 from stages.scans.scan import Camera, DepthImage, Frame, pinhole
@@ -98,7 +98,7 @@ def read_view(frame: Frame, origin: Floats) -> View:
     InputError
         If the frame has no pose or no depth, or its file cannot be read.
     """
-    pose = rigid_pose(frame)
+    pose = require_rigid_pose(frame)
     depth = read_depth(frame)
     if depth is None:
         raise InputError("there is no depth map.", f"frame {frame.name}")

@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 from thing_on_table import AT, BALL, CAMERA, HALF, frames, pose, seen
 
 from stages.errors import InputError, UsageError
+from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop, cropped, cut, shown
 from stages.fusion.fuse import Fused, fuse
 from stages.fusion.params import FuseParams
-from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame
 from stages.surface.mesh import Mesh

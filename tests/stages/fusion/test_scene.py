@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from thing_on_table import AT, BALL, frames, pose
 
-from stages.fusion.posed_depth import DepthLimits, read_posed_depth
+from stages.frames.posed_depth import DepthLimits, read_posed_depth
 from stages.fusion.scene import scene_of, where_axes_meet
 
 LIMITS = DepthLimits(min_depth=0, max_depth=9, max_jump=0.05, max_angle=87)

@@ -14,10 +14,10 @@ from thin_sheet import thin_sheet
 
 from stages import _kernels
 from stages.errors import StageError, UsageError
+from stages.frames.posed_depth import read_posed_depth
 from stages.fusion.fuse import fuse
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import limits_of
-from stages.fusion.posed_depth import read_posed_depth
 from stages.fusion.voxels import Volume, Weighing, block_bytes, touched_blocks
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame

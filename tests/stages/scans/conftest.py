@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from tiny_recordings import INTERVAL, START
 
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
 from stages.scans.images import read_depth, read_pinhole
 from stages.scans.params import ScanParams
 

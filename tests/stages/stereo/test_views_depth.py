@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from stages import read_scan, views_depth
 from stages.errors import InputError
-from stages.registration.sift import keypoints, matches
+from stages.frames.features import detect_keypoints, match_descriptors
 from stages.scans.images import read_depth
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
 from stages.stereo.agreement import agreeing_views, merged
@@ -263,12 +263,12 @@ def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
     scan, truth = posed_scene.scan()
     views = posed_views(scan)
     assert (0, 1) in neighbours(views)
-    points = [keypoints(frame.color[:, :, 0], 1000) for frame in scan.frames[:2]]
+    points = [detect_keypoints(frame.color[:, :, 0], 1000) for frame in scan.frames[:2]]
 
     found = recognised(views[0], views[1], *points)
 
     assert found.off < 0.5
-    same = matches(points[0].descriptors, points[1].descriptors)
+    same = match_descriptors(points[0].descriptors, points[1].descriptors)
     for side, depth in enumerate(found.depths):
         columns, rows = np.rint(points[side].pixels[same[:, side]]).astype(int).T
         true = truth[side][rows, columns]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
 from stages.scans.images import read_depth, read_pinhole
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

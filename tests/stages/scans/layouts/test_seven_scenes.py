@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
-from stages.fusion.posed_depth import read_matching_color
+from stages.frames.matching_color import read_matching_color
 from stages.scans.images import read_color, read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

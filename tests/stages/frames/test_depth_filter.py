@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.fusion import depth_filter
+from stages.frames import depth_filter
 from stages.scans.images import read_depth
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, pinhole
-from tests.stages.fusion import numpy_filter
+from tests.stages.frames import numpy_filter
 
 LIMITS = {"max_jump": 0.05, "max_angle": 87.0}
 CAMERA = Camera(97, 71, 80.0, 82.0, 47.3, 36.1)
@@ -37,8 +37,8 @@ def scene(seed: int) -> NDArray[np.float32]:
 
 def assert_alike(depth: NDArray[np.float32], camera: Camera) -> None:
     """What counts is the same but for rounding; where that decides, pixels may be dropped by one alone."""
-    found = depth_filter.surface(depth, camera, **LIMITS)
-    expected = numpy_filter.surface(depth, camera, **LIMITS)
+    found = depth_filter.orient_depth(depth, camera, **LIMITS)
+    expected = numpy_filter.orient_depth(depth, camera, **LIMITS)
     assert ((found.depth > 0) != (expected.depth > 0)).mean() < 1e-4
     both = (found.depth > 0) & (expected.depth > 0)
     assert both.mean() > 0.3
@@ -53,7 +53,7 @@ def assert_alike(depth: NDArray[np.float32], camera: Camera) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_the_kernel_does_what_numpy_does(seed: int) -> None:
     depth = scene(seed)
-    found = depth_filter.surface(depth, CAMERA, **LIMITS)
+    found = depth_filter.orient_depth(depth, CAMERA, **LIMITS)
     steep = (found.depth > 0) & (found.obliqueness > 2.9)
     # Both ways of what is steep are taken: the floor is believed, the ball's rim is not.
     assert steep.sum() > 50
@@ -73,8 +73,8 @@ def test_images_of_few_pixels(shape: tuple[int, int]) -> None:
     camera = Camera(shape[1], shape[0], 50.0, 50.0, shape[1] / 2, shape[0] / 2)
     depth = np.full(shape, 2, np.float32)
     depth[0, 0] = 0
-    found = depth_filter.surface(depth, camera, **LIMITS)
-    expected = numpy_filter.surface(depth, camera, **LIMITS)
+    found = depth_filter.orient_depth(depth, camera, **LIMITS)
+    expected = numpy_filter.orient_depth(depth, camera, **LIMITS)
     np.testing.assert_array_equal(found.depth, expected.depth)
     np.testing.assert_allclose(found.obliqueness, expected.obliqueness, rtol=1e-6)
 
@@ -83,7 +83,7 @@ def test_what_is_out_of_the_limits_or_no_number_is_missing() -> None:
     depth = np.full((71, 97), 2, np.float32)
     for k, value in enumerate((np.nan, np.inf, -1, 0.3, 7)):
         depth[10 * k + 5 : 10 * k + 9, 20:40] = value
-    found = depth_filter.surface(depth, CAMERA, **LIMITS, min_depth=0.5, max_depth=5.0)
+    found = depth_filter.orient_depth(depth, CAMERA, **LIMITS, min_depth=0.5, max_depth=5.0)
     assert set(np.unique(found.depth)) == {0, 2}
     assert all(np.isfinite(image).all() for image in (*found.normal, found.obliqueness))
     for k in range(5):

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.fusion.depth_filter import Surface, bridged, differences
+from stages.frames.depth_filter import OrientedDepth, bridge_gaps, inverse_depth_differences
 from stages.scans.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
@@ -26,7 +26,7 @@ _WIDE_WINDOW = 25
 _LIKE = 1.5
 
 
-def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: float) -> Surface:
+def orient_depth(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: float) -> OrientedDepth:
     """Measure the surface's orientation, and drop pixels at depth discontinuities or seen too obliquely.
 
     Sensors and matchers put "flying" pixels beside a discontinuity, between the near and the far surface,
@@ -39,9 +39,9 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
     max_jump : change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
     max_angle : degrees between the line of sight and the surface's normal.
     """
-    depth, inverse = bridged(depth, max_jump)
+    depth, inverse = bridge_gaps(depth, max_jump)
     torn = np.zeros(depth.shape, bool)
-    across, down = differences(inverse, 1, max_jump, torn), differences(inverse, 0, max_jump, torn)
+    across, down = (inverse_depth_differences(inverse, axis, max_jump, torn) for axis in (1, 0))
     rays = _rays(camera)
     normal = _normal(depth, camera, rays.columns, rays.rows, across.mean(_WINDOW), down.mean(_WINDOW))
     obliqueness = _length(normal)
@@ -64,13 +64,13 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
     # Cosine of the angle of sight: 1 / (obliqueness · length of the ray).
     too_oblique = obliqueness * rays.length * np.float32(np.cos(np.radians(max_angle))) > 1
     depth[torn | too_oblique] = 0
-    return Surface(depth, normal, obliqueness)
+    return OrientedDepth(depth, normal, obliqueness)
 
 
 def _normal(
     depth: Image, camera: Camera, columns: Image, rows: Image, across: Image, down: Image
 ) -> tuple[Image, Image, Image]:
-    """Return the normal, with d ln z = −z d(1/z); see Surface for its length."""
+    """Return the normal, with d ln z = −z d(1/z); see OrientedDepth for its length."""
     x = np.float32(-camera.fx) * depth * across
     y = np.float32(-camera.fy) * depth * down
     return x, y, -(1 + columns * x + rows * y)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.registration.sift import matches, rooted
+from stages.frames.features import match_descriptors, root_descriptors
 
 
 def some(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
@@ -26,11 +26,11 @@ def test_matches_are_those_of_all_products(seed: int, there: int, more: int, off
     source = some(rng, there)
     seen_again = (source[::-1].astype(int) + rng.integers(0, off + 1, source.shape)).clip(0, 255)
     target = np.concatenate([seen_again.astype(np.uint8), some(rng, more)])
-    found = {(int(a), int(b)) for a, b in matches(source, target)}
+    found = {(int(a), int(b)) for a, b in match_descriptors(source, target)}
     if there == 0 or len(target) < 2:
         assert not found
         return
-    likeness = rooted(source).astype(np.float64) @ rooted(target).T
+    likeness = root_descriptors(source).astype(np.float64) @ root_descriptors(target).T
     first, second = np.sort(2 - 2 * likeness, axis=1)[:, :2].T
     nearest, back = likeness.argmax(axis=1), likeness.argmax(axis=0)
     margin = np.sqrt(first.clip(0)) - 0.8 * np.sqrt(second)

@@ -1,8 +1,8 @@
-"""What a depth map says about the surface it shows: how obliquely it is seen, and where it is torn.
+"""Filter of depth maps: surface normals, depth discontinuities and grazing angles.
 
-Differences are taken on inverse depth. A plane's inverse depth is linear in the pixel coordinates, so
-that averaging its differences over a window is exact on planes, however obliquely they are seen;
-differences of depth itself are not.
+Differences are taken of inverse depth. The inverse depth of a plane is linear in the pixel coordinates.
+Averaging its differences over a window is therefore exact on planes at any angle. Averaging differences of
+depth is not.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
-    """A depth map with the orientation of the surface at each pixel.
+class OrientedDepth:
+    """Depth map with the orientation of the surface at each pixel.
 
     Attributes
     ----------
     depth : (h, w) float32 metres, 0 where missing or dropped.
-    normal : three (h, w) float32 images, the surface's normal in camera axes, towards the camera, scaled
-        so that its product with the pixel's ray (x/z, y/z, 1) is −1.
-    obliqueness : (h, w) float32 ≥ about 1, the length of `normal`: how many metres along the optical axis
-        it takes to get one metre away from the surface.
+    normal : three (h, w) float32 images: the surface normal in camera axes, towards the camera. The normal is
+        scaled so that its product with the pixel's ray (x/z, y/z, 1) is −1.
+    obliqueness : (h, w) float32, about 1 or more: length of `normal`. This is the distance along the optical
+        axis over the distance from the surface.
     """
 
     depth: DepthImage
@@ -39,7 +39,7 @@ class Surface:
     obliqueness: Image
 
 
-def surface(
+def orient_depth(
     depth: DepthImage,
     camera: Camera,
     *,
@@ -47,42 +47,42 @@ def surface(
     max_angle: float,
     min_depth: float = 0.0,
     max_depth: float = math.inf,
-) -> Surface:
-    """Measure the surface's orientation, and drop pixels at depth discontinuities or seen too obliquely.
+) -> OrientedDepth:
+    """Measure surface normals and drop pixels at discontinuities and grazing angles.
 
-    Sensors and matchers put "flying" pixels beside a discontinuity, between the near and the far surface,
-    where nothing is; so both sides of it go. Gaps of one pixel between depths that agree are bridged: depth
-    that was warped into a colour camera's view is full of them.
+    Sensors and matchers put "flying" pixels next to a discontinuity, between the near and the far surface.
+    Both sides of a discontinuity are therefore dropped. Depth maps warped into the view of a colour camera
+    have many gaps of one pixel. Such gaps are bridged if the depths on both sides agree.
 
     Parameters
     ----------
     depth : (h, w) float32 metres, 0 where missing.
-    max_jump : change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
-    max_angle : degrees between the line of sight and the surface's normal.
-    min_depth, max_depth : metres; what is nearer or farther is missing.
+    max_jump : largest relative change of depth between neighbouring pixels; more is a discontinuity.
+    max_angle : largest angle between the line of sight and the surface normal, degrees.
+    min_depth, max_depth : metres; nearer and farther depth is dropped.
     """
     filtered, normal, obliqueness = _kernels.oriented_depth(
         np.ascontiguousarray(depth, np.float32),
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height),
         limits=(min_depth, max_depth, max_jump, math.cos(math.radians(max_angle))),
-        # Frames are read side by side.
+        # Frames are read in parallel.
         wanted_threads=1,
     )
-    return Surface(filtered, normal, obliqueness)
+    return OrientedDepth(filtered, normal, obliqueness)
 
 
-def bridged(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
-    """Return depth without gaps of one pixel between depths that agree, and its inverse; see `surface`."""
+def bridge_gaps(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
+    """Bridge gaps of one pixel between depths that agree; return depth and inverse depth."""
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     depth = depth.copy()
     for axis in (1, 0):
-        _bridge(depth, inverse, axis, max_jump)
+        _bridge_along(depth, inverse, axis, max_jump)
     return depth, inverse
 
 
-def _bridge(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> None:
-    """Fill single missing pixels between two of like depth, in place."""
-    # Views along the columns, whichever the axis, so that one set of slices serves both.
+def _bridge_along(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> None:
+    """Fill single missing pixels between two similar depths along an axis, in place."""
+    # Transposed views let the same slices serve both axes.
     inverse, depth = (inverse, depth) if axis else (inverse.T, depth.T)
     before, after = inverse[:, :-2], inverse[:, 2:]
     rows, columns = np.nonzero((inverse[:, 1:-1] == 0) & (np.minimum(before, after) > 0))
@@ -95,13 +95,13 @@ def _bridge(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> No
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Differences between neighbouring pixels along an axis, and 1 where there is one, else 0."""
+    """Differences between neighbouring pixels along an axis; `known` is 1 where there is one, else 0."""
 
     value: Image
     known: Image
 
     def mean(self, window: int, at: Any = ...) -> Image:
-        """Mean of the known differences in a window around each pixel, or around those that `at` indexes."""
+        """Average the known differences in a window around each pixel, or around the pixels `at`."""
         import cv2
 
         total, count = (
@@ -111,8 +111,8 @@ class Differences:
         return np.asarray(total[at] / np.maximum(count[at], 1))
 
 
-def differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> Differences:
-    """Take differences along `axis`; discontinuities are left out, and marked in `torn`."""
+def inverse_depth_differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> Differences:
+    """Take differences of inverse depth along `axis`, and mark discontinuities in `torn`."""
     first, second = (np.s_[:, :-1], np.s_[:, 1:]) if axis else (np.s_[:-1, :], np.s_[1:, :])
     a, b = inverse[first], inverse[second]
     difference = b - a

@@ -1,0 +1,96 @@
+"""SIFT keypoints, their descriptors and matches (Lowe, "Distinctive image features", 2004; RootSIFT)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Default contrast threshold of SIFT.
+_CONTRAST = 0.04
+# Share of the darkest and of the brightest pixels that stretching the grey values may clip.
+_TAILS = 0.01
+# Largest ratio of the distances of the best and the second-best match (ratio test).
+_MAX_RATIO = 0.8
+# RANSAC of the fundamental matrix: inlier threshold, trials, and minimum number of inliers.
+_INLIER_PX, _TRIALS, _MIN_INLIERS = 2.0, 1000, 16
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """SIFT keypoints of an image.
+
+    Attributes
+    ----------
+    pixels : (n, 2) float32, column and row.
+    descriptors : (n, 128) uint8.
+    strength : (n,) float32, response of the detector.
+    """
+
+    pixels: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
+    strength: NDArray[np.float32]
+
+
+def detect_keypoints(grey: NDArray[np.uint8], max_count: int, *, contrast: float = _CONTRAST) -> Keypoints:
+    """Detect the `max_count` strongest SIFT keypoints of an (h, w) image."""
+    import cv2
+
+    # Without precise upscaling, OpenCV doubles the image with an offset of a quarter of a pixel.
+    sift = cv2.SIFT.create(nfeatures=max_count, contrastThreshold=contrast, enable_precise_upscale=True)
+    found, descriptors = sift.detectAndCompute(_stretch_contrast(grey), None)
+    if len(found) == 0:
+        descriptors = np.zeros((0, 128))
+    return Keypoints(
+        np.array([one.pt for one in found], np.float32).reshape(-1, 2),
+        descriptors.astype(np.uint8),
+        np.array([one.response for one in found], np.float32),
+    )
+
+
+def root_descriptors(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Convert SIFT descriptors to RootSIFT, of unit length (Arandjelović 2012)."""
+    sums = descriptors.sum(axis=1, keepdims=True, dtype=np.float32)
+    return np.asarray(np.sqrt(descriptors / sums.clip(1e-9)), np.float32)
+
+
+def match_descriptors(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Match descriptors that are mutual nearest neighbours and pass the ratio test.
+
+    Returns
+    -------
+    (m, 2) indices into `source` and `target`.
+    """
+    from stages import _kernels
+
+    # OpenBLAS is slower: its threads wait for each other in products of small matrices.
+    return _kernels.match_descriptors(source, target, distinct=_MAX_RATIO)
+
+
+def find_epipolar_inliers(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Find the matches that agree with one fundamental matrix (RANSAC); none if too few agree.
+
+    OpenCV seeds its random trials with a constant, so results are reproducible.
+
+    Parameters
+    ----------
+    first, second : (n, 2) pixels of the matches in two images.
+    """
+    import cv2
+
+    if len(first) < _MIN_INLIERS:
+        return np.zeros(len(first), bool)
+    _, found = cv2.findFundamentalMat(first, second, cv2.FM_RANSAC, _INLIER_PX, 0.999, _TRIALS)
+    kept = np.zeros(len(first), bool) if found is None else np.ravel(found) > 0
+    return kept & (np.count_nonzero(kept) >= _MIN_INLIERS)
+
+
+def _stretch_contrast(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Stretch the grey values, so that dark images have keypoints too."""
+    import cv2
+
+    shares = np.cumsum(np.bincount(grey.ravel(), minlength=256)) / grey.size
+    low, high = np.searchsorted(shares, (_TAILS, 1 - _TAILS))
+    table = np.clip((np.arange(256) - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(grey, table), np.uint8)

@@ -1,0 +1,31 @@
+"""Check that the camera pose of a frame is rigid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.scans.scan import Frame, Pose
+
+# Poses read from text have few digits, and the rotations of trackers drift.
+_RIGID_TOLERANCE = 1e-2
+
+
+def require_rigid_pose(frame: Frame) -> Pose:
+    """Return the camera pose of a frame as float64, checked to be rigid.
+
+    Raises
+    ------
+    InputError
+        If the frame has no pose, or the pose is not a rotation and a shift.
+    """
+    if frame.world_from_camera is None:
+        raise InputError("there is no camera pose.", f"frame {frame.name}")
+    pose = np.asarray(frame.world_from_camera, np.float64)
+    rotation = pose[:3, :3]
+    if not np.isfinite(pose).all():
+        raise InputError("the camera pose is not finite.", f"frame {frame.name}")
+    deviation = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if deviation > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        raise InputError("the camera pose is not a rotation and a shift.", f"frame {frame.name}")
+    return pose
