@@ -11,6 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from stages.exporting.export import GLTF, ExportParams
+from stages.files.opening import content_of
 from stages.surface.formats.gltf_container import PACKED, Gltf, Tree, read_container
 from stages.surface.formats.gltf_packing import MAX_STEPS, QUANTIZED, lattice_of
 from stages.surface.mesh import Mesh
@@ -84,7 +85,7 @@ def stored_bytes(path: Path, mesh: Mesh) -> int:
 
 def _named_files(path: Path) -> Iterator[Path]:
     """Yield the files that a .gltf file names, each once."""
-    gltf = Gltf(path, json.loads(path.read_bytes()))
+    gltf = Gltf(path, json.loads(content_of(path)))
     entries: list[Any] = [*gltf.items("buffers"), *gltf.items("images")]
     for name in dict.fromkeys(entry["uri"] for entry in entries if "uri" in entry):
         if not name.startswith("data:"):

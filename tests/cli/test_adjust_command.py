@@ -22,6 +22,7 @@ Run = Callable[..., Any]
 SAMPLES = Path(__file__).parents[2] / "samples"
 
 
+@pytest.mark.slow
 def test_better_poses_are_written_and_used_by_fuse(scanloom: Run, tmp_path: Path) -> None:
     scan = tmp_path / "scan"
     shutil.copytree(SAMPLES / "rgbd", scan)

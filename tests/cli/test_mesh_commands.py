@@ -255,6 +255,7 @@ def test_a_mesh_compared_with_itself_is_at_no_distance(scanloom: Run, ball: Path
     assert "equal" in text
 
 
+@pytest.mark.slow
 def test_compare_is_repeatable_by_its_seed(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     light = tmp_path / "light.ply"
     scanloom("clean", ball, light)

@@ -49,6 +49,7 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
     count, triangles = len(mesh.vertices), len(mesh.triangles)
     locked, labels = np.zeros(0, bool), np.zeros(0, np.int32)
     importance = np.zeros(0)
+    labels_of_all = np.zeros(triangles, np.int32)
     soup = (mesh.vertices, mesh.colors, mesh.triangles)
     running = kernels.Running(target_triangles=triangles // 10, threads=2, record=True)
     told = {"progress": _told}
@@ -112,6 +113,41 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
             page=0,
             width=1024,
             height=1024,
+        ),
+        "draw_sources": partial(
+            kernels.draw_sources,
+            (corners[:, :2].reshape(-1, 3, 2) * 1000, labels_of_all, mesh.vertices[mesh.triangles]),
+            (corners[:, :2].reshape(-1, 3, 2) * 1000, labels_of_all, mesh.vertices[mesh.triangles]),
+            np.full(triangles, np.inf),
+            width=1024,
+            height=1024,
+            wanted_threads=2,
+        ),
+        "locate_texels": partial(
+            kernels.locate_texels,
+            corners[:, :2].reshape(-1, 3, 2) * 1000,
+            np.zeros(1 << 18, np.int32),
+            np.arange(1 << 18, dtype=np.int64),
+            width=1024,
+            wanted_threads=2,
+        ),
+        "sample_texels": lambda: kernels.sample_texels(
+            np.zeros((1024, 1024, 3), np.uint8),
+            np.zeros((1024, 1024), np.int32),
+            corners[:, :2].reshape(-1, 3, 2) * 1000,
+            np.ascontiguousarray(corners[:, :2].reshape(-1, 3, 2)),
+            np.ones(triangles, bool),
+            image,
+            wrap=("repeat", "clamp"),
+            wanted_threads=2,
+        ),
+        "sample_points": partial(
+            kernels.sample_points,
+            image,
+            np.random.default_rng(1).random((1 << 18, 2)),
+            channels=3,
+            wrap=("repeat", "mirror"),
+            wanted_threads=2,
         ),
         "zbuffer": lambda: kernels.DrawnMesh(mesh.vertices, mesh.triangles).zbuffer(
             ((800.0, 800.0, 500.0, 500.0, 1000, 1000), np.eye(4)), near=1e-3

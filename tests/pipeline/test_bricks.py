@@ -38,6 +38,7 @@ def figures(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str,
     return {name: stage["figures"] for name, stage in stages.items()}
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
     quiet = figures(scan, tmp_path / "quiet")["fuse"]
@@ -62,6 +63,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.M
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["gone", "another"])
 def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
@@ -94,6 +96,7 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scan, out = part_of_sample(tmp_path / "scan", list(range(0, 24, 6))), tmp_path / "out"
     quiet = figures(scan, out)["fuse"]
@@ -134,6 +137,7 @@ def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytes
     assert again(force=["fuse"]) == quiet["bricks"]
 
 
+@pytest.mark.slow
 def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
     # What would be derived of all frames together is given.
     given = ("fuse.truncation=0.045", "fuse.max_depth=2.2")
@@ -158,6 +162,7 @@ def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
     assert (out / "fused.ply").read_bytes() == (tmp_path / "alone" / "fused.ply").read_bytes()
 
 
+@pytest.mark.slow
 def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> None:
     scan = part_of_sample(tmp_path / "scan", list(range(0, 24, 6)))
     ratio = "simplify.ratio=0.2"

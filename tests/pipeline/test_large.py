@@ -55,6 +55,7 @@ def figures_of(result: RunResult, stage: str) -> dict[str, Any]:
     return figures
 
 
+@pytest.mark.slow
 def test_the_report_tells_what_it_would_of_meshes_that_are_read_at_once(made: Any) -> None:
     _, out, result, _ = made
     light = read_ply(out / "simplified.ply")

@@ -264,6 +264,7 @@ def test_configuration_prints_and_reads_back():
     assert Config.loads(Config().dumps()) == Config()
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_run(rgbd, made, tmp_path):
     run(rgbd, tmp_path / "out", quick())
     assert results(tmp_path / "out") == results(made)

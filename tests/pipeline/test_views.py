@@ -51,6 +51,7 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
+@pytest.mark.slow
 def test_views_become_a_mesh_where_the_scene_is(folder: Path, tmp_path: Path) -> None:
     config = Config().set(QUICK)
     result = run(folder, tmp_path / "out", config)

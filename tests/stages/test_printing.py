@@ -166,6 +166,7 @@ def test_results_print_as_a_line_or_two_without_arrays(results):
         assert not re.search(r"array\(|\[\[|dtype|object at|\(, |, ,|, \)", text), text
 
 
+@pytest.mark.slow
 def test_every_public_class_is_among_them(results):
     classes = {getattr(stages, name) for name in stages.__all__ if name[0].isupper() and name != "MeshLike"}
     results_of = {

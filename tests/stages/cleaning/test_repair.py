@@ -504,6 +504,7 @@ def test_a_crumpled_sheet_gets_no_worse(
         assert is_moved or (place[tuple(xyz)] == uv).all()
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6), st.integers(1, 60), st.sampled_from([4, 9, 30]))
 @settings(deadline=None, max_examples=60)
 def test_a_soup_gets_no_worse(seed: int, count: int, places: int) -> None:

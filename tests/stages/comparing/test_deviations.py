@@ -115,6 +115,7 @@ def test_colours_tell_sides_and_tolerance(palette):
     assert colors[8, 0] > colors[8, 2]
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 1000))
 def test_a_moved_copy_is_moved_back(seed):

@@ -92,6 +92,7 @@ def test_bricks_give_the_bytes_of_one_piece(
     assert [path.name for path in tmp_path.iterdir()] == ["fused.ply"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crop", [{}, {"radius": 0.3, "center": (0.1, -0.1, 0.1)}])
 def test_pieces_of_a_large_mesh_follow_from_the_mesh_alone(
     scan: Scan, crop: dict[str, Any], tmp_path: Path
@@ -190,6 +191,7 @@ class Shelf:
         return folder
 
 
+@pytest.mark.slow
 def test_bricks_that_are_kept_are_not_fused_again(scan: Scan, in_one_piece: bytes, tmp_path: Path) -> None:
     kept = Shelf(tmp_path)
     params = FuseParams(voxel_size=0.01, brick_size=0.3, memory=2)

@@ -32,6 +32,7 @@ def is_whole(front: Front) -> bool:
     return True
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from(["ring", "sheet"]), st.randoms(use_true_random=False))
 def test_operations_in_any_order_give_a_valid_mesh(name: str, random: st.randoms) -> None:  # type: ignore[valid-type]

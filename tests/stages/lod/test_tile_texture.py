@@ -219,6 +219,7 @@ def test_texels_are_as_large_as_errors_ask_for_and_the_model_allows(
     assert max(image.texel_size for image in narrow) > 1.5 * max(image.texel_size for image in fine)
 
 
+@pytest.mark.slow
 def test_where_the_model_has_finer_texels_tiles_have(tmp_path: Path) -> None:
     mesh = sheet(40, noise=0.0)
     places = mesh.vertices[mesh.triangles][:, :, :2]

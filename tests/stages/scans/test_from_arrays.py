@@ -62,6 +62,7 @@ def test_depth_is_metres_whatever_its_units(depth: Any, scale: float | None) -> 
     np.testing.assert_array_equal(make(depth=depth, depth_scale=scale).depth, DEPTH)
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(width=32), min_size=192, max_size=192))
 def test_whatever_depth_holds_comes_out_finite(values: list[float]) -> None:
     array = np.array(values, np.float32).reshape(SIZE)

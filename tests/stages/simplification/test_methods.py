@@ -222,6 +222,7 @@ def test_a_sixth_method_is_in_the_api(six: dict[str, Any]) -> None:
     assert six["method"] == "cut"
 
 
+@pytest.mark.slow
 def test_a_sixth_method_is_in_the_help_and_in_toml(six: dict[str, Any]) -> None:
     code, text, _ = six["help"]
     assert code == 0

@@ -41,6 +41,7 @@ def is_same_thing(light: Mesh, given: Mesh) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_number_of_triangles_is_met(path: Path) -> None:
     given = read_ply(path)
     done: list[tuple[int, int]] = []
@@ -60,6 +61,7 @@ def test_the_number_of_triangles_is_met(path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_bounds_are_proven_for_the_whole(path: Path) -> None:
     given = read_ply(path)
     params = SimplifyParams(method="certified", max_shape=0.009)
@@ -91,6 +93,7 @@ def test_what_is_large_all_the_same_is_halved(
         assert 0.198 < len(found.mesh.triangles) / len(given.triangles) <= 0.2
 
 
+@pytest.mark.slow
 def test_without_a_wish_no_more_are_left_than_others_hold(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -135,12 +138,14 @@ def test_colours_are_kept(path: Path) -> None:
     assert np.abs(found.colors.mean(axis=0) - given.colors.mean(axis=0)).max() < 3
 
 
+@pytest.mark.slow
 def test_equal_input_gives_equal_bytes(path: Path) -> None:
     one, other = (simplify_in_pieces(path, SimplifyParams(ratio=0.2, threads=n)).mesh for n in (1, 2))
     assert (one.vertices == other.vertices).all()
     assert (one.triangles == other.triangles).all()
 
 
+@pytest.mark.slow
 def test_small_components_stay_and_that_is_reported(path: Path) -> None:
     found = simplify_in_pieces(path, SimplifyParams(ratio=0.1, drop_below=0.5))
     assert any(note.startswith("drop_below has no effect") for note in found.notes)

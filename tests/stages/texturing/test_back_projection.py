@@ -55,6 +55,7 @@ def off(mesh: Mesh) -> np.ndarray:
     return np.abs(color_at(mesh, chosen, weights) - checks(x, y)).mean(axis=1)[middle]
 
 
+@pytest.mark.slow
 def test_details_come_back():
     frames = [of_checks(frame) for frame in photos(12)]
     painted = [texture(wall(), frames, format="png", rounds=rounds).mesh for rounds in (0, 1)]

@@ -74,6 +74,7 @@ def drawn(case: dict[str, Any], threads: int = 1) -> tuple[NDArray[np.int32], ND
     return _kernels.draw_sources(*given, wanted_threads=threads, **case)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000))
 def test_the_last_triangle_of_a_chart_is_drawn(seed: int) -> None:

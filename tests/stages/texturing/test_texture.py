@@ -97,6 +97,7 @@ def test_what_does_not_fit_into_memory_gives_the_same(monkeypatch: pytest.Monkey
     ]
 
 
+@pytest.mark.slow
 def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.MonkeyPatch):
     # Each from so near that it shows a part of the wall.
     places = [(x, y) for x in (0.2, 0.4, 0.6, 0.8) for y in (0.2, 0.4, 0.6, 0.8)]
@@ -121,6 +122,7 @@ def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.
     assert np.quantile(np.abs(shown(found.mesh)[0] - shown(at_once.mesh)[0]), 0.999) <= 1
 
 
+@pytest.mark.slow
 def test_photos_are_made_equally_bright():
     gains = np.array([0.8, 1.25, 1.0, 0.9, 1.1, 1.0] * 2)
     frames = [brighter(frame, gain, 3.0) for frame, gain in zip(photos(), gains, strict=True)]
@@ -138,6 +140,7 @@ def test_photos_are_made_equally_bright():
     assert np.median(errors(plain.mesh)) > np.median(errors(found.mesh))
 
 
+@pytest.mark.slow
 def test_who_walks_by_is_not_painted():
     frames = photos(20, with_depth=False)
     for number in (4, 14):
@@ -150,6 +153,7 @@ def test_who_walks_by_is_not_painted():
     assert np.mean(off > 10) <= 0.01
 
 
+@pytest.mark.slow
 def test_what_stands_in_front_is_not_painted_on_what_is_behind():
     # A white card before the wall, in the mesh and in every photo.
     def with_card(frame: Frame) -> Frame:
@@ -190,12 +194,14 @@ def misplaced() -> tuple[Frame, ...]:
     return tuple(frames)
 
 
+@pytest.mark.slow
 def test_a_photo_that_is_off_by_pixels_is_shifted():
     still, shifted = (texture(wall(), misplaced(), format="png", rounds=rounds) for rounds in (0, 1))
     assert 0.2 / CAMERA.width < shifted.shift < 3 / CAMERA.width
     assert np.median(errors(shifted.mesh)) < 0.8 * np.median(errors(still.mesh))
 
 
+@pytest.mark.slow
 def test_shifts_of_large_photos_are_found_in_smaller_ones(monkeypatch: pytest.MonkeyPatch):
     whole = texture(wall(), misplaced(), format="png")
     monkeypatch.setattr(painting, "_MOST_PIXELS", 10_000)
@@ -218,6 +224,7 @@ def test_what_no_photo_shows_keeps_its_own_colours():
     assert "no colours of its own" in bare.warnings[0]
 
 
+@pytest.mark.slow
 def test_texels_are_as_fine_as_the_photos():
     found = texture(wall(), photos(), texels_per_pixel=1.0)
     # 0.8 m away a pixel is 0.8 / 150 m.
@@ -353,6 +360,7 @@ def test_what_only_an_oblique_photo_shows_has_its_colours_and_is_not_told_as_uns
     assert np.abs(colors - truth)[near].mean() < 0.4 * np.abs(128 - truth)[near].mean()
 
 
+@pytest.mark.slow
 def test_an_oblique_photo_changes_nothing_where_others_show_the_wall():
     frames, mesh = photos(), wall()
     flat = replace(flat_photo(12), color=np.full((120, 160, 3), 200, np.uint8))

@@ -105,6 +105,7 @@ def test_any_tolerance_keeps_topology_and_bounds(name: str, max_shape: float) ->
         assert_promises(planar(mesh, max_shape=max_shape, patch_angle=angle, crease_angle=angle), mesh)
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 2**32 - 1),
     name=st.sampled_from(sorted(MESHES)),

@@ -64,6 +64,7 @@ def most_above_tighter(left: NDArray[np.float64]) -> float:
     return float((left / np.minimum.accumulate(left)).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cone", "cup", "bottle"])
 def test_a_looser_bound_leaves_no_more_of_what_is_round(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert most_above_tighter(triangles_left(revolved(name, monkeypatch))) == 1
@@ -76,6 +77,7 @@ def test_a_looser_bound_leaves_no_more_of_a_box() -> None:
     assert (left[0], left[-1]) == (44, 12)
 
 
+@pytest.mark.slow
 def test_bounds_side_by_side_leave_hardly_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the very bound that was asked for finds may be missed by one just above it; it was 1.13 times."""
     left = triangles_left(revolved("bottle", monkeypatch), np.geomspace(1.8e-3, 2.7e-3, 6))

@@ -410,6 +410,7 @@ def test_similar_distance_keeps_walls_that_face_each_other_apart() -> None:
     assert edge_counts(welded(light.mesh)) == (0, 0)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 1 << 16), gap=st.floats(-8, -1.5), distance=st.floats(0, 0.2))
 @settings(max_examples=60, deadline=None)
 def test_no_distance_makes_edges_of_more_than_two_triangles(seed: int, gap: float, distance: float) -> None:
