@@ -19,7 +19,7 @@ Params = TypeVar("Params")
 
 @dataclass(frozen=True)
 class Context:
-    """What a stage is given beside its inputs and parameters.
+    """Context of a stage: its folder, the configuration, progress and the cache.
 
     Attributes
     ----------

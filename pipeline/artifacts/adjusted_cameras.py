@@ -33,7 +33,7 @@ FOLDER = "adjusted"
 
 @dataclass(frozen=True)
 class AdjustedCameras(Artifact):
-    """Poses and colour camera that are better than those of the scan, if there are any."""
+    """Poses and colour camera found by adjustment; empty if the scan's own are as good."""
 
     NAME = "adjusted_cameras"
 

@@ -59,7 +59,7 @@ class _Written:
 
 
 def choose_matcher(scan: Scan) -> Callable[..., Any]:
-    """Choose the function that computes depth: of stereo pairs, of posed views, or beside measured depth."""
+    """Choose the function that computes depth: from stereo pairs, from posed views, or by completion."""
     if scan.is_views:
         return views_depth
     return depth_scan if scan.is_stereo else completed_scan

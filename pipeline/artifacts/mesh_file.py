@@ -1,4 +1,4 @@
-"""Mesh of a stage as a PLY file. A mesh above the in-memory limit has a table of parts beside it."""
+"""Mesh of a stage as a PLY file. A mesh above the in-memory limit has a second file with its parts."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What the stage `report` measures and draws."""
+"""Measurements and pictures of the stage `report`."""

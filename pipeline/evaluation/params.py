@@ -9,7 +9,7 @@ from stages.params import check, param
 
 @dataclass(frozen=True, kw_only=True)
 class ReportParams:
-    """What is measured on the result, and shown of it."""
+    """Measurements and pictures of the result, and the page."""
 
     enabled: bool = param(
         True,

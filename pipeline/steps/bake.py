@@ -26,7 +26,7 @@ from stages.texturing.bake import BakeParams, bake
 
 @dataclass(frozen=True, kw_only=True)
 class BakeSection(BakeParams):
-    """Whether a run bakes a texture for the simplified mesh, and which."""
+    """Baked texture of the simplified mesh."""
 
     enabled: bool = param(
         False,

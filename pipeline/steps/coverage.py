@@ -48,7 +48,7 @@ VALUES = ("frames", "angle", "mean_angle", "pixel", "spread")
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageSection(CoverageParams):
-    """Whether a run tells what is missing in the scan, and what counts as that."""
+    """Gaps of the scan."""
 
     enabled: bool = param(
         False,

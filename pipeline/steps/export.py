@@ -28,7 +28,7 @@ FILE, WEB = "simplified.glb", "web.glb"
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSection:
-    """What a run writes for other programs, beside textured.glb."""
+    """Files for other programs, in addition to textured.glb."""
 
     web: bool = param(
         False,

@@ -33,7 +33,7 @@ _SHARE_OF_NOISE = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class LodSection(LevelsParams):
-    """Whether a run builds levels of detail of the clean mesh, and which."""
+    """Levels of detail of the clean mesh."""
 
     enabled: bool = param(
         False,

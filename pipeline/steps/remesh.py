@@ -25,7 +25,7 @@ from stages.surface.mesh import Mesh
 
 @dataclass(frozen=True, kw_only=True)
 class RemeshSection(RemeshParams):
-    """Whether a run makes a normal mesh of the simplified one, and which."""
+    """Normal mesh of the simplified mesh."""
 
     enabled: bool = param(
         False,

@@ -38,7 +38,7 @@ _GOLDEN = 68.754
 
 @dataclass(frozen=True, kw_only=True)
 class TextureSection(TextureParams):
-    """Whether a run gives the simplified mesh a texture from the photos, and which."""
+    """Texture of the simplified mesh from the photos."""
 
     enabled: bool = param(
         True,
@@ -50,7 +50,7 @@ class TextureSection(TextureParams):
         None,
         "Folder of other photos with poses in the scan's world, in metres (COLMAP, nerfstudio, or any scan): "
         "their colours are taken, and none of the frames'.",
-        # What is in the folder decides, not its name.
+        # The content of the folder decides the result, not its name.
         invalidates=False,
         is_path=True,
     )

@@ -28,7 +28,7 @@ FOLDER = "tiles"
 
 @dataclass(frozen=True, kw_only=True)
 class TilesSection(TileImageParams):
-    """Whether a run writes its levels of detail as 3D Tiles, and how."""
+    """3D Tiles of the levels of detail."""
 
     enabled: bool = param(
         True,

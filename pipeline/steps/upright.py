@@ -28,7 +28,7 @@ _DIGITS = 7
 
 @dataclass(frozen=True, kw_only=True)
 class UprightSection:
-    """What is up in the world of the scan: glTF files and tiles stand so. PLY files stay as they are."""
+    """Up direction of the scan. glTF files and tiles are rotated upright; PLY files are not rotated."""
 
     up: str | None = param(
         None,

@@ -503,7 +503,7 @@ def _create_camera(
 
 
 def _describe_kind(kind: tuple[bool, bool]) -> str:
-    """Describe which images a frame has beside colour."""
+    """Describe the images of a frame other than colour."""
     has_depth, has_right = kind
     names = [name for name, has in (("depth", has_depth), ("a right image", has_right)) if has]
     return " and ".join(names) or "neither depth nor a right image"
