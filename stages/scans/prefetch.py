@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from typing import TypeVar
 
-from stages._blas import require_buffers
+from stages.files.blas_buffers import require_buffers
 from stages.scans.threads import threads_to_use
 
 # More threads than this wait for memory, and hold that many images.

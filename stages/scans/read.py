@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stages._blas import require_buffers
 from stages._opencv import require_opencv
 from stages.errors import InputError, UsageError
+from stages.files.blas_buffers import require_buffers
 from stages.files.noting import noting
 from stages.files.telling import in_sentences, telling
 from stages.scans.layouts import plain_views

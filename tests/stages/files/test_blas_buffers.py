@@ -8,11 +8,11 @@ import pytest
 
 LACKING = """
 import numpy
-from stages import _blas
+from stages.files import blas_buffers
 from tests.made.short_of_memory import limit
 limit(30 << 20)
 try:
-    _blas.require_buffers(4)
+    blas_buffers.require_buffers(4)
 except MemoryError:
     print("memory")
 """
