@@ -427,7 +427,7 @@ def draw_sources(
     height: int,
     wanted_threads: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Draw the triangles of a simplified mesh, and those of its original into their charts.
+    """Draw the triangles of a simplified mesh, and its original's into their charts.
 
     A mesh is given by corners (m, 3, 2) in texels, charts (m,), and corners in space (m, 3, 3). Returns
     images (height, width) of both, which hold triangles, or −1 for none.

@@ -27,7 +27,7 @@ type Slices<'a> = (&'a [Corners], &'a [i32], &'a [[Vec3; 3]]);
 /// Images of triangles.
 type Drawings = (Py<PyArray2<i32>>, Py<PyArray2<i32>>);
 
-/// Draw the triangles of a simplified mesh, and those of its original into their charts.
+/// Draw the triangles of a simplified mesh, and the triangles of its original into their charts.
 ///
 /// Returns images (height, width) of both, which hold triangles, or −1 for none.
 #[pyfunction]
@@ -158,7 +158,7 @@ pub fn sample_points(
     })
 }
 
-/// An image that has at least so many channels.
+/// Check that an image has enough channels.
 fn image_of<'a>(
     image: &'a PyReadonlyArray3<'_, u8>,
     wrap: &(String, String),

@@ -25,7 +25,7 @@ pub struct Located {
     /// Barycentric.
     pub weights: [f64; 3],
     pub distance: f64,
-    /// Whether a nearer point was passed over, as it faced away.
+    /// True if a nearer point was rejected because it faces away.
     pub is_turned: bool,
 }
 
@@ -120,7 +120,7 @@ impl Surface {
     }
 }
 
-/// How far along a line, in either direction, a triangle is, and where (Möller and Trumbore 1997, "Fast, minimum
+/// Intersect a line with a triangle: signed distance along the line, and barycentric weights (Möller and Trumbore 1997, "Fast, minimum
 /// storage ray-triangle intersection").
 fn crossing(p: &Vec3, direction: &Vec3, [a, b, c]: &[Vec3; 3]) -> Option<(f64, [f64; 3])> {
     let (ab, ac, ap) = (sub(b, a), sub(c, a), sub(p, a));

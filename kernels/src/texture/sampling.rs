@@ -8,7 +8,7 @@ use crate::base::parallel::{collect, each};
 const BITS: u32 = 8;
 const ONE: u32 = 1 << BITS;
 
-/// How an image goes on beyond its edges.
+/// Continuation of an image beyond its edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Wrap {
     Repeat,
@@ -166,7 +166,7 @@ impl Across {
         }
     }
 
-    /// Shares of the corners at a point; `None` beside the triangle.
+    /// Barycentric weights at a point; `None` outside the triangle.
     #[inline]
     fn shares(&self, x: f64) -> Option<[f64; 3]> {
         let [v, w] = [0, 1].map(|k| self.values[k] + (x - self.first) * self.steps[k]);

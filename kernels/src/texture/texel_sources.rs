@@ -16,8 +16,8 @@ pub const EMPTY: i32 = -1;
 const BAND: usize = 64;
 /// Texels around a texel in which it looks for a triangle to show; rows beyond a band that are drawn for it.
 const REACH: usize = 2;
-/// Largest distance in texels of such a triangle. Only texels beside the surface show triangles near them: those within a
-/// chart are rather looked up, which is worth 0.2 to 0.6 dB.
+/// Largest distance in texels of such a triangle. Only texels outside the surface show triangles near them. Texels within a
+/// chart are looked up instead, which is worth 0.2 to 0.6 dB.
 const BEYOND: f64 = 2.9;
 /// Rows of the simplified mesh beyond those: its triangles are spread by a texel.
 const HALO: usize = REACH + 1;
@@ -44,7 +44,7 @@ pub struct Sources<'a> {
     pub max_distances: &'a [f64],
 }
 
-/// For each texel, row by row: the triangle of the simplified mesh, and that of the original, or [`EMPTY`].
+/// For each texel, row by row: triangle of the simplified mesh and triangle of the original, or [`EMPTY`].
 #[derive(Debug, PartialEq)]
 pub struct Drawn {
     pub simplified: Vec<i32>,
@@ -89,7 +89,7 @@ impl Bands {
         let bands = |c: &Corners| {
             let low = c[0][1].min(c[1][1]).min(c[2][1]) - (HALO + 1) as f64;
             let high = c[0][1].max(c[1][1]).max(c[2][1]) + (HALO + 1) as f64;
-            // What is above or below the image saturates.
+            // Rows above or below the image saturate.
             let band = |y: f64| (y / BAND as f64) as usize;
             if high < 0.0 { 0..0 } else { band(low).min(count)..band(high).min(count - 1) + 1 }
         };
@@ -153,7 +153,7 @@ impl Scratch {
         }
         self.is_inside.clear();
         self.is_inside.resize(width * height, false);
-        // What is drawn first, others cover: what lies around triangles, what they touch, and what they hold.
+        // Later texels overwrite earlier ones: first those around triangles, then those that triangles cover.
         for spread in [1, 0] {
             for &t in triangles {
                 let corners = window.shift(&charts.corners[t as usize]);
@@ -205,7 +205,7 @@ impl Scratch {
         }
     }
 
-    /// The triangle of the original at a texel; beside the surface, the nearest one of its chart close by.
+    /// Triangle of the original at a texel; outside the surface, the nearest triangle of the same chart.
     fn source_at(&self, charts: &Charts<'_>, sources: &Sources<'_>, texel: usize, window: Window) -> i32 {
         let chart = self.charts[texel];
         if self.sources[texel] != EMPTY || chart == EMPTY || self.is_inside[texel] {
@@ -232,7 +232,7 @@ impl Scratch {
         best
     }
 
-    /// Whether the point of a triangle that a texel would show is near the texel in space.
+    /// Check that the point of a triangle that a texel would show is near the texel in space.
     fn is_near(
         &self,
         charts: &Charts<'_>,
