@@ -10,6 +10,11 @@ from pipeline.artifacts.poses import Poses
 from stages.scans.scan import Scan
 
 
+def load_frames(frames: Scan | DepthMaps) -> Scan:
+    """Load frames that are a scan already, or that the stage `depth` has written."""
+    return frames if isinstance(frames, Scan) else frames.load()
+
+
 @dataclass(frozen=True, kw_only=True)
 class PosedFrames:
     """Inputs of a stage that reads frames.
@@ -28,7 +33,7 @@ class PosedFrames:
     def load_scan(self) -> Scan:
         """Load the frames with the poses of the scan."""
         assert self.frames is not None
-        return self.frames if isinstance(self.frames, Scan) else self.frames.load()
+        return load_frames(self.frames)
 
     def load_posed(self) -> Scan:
         """Load the frames with their final poses and cameras."""

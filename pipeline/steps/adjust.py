@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.artifacts.adjusted_cameras import FOLDER, AdjustedCameras, write_adjusted
 from pipeline.artifacts.depth_maps import DepthMaps
+from pipeline.artifacts.posed_frames import load_frames
 from pipeline.artifacts.poses import Poses
 from pipeline.expectation import Cost
 from pipeline.own_paths import from_folder
@@ -37,7 +38,7 @@ def is_adjusted(scan: Scan, config: Sections) -> bool:
 
 
 def _run(inputs: Inputs, params: AdjustParams, context: Context) -> Mapping[str, Any]:
-    scan = inputs.frames if isinstance(inputs.frames, Scan) else inputs.frames.load()
+    scan = load_frames(inputs.frames)
     if inputs.poses is not None:
         scan = inputs.poses.apply_to(scan)
     checks_poses = context.config.get(ScanParams).check_poses

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.artifacts.depth_maps import DepthMaps
+from pipeline.artifacts.posed_frames import load_frames
 from pipeline.artifacts.poses import Poses, write_poses
 from pipeline.expectation import Cost
 from pipeline.own_paths import from_folder
@@ -37,7 +38,7 @@ def is_registered(scan: Scan, config: Sections) -> bool:
 
 
 def _run(inputs: Inputs, params: RegisterParams, context: Context) -> Mapping[str, Any]:
-    scan = inputs.frames if isinstance(inputs.frames, Scan) else inputs.frames.load()
+    scan = load_frames(inputs.frames)
     found = register(scan, params, progress=context.progress)
     figures = warn_of_skipped(write_poses(context.folder, found, scan.folder))
     return from_folder(figures, scan.folder)
