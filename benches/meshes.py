@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from stages.cleaning.clean import clean
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface.mesh import Colors, Mesh
 from stages.surface.mesh_files import read_mesh
 

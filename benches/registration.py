@@ -40,7 +40,7 @@ from stages._open3d import open3d
 from stages.adjusting.adjust import adjust
 from stages.adjusting.look import look
 from stages.comparing.compare import compare
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.fusion.fuse import fuse
 from stages.registration.motion import angle

@@ -37,7 +37,7 @@ from texture_soundness import soundness
 
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
-from stages.errors import ScanloomError
+from stages.diagnostics.errors import ScanloomError
 from stages.files.image_bytes import decoded_image
 from stages.simplification.simplify import simplify
 from stages.surface.color import has_color

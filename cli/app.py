@@ -26,7 +26,7 @@ from cli import errors, exit_codes
 from cli.options import with_options
 from cli.output import one_line, to_json, with_schema
 from stages import __version__
-from stages.errors import ScanloomError, is_lack_of_memory
+from stages.diagnostics.errors import ScanloomError, is_lack_of_memory
 
 # What the help lists under each heading, in this order. Each is a function in the file of its name in
 # cli/commands/, imported when it is meant: all of them take twice as long as one.

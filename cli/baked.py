@@ -9,7 +9,7 @@ import stages
 from cli.mesh_arguments import tell_notes, write_file
 from cli.output import Output, lines_of
 from stages import BakeParams, Mesh
-from stages.errors import ScanloomError
+from stages.diagnostics.errors import ScanloomError
 
 # Formats that hold texture coordinates and an image.
 TEXTURED_SUFFIXES = (".glb", ".obj", ".ply")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.output import Output, size_of, table_of
-from stages.errors import ScanloomError
+from stages.diagnostics.errors import ScanloomError
 
 if TYPE_CHECKING:
     from pipeline.batch.queue import Job, Settings

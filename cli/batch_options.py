@@ -12,7 +12,7 @@ import typer
 
 from cli.output import Output, size_of
 from cli.run_options import LIMITS_PANEL
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 
 if TYPE_CHECKING:
     from pipeline.batch.queue import Queue

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin, get_t
 import typer
 
 from cli.output import Output
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import Described, described, hints_of, kinds_of, row_length
 
 OUTPUT_PANEL = "Output"

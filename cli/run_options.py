@@ -12,7 +12,7 @@ import typer
 from cli import completing
 from cli.output import Output
 from cli.quality import config_of
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 
 if TYPE_CHECKING:
     from pipeline.config import Config

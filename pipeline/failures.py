@@ -6,7 +6,7 @@ import contextlib
 import errno
 from collections.abc import Iterator
 
-from stages.errors import StageError, is_lack_of_memory
+from stages.diagnostics.errors import StageError, is_lack_of_memory
 
 _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
 # ERROR_ACCESS_DENIED and ERROR_SHARING_VIOLATION: what Windows says of files that are open elsewhere.

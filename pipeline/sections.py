@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.files.documents import parse_toml
 from stages.files.opening import text_in
 from stages.params import Described, described, hints_of, kinds_of, row_length

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from stages.comparing.change import ChangeParams, Changes, changes
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.comparing.deviations import DeviationParams, Deviations, deviations
-    from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
+    from stages.diagnostics.errors import InputError, MeshError, ScanloomError, StageError, UsageError
     from stages.exporting.export import Exported, ExportParams, export
     from stages.exporting.presets import preset
     from stages.fusion.fuse import Fused, fuse

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import StageError, is_lack_of_memory
+from stages.diagnostics.errors import StageError, is_lack_of_memory
 from stages.files.room import require_room
 
 # The system libraries Open3D links to, and the Debian package that brings each.

@@ -13,7 +13,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 
 P = TypeVar("P")
 A = ParamSpec("A")

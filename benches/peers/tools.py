@@ -18,7 +18,7 @@ import numpy as np
 from peers import native
 from peers.native import Missing
 from stages._open3d import open3d
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.simplification.color_weight import color_weight
 from stages.simplification.simplify import simplify
 from stages.surface.convert import as_mesh, to_open3d, to_open3d_legacy

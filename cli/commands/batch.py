@@ -40,7 +40,7 @@ from cli.run_options import (
     run_config,
 )
 from stages import ScanParams
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 
 DASK_PANEL = "Dask"
 

@@ -13,7 +13,7 @@ import typer
 from cli.output import Output, size_of, table_of
 from cli.paths import require_new_file
 from pipeline.report.file_names import REPORT
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files.opening import text_in
 from stages.files.replacing import replacing
 from stages.inspecting.machine import machine

@@ -14,7 +14,7 @@ from cli.options import Changes
 from cli.output import Output
 from cli.paths import require_writable
 from stages import ExportParams
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.exporting.export import SUFFIXES, require_fitting
 from stages.exporting.presets import PRESETS, preset
 

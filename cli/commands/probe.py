@@ -10,7 +10,7 @@ import typer
 from cli.options import OUTPUT_PANEL
 from cli.output import Output
 from cli.paths import require_file
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
 from stages.stereo.networks.probe import probe_network
 from stages.stereo.networks.sidecar import sidecar_of, written

@@ -14,7 +14,7 @@ from cli.mesh_arguments import read_standing
 from cli.output import Output
 from cli.paths import require_new_file
 from pipeline.report.page import page_of_mesh, page_of_run
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files.replacing import replacing
 from stages.lod.tiles import TILESET
 from stages.picturing.page.files import INDEX, tiles_page

@@ -22,7 +22,7 @@ from cli.batch_watch import watching_batch
 from cli.output import Output
 from cli.paths import require_writable
 from cli.run_options import DiskOption, MemoryOption, bytes_or_none
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 
 
 def worker(

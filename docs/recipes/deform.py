@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from stages import Camera, Mesh, Sphere, Viewpoint, check, lod, read_mesh, render, repair, write_mesh
 from stages._open3d import open3d
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.lod import measures
 from stages.lod.front import Region
 from stages.picturing.render import write_png

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.stage import Artifact
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.prefetch import read_ahead
 from stages.scans.read import read_scan

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from pipeline.stage import Artifact
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of

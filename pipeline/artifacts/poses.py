@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pipeline.artifacts.depth_maps import cloud_of
 from pipeline.own_paths import from_folder
 from pipeline.stage import Artifact
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import encoded_gray_png
 from stages.frames.matching_color import read_matching_color
 from stages.frames.rigid_pose import require_rigid_pose

@@ -29,7 +29,7 @@ from pipeline.run.events import Event, RunStarted, StageProgress, StageStarted, 
 from pipeline.run.limits import Limits
 from pipeline.run.needs import expected_of
 from pipeline.run.run import RunResult, Wanted, run_wanted, wanted_of
-from stages.errors import InputError, ScanloomError, UsageError, bug_explained
+from stages.diagnostics.errors import InputError, ScanloomError, UsageError, bug_explained
 
 # Seconds between two lines of progress.
 _PAUSE = 0.5

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.read import matching
 from stages.scans.table import LAYOUTS
 

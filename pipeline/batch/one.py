@@ -16,7 +16,7 @@ from pathlib import Path
 
 from pipeline.batch.queue import standing_queue
 from pipeline.batch.worker import Worker
-from stages.errors import ScanloomError
+from stages.diagnostics.errors import ScanloomError
 
 
 @dataclass(frozen=True)

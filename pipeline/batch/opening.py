@@ -11,7 +11,7 @@ from pipeline.batch.heartbeat import Watch
 from pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue, standing_queue
 from pipeline.batch.records import FAILED, Records
 from pipeline.failures import explained
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.printing import counted
 
 # Seconds that the workers of another batch are watched for, and between two looks; four of their beats.

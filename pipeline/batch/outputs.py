@@ -8,7 +8,7 @@ from pathlib import Path
 from pipeline.batch.summary import COLUMNS, CSV, PARQUET, Summary, csv_of, parquet_of
 from pipeline.batch.whole import write_whole
 from pipeline.failures import explained
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of
 from stages.picturing.page.one_file import is_page, scans_page
 

@@ -26,7 +26,7 @@ from pipeline.cache.digest import digest
 from pipeline.failures import explained
 from pipeline.own_paths import from_there
 from stages import __version__
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.documents import require_shallow
 from stages.files.inside import leads_inside
 from stages.files.opening import text_in

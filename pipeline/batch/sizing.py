@@ -11,7 +11,7 @@ from pipeline.cache.store import Cache
 from pipeline.config import Config
 from pipeline.run.needs import expected_of
 from pipeline.run.run import wanted_of
-from stages.errors import ScanloomError
+from stages.diagnostics.errors import ScanloomError
 from stages.inspecting.system import memory_bytes
 
 # Scans that are read to say what one needs.

@@ -24,7 +24,7 @@ from pipeline.batch.supply import Supply
 from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, untold
 from pipeline.cache.store import Cache
 from pipeline.failures import explained
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 
 # A process is replaced after so many jobs: what libraries leave behind in memory does not pile up.
 _JOBS_A_PROCESS = 64

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
 # Of a thousand each, as disks are sold and `scanloom cache ls` shows sizes.

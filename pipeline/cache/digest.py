@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.own_paths import from_there, home
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.files.opening import opened
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead

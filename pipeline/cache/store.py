@@ -43,7 +43,7 @@ from pipeline.cache.machine_mark import is_of_another_machine, machine_mark
 from pipeline.cache.system import flush
 from pipeline.failures import explained
 from pipeline.own_paths import from_there
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.files.moving import move
 from stages.files.opening import text_in
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stages.comparing.deviations import Deviations
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.documents import read_json
 from stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
 from stages.surface.raycasting import Floats

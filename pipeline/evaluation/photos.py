@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stages._opencv import require_opencv
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import encoded_image
 from stages.frames.sampling import sample_evenly
 from stages.scans.images import read_photo

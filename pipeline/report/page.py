@@ -21,7 +21,7 @@ from pipeline.report.page_told import at, deviation_tables, skipped_in, told_of
 from pipeline.steps.report import PICTURES
 from pipeline.steps.texture import MAPS
 from stages import Mesh
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.documents import read_json
 from stages.picturing.page.packing import Paint, Shown, Warn, packed_page, turn_of_page
 from stages.surface.formats.ply_format import promised

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.evaluation.photos import FILE as CAMERAS
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.documents import read_json, require_inside
 from stages.files.opening import content_of
 from stages.picturing.page.one_file import PageCamera

@@ -13,7 +13,7 @@ from pipeline.report.file_names import REPORT
 from pipeline.run.asked import Asked
 from pipeline.run.events import Events, Warned, unwatched
 from pipeline.run.run import RunResult, cache_folder, run
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 
 
 def run_again(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.config import Config
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import described
 
 

@@ -18,7 +18,7 @@ from pipeline.run.results import Results
 from pipeline.run.run import Wanted, cache_folder, placed_by, wanted_of
 from pipeline.run.sources import sources_of
 from pipeline.stage import AnyStage
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from pipeline.cache.entry import Entry
 from pipeline.cache.system import peak_bytes
 from pipeline.config import Config
 from pipeline.expectation import BASE_BYTES, Expectation
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 
 # Seconds between two looks at what a stage has taken.
 _MEMORY_PAUSE, _DISK_PAUSE = 0.05, 1.0

@@ -20,7 +20,7 @@ from pipeline.cache.files import copy_whole, remove_abandoned, write_whole
 from pipeline.cache.store import Cache
 from pipeline.failures import explained
 from pipeline.report.file_names import PAGE, REPORT
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.inside import leads_inside
 from stages.files.opening import text_in
 from stages.picturing.page.one_file import is_page

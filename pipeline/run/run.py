@@ -31,7 +31,7 @@ from pipeline.stage import AnyStage
 from pipeline.steps.adjust import is_adjusted
 from pipeline.steps.register import is_registered
 from stages import __version__
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files.opening import content_of
 from stages.picturing.show import Page
 from stages.printing import counted, line, rows_table

@@ -9,7 +9,7 @@ from pipeline.cache.digest import content, digest, label_digests, scan_digest
 from pipeline.config import Config
 from pipeline.graph import source_name
 from pipeline.run.engine import Source
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.inspecting.libraries import installed
 from stages.progress import Progress, silent
 from stages.scans.scan import Scan

@@ -25,7 +25,7 @@ from pipeline.result_versions import result_versions
 from pipeline.sections import Sections
 from pipeline.skipped import warn_of_skipped
 from pipeline.stage import Context, Stage
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files.documents import read_document
 from stages.fusion.fuse import Fused, fuse, fuse_to_file
 from stages.fusion.in_bricks import FusedInBricks, Kept

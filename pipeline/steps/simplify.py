@@ -16,7 +16,7 @@ from pipeline.stage import Context, Stage
 from pipeline.steps.clean import CleanMesh, is_clean_mesh_large
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare_surfaces
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.files.documents import read_json
 from stages.inspecting.libraries import installed
 from stages.simplification.auto import chosen

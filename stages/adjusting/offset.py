@@ -22,7 +22,7 @@ from stages.adjusting.cameras import carried, lens_of
 from stages.adjusting.lens import OPENCV, project, rays
 from stages.adjusting.outlines import outlines
 from stages.adjusting.view import as_taken
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.sampling import sample_evenly
 from stages.scans.images import read_depth
 from stages.scans.prefetch import read_ahead, workers

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import lens_of
 from stages.adjusting.lens import OPENCV
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.features import detect_keypoints
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame

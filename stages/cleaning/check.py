@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.regularity import Limits, irregular
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.printing import by_figures, table

@@ -20,7 +20,7 @@ from stages.cleaning.degenerate import without_degenerate
 from stages.cleaning.manifold import make_manifold
 from stages.cleaning.repair import Repaired, repair
 from stages.cleaning.stitch import stitch, weld
-from stages.errors import MeshError, StageError, UsageError
+from stages.diagnostics.errors import MeshError, StageError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_fields, by_figures, table
 from stages.progress import Progress, silent

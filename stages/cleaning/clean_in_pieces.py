@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import CleanParams, is_large
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.progress import Progress, silent
 from stages.surface.edges import components
 from stages.surface.pieces import Extent, Pieces, Written, write_pieces

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.comparing.measurable import box_of, comparable
 from stages.comparing.sampling import sampled
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.printing import by_figures, table
 from stages.surface.cloud import is_cloud, some_of
 from stages.surface.convert import MeshLike

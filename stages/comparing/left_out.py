@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stages.comparing.placing import poses_of, turn_seen
 from stages.comparing.seen import Levels, Seen, fitted, seen_from
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.images import read_depth, read_photo

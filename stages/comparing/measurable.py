@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.surface.cloud import is_cloud
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh

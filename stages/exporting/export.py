@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 
 from stages.cleaning.check import check
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.exporting.images import FORMATS, with_images
 from stages.exporting.usd import SUFFIXES as USD
 from stages.exporting.usd import require_usd, write_usd

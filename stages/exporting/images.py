@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from stages._opencv import require_opencv
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_image
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image

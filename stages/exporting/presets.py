@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.exporting.export import GLTF, STANDING, ExportKeywords, ExportParams
 
 PRESETS: dict[str, ExportKeywords] = {

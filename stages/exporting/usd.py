@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import StageError, UsageError
+from stages.diagnostics.errors import StageError, UsageError
 from stages.files.image_bytes import encoded_png
 from stages.files.replacing import replacing
 from stages.surface.finite import LARGEST_SINGLE

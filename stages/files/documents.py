@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.inside import leads_inside
 from stages.files.opening import opened, text_in
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import content_of, opened, said_of
 from stages.files.room import require_room

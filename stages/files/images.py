@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._opencv import require_opencv
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.exr import exr_size, read_exr
 from stages.files.image_bytes import (
     MAX_PIXELS,

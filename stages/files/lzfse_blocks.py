@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.room import require_room
 
 # An encoder fills blocks of tens of kilobytes; thousands of small ones are made to swell.

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stages.errors import InputError, ScanloomError
+from stages.diagnostics.errors import InputError, ScanloomError
 from stages.files.room import require_room
 
 # What the process may take beyond what it has when it begins, bytes.

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.files.moving import move
 
 # Bytes of a name that file systems take; a draft's is longer than its file's by the rest.

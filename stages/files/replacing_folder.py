@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.files.moving import move
 from stages.files.replacing import draft_of
 

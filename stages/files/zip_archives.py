@@ -7,7 +7,7 @@ import zipfile
 import zlib
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.opening import require_regular
 
 # What reading an archive can raise; RuntimeError is for an encryption nobody asked for.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.projection import project
 from stages.scans.images import read_color
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, scaled

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.depth_filter import OrientedDepth, orient_depth
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.scans.images import read_depth

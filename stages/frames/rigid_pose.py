@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.scan import Frame, Pose
 
 # Poses read from text have few digits, and the rotations of trackers drift.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
 from stages.frames.posed_depth import PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop

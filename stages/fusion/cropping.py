@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.params import FuseParams, Point

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
 from stages.fusion.adding import (
     Work,

@@ -17,7 +17,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.fusion.bricks import Cube
 from stages.fusion.voxels import Keys
 from stages.surface.mesh import Mesh

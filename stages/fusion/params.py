@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypedDict
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
 Point = tuple[float, float, float]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE, DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.cropping import above_plane, what_is_kept

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.depth_filter import Differences, bridge_gaps, inverse_depth_differences
 from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.scans.images import read_color, read_depth

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.depth_filter import bridge_gaps
 from stages.frames.matching_color import read_matching_color
 from stages.fusion.params import FuseParams

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.frames.posed_depth import PosedDepth
 from stages.scans.scan import Camera, ColorImage, Pose
 from stages.surface.mesh import Mesh

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.fusion.bricks import Cube, level_of, numbers_of
 from stages.fusion.facts import MeshFigures
 from stages.fusion.joining import Joined

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from stages.adjusting.look import look, usable
 from stages.adjusting.offset import offset, sights
 from stages.adjusting.view import color_camera, has_one_camera, place_of_color
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.sampling import sample_evenly
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import Plan, make_plan

@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.projection import project, unproject
 from stages.frames.sampling import sample_evenly
 from stages.inspecting.meant import AS_GIVEN, advice, motions

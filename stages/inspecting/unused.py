@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import islice, takewhile
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.noting import only_looking
 from stages.printing import by_fields
 from stages.scans.formats import calibration, rig_calibration, trajectories

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.features import Keypoints, detect_keypoints, find_epipolar_inliers, match_descriptors
 from stages.frames.sampling import sample_evenly
 from stages.inspecting.meant import AS_GIVEN, advice, motions

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.model import packed
 from stages.params import check as check_params

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.printing import by_figures, table
 from stages.surface.mesh import Mesh
 

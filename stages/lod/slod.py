@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of, said_of
 from stages.files.replacing import replacing
 from stages.lod.hierarchy import Hierarchy

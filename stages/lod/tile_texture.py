@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_image
 from stages.params import check, param
 from stages.scans.prefetch import read_ahead, workers

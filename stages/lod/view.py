@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.picturing.viewpoints import Viewpoint
 from stages.printing import by_fields
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.printing import by_fields, by_figures, table

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages import _kernels
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
 from stages.normal_meshes.unmet import too_far
 from stages.params import check, param, resolve

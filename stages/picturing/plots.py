@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.files.replacing import replacing
 from stages.simplification.tradeoff import Tradeoff
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._opencv import require_opencv
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
 from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.scans.scan import ColorImage

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.files.replacing import replacing
 from stages.picturing.page.packing import Shown, packed_page
 from stages.printing import line

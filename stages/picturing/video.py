@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from stages._opencv import require_opencv
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.files.replacing import replacing
 from stages.scans.scan import ColorImage
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.printing import by_fields
 from stages.scans.scan import Camera, Frame, Pose
 from stages.surface.convert import MeshLike, as_mesh

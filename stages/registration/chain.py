@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.progress import Progress
 from stages.registration.graph import Edge
 from stages.registration.key_views import KeyViews

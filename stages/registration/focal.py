@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.features import match_descriptors
 from stages.frames.sampling import sample_evenly
 from stages.registration.appearance import likeness

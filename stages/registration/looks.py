@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.frames.projection import unproject
 from stages.registration.view import smaller

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.errors import is_lack_of_memory
+from stages.diagnostics.errors import is_lack_of_memory
 from stages.registration.view import View
 from stages.scans.scan import Pose
 

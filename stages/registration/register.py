@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.sampling import sample_evenly
 from stages.params import resolve
 from stages.progress import Progress, silent

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.frames.sampling import sample_evenly
 from stages.registration.belonging import masks_of_thing
 from stages.registration.features import Features

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.frames.projection import unproject
 from stages.registration.features import PIXELS, Features, features_of

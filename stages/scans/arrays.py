@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.poses import Pose, rigid
 
 # Units of integer depth in one metre, unless the caller says otherwise: depth cameras count millimetres.

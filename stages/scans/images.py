@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import decode_color, file_bytes, read_raw_depth, read_stored, require_raw_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
 from stages.scans.shutter import turn_of_color

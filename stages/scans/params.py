@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import param
 from stages.scans.reading.params import ReadingParams
 from stages.scans.table import LAYOUTS

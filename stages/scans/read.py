@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from stages._opencv import require_opencv
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files.blas_buffers import require_buffers
 from stages.files.noting import noting
 from stages.files.telling import in_sentences, telling

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.printing import counted, line, table
 from stages.scans.arrays import (
     check_color,

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import ColorImage, Frame

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_photo
 from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers

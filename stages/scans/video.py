@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import opened
 from stages.files.room import require_room

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import described
 from stages.simplification.methods import METHODS, Method, Need
 from stages.simplification.params import AUTO, SimplifyParams

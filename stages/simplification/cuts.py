@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.simplification.result import Simplified
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Part

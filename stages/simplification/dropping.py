@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.printing import by_fields
 from stages.surface.edges import Ids
 from stages.surface.holes import fill_holes

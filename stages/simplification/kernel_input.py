@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.progress import Progress
 from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh

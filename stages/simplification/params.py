@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields, make_dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check, described, hints_of, param
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.shared_params import HOW_FAR

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.surface.mesh import Mesh
 
 _FORMS = '"sphere x y z radius ..." or "box x y z x y z ...", with an importance, "lock" or both at the end'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, TypedDict
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 
 # Heading of the help for whatever says how far a method goes.
 HOW_FAR = "How far: a number, bounds or both"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from numpy.typing import ArrayLike
 
 from stages import _kernels
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.simplification.auto import chosen, has_no_goal, require_taken

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.progress import Progress, silent
 from stages.simplification.cuts import (
     Cut,

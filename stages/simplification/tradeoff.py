@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from stages.comparing.measurable import measurable
 from stages.comparing.needles import WithNeedles
 from stages.comparing.sampling import sampled
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, rows_table, table
 from stages.progress import Progress, silent

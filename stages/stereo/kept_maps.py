@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.files.numpy_files import mapped
 from stages.scans.scan import DepthImage
 

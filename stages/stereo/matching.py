@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 
 Grey = NDArray[np.uint8]
 Disparity16 = NDArray[np.int16]

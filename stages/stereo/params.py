@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TypedDict
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.stereo.matching import LARGEST_DISPARITY
 

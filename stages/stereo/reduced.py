@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color, require_size
 from stages.scans.scan import ColorImage, Frame, Packed, scaled
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.depth_range import Range
 from stages.scans.scan import Scan
 from stages.stereo.posed_views import PosedView

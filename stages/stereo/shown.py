@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_pinhole, read_seen
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, scaled
 from stages.stereo.background import Backdrop, before_backdrop, common_backdrop, measurable

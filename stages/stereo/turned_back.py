@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color, read_mask
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Packed, Scan

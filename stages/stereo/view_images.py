@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_pinhole
 from stages.scans.scan import ColorImage, Frame
 from stages.stereo.posed_views import PosedView

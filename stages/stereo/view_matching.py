@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_seen
 from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
 from stages.stereo.agreement import merged

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.features import Keypoints, detect_keypoints
 from stages.params import resolve
 from stages.progress import Progress, silent

@@ -9,7 +9,7 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files.opening import require_regular, said_of
 from stages.files.own_process import DiedError, asked
 from stages.surface.formats.cloud_parts import collected

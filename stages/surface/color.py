@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
 from stages.surface.formats.gltf_materials import multiplies_colors
 from stages.surface.mesh import Mesh

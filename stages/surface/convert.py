@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.surface.color import sampled, tinted
 from stages.surface.conversion_losses import ConversionWarning
 from stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TrimeshMesh

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 
 # Largest number of the formats that hold single precision alone: glTF, STL, USD.
 LARGEST_SINGLE = float(np.finfo(np.float32).max)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_png
 from stages.printing import counted, extent_in_words, line, table
 from stages.surface.finite import LARGEST_SINGLE, require_finite

@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from stages.errors import InputError, UsageError, is_lack_of_memory
+from stages.diagnostics.errors import InputError, UsageError, is_lack_of_memory
 from stages.files.blas_buffers import require_buffers
 from stages.files.opening import content_of
 from stages.files.replacing import replacing

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import decoded_image, encoded_png, kind_of, promised_size
 from stages.printing import counted, line
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.printing import by_figures, table
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner

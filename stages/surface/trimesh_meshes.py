@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.surface.foreign_meshes import TrimeshMesh
 from stages.surface.formats.colors import srgb_from_linear, to_uint8
 from stages.surface.mesh import Mesh, validated

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]

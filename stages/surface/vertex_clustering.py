@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface.formats.ply_format import CORNERS, LENGTH, Rows, rows_of_triangles
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.progress import Progress, silent
 from stages.surface.mesh import Mesh
 from stages.surface.texture import signed_areas

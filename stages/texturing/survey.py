@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas
 from stages.texturing.exposure import Exposures, exposures, no_exposure

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE
 from stages.scans.images import read_depth
 from stages.scans.poses import inverted

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.fusion.bricks import Cube, coordinates
 from stages.fusion.joining import Joined, Piece, write_piece
 from stages.fusion.voxels import BLOCK, Box, Keys

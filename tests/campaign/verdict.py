@@ -10,7 +10,7 @@ from typing import Any
 from cli.errors import failure_of
 from cli.exit_codes import BAD_INPUT
 from cli.output import one_line
-from stages.errors import ScanloomError
+from stages.diagnostics.errors import ScanloomError
 
 ACCEPTED, REFUSED, FAILED, SKIPPED = "accepted", "refused", "failed", "skipped"
 

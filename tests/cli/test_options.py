@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cli.options import build, with_options
 from cli.output import Output
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
 

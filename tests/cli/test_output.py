@@ -16,7 +16,7 @@ import stages
 from cli.errors import bug_of, failure_of
 from cli.output import Output, lines_of, one_line, to_json
 from pipeline.run.schema import SCHEMA
-from stages.errors import InputError, MeshError, StageError, UsageError, is_lack_of_memory
+from stages.diagnostics.errors import InputError, MeshError, StageError, UsageError, is_lack_of_memory
 
 
 def test_json_holds_only_what_every_reader_takes() -> None:

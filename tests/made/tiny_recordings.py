@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from recordings import COLOR, DEPTH, Image, Recording, Stream, made, stamped, transform
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color, read_depth
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan

@@ -15,7 +15,7 @@ from pipeline.config import Config
 from pipeline.run.run import run
 from stages import adjust
 from stages.adjusting.cameras import motion
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.formats.trajectories import read_tum
 from stages.scans.images import read_color
 from stages.scans.read import read_scan

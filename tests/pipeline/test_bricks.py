@@ -14,7 +14,7 @@ from sample_in_pieces import part_of_sample, small_pieces
 
 from pipeline.config import Config
 from pipeline.run.run import run
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.read import read_scan
 from stages.surface.formats.ply import read_ply

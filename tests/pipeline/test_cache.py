@@ -14,7 +14,7 @@ from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, drafts, flip, m
 from pipeline.cache import store as cache_module
 from pipeline.cache.entry import Recipe
 from pipeline.cache.store import Cache
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 
 
 def test_entry_comes_back_as_it_was_stored(cache):

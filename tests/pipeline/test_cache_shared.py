@@ -10,7 +10,7 @@ import pytest
 from kept_entries import ON_WINDOWS, RECIPE, drafts, flip, make, stored
 
 from pipeline.cache.store import Cache
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 
 
 def test_slower_of_two_makers_uses_the_entry_of_the_faster(cache):

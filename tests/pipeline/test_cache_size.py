@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.cache.cache_size import CacheParams, bytes_of
 from pipeline.config import Config
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 
 
 @pytest.mark.parametrize(

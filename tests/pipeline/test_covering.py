@@ -18,7 +18,7 @@ from pipeline.run.again import run_again
 from pipeline.run.asked import Asked, from_anywhere
 from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.steps.coverage import VALUES
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Camera, Frame
 from stages.surface.formats.ply import read_ply, read_vertex_values

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.artifacts.depth_maps import write_depth_maps
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
 
 FRAME = Frame("a", Camera(8, 6, 5.0, 5.0, 3.5, 2.5), world_from_camera=np.eye(4))

@@ -11,7 +11,7 @@ from pipeline.config import Config
 from pipeline.expectation import BASE_BYTES, Cost, expected
 from pipeline.run.dry_run import DryRun, foresee
 from pipeline.run.run import run
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 
 SCAN = Path(__file__).parents[2] / "samples" / "rgbd"
 QUICK = (

@@ -16,7 +16,7 @@ from pipeline.config import Config
 from pipeline.run.dry_run import foresee
 from pipeline.run.run import RunResult, run
 from pipeline.steps.fuse import FusedMesh, fuse_separate, write_fused
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.fusion.params import FuseParams
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Frame, Scan

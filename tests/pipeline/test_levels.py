@@ -15,7 +15,7 @@ from pipeline.graph import STAGES, plan_for, skip_reasons
 from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.steps.lod import LodSection, write_levels
 from stages import lod
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.progress import silent
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Camera, Frame, Scan

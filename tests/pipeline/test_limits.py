@@ -15,7 +15,7 @@ from pipeline.expectation import BASE_BYTES, Expectation
 from pipeline.run.limits import LimitGuard, Limits, within
 from pipeline.run.needs import expected_of
 from pipeline.run.run import run
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.scans.read import read_scan
 
 STAGES = ("adjust", "fuse", "clean")

@@ -15,7 +15,7 @@ from page_content import shown
 
 from pipeline.evaluation.photos import write_photos
 from pipeline.report.page import page_of_mesh, page_of_run
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.scan import Camera, Frame
 from stages.surface.formats.ply import write_ply
 

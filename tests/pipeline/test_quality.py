@@ -5,7 +5,7 @@ import pytest
 from pipeline.config import Config
 from pipeline.graph import STAGES
 from pipeline.quality import QUALITIES, STANDARD
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 
 OTHERS = sorted(set(QUALITIES) - {STANDARD})
 

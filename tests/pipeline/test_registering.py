@@ -13,7 +13,7 @@ import pytest
 from pipeline.config import Config
 from pipeline.run.events import RunStarted
 from pipeline.run.run import run
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.formats.trajectories import read_tum
 from stages.scans.read import read_scan
 from stages.surface.formats.ply import read_ply

@@ -7,7 +7,7 @@ from pipeline.evaluation.deviations import read_deviations
 from pipeline.evaluation.measures import measure_and_draw as make
 from pipeline.evaluation.params import ReportParams
 from stages.comparing.compare import CompareParams, compare
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface.mesh import Mesh
 
 SQUARE = Mesh(

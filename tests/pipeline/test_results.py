@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.cache.digest import file_digest
 from pipeline.run.events import StageFinished, StageProgress, StageStarted
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 
 NAMES = ["cut.bin", "mixed.bin", "tables/counts.txt"]
 

@@ -24,7 +24,7 @@ from pipeline.graph import STAGES
 from pipeline.run.events import RunStarted, Warned
 from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.run.schema import SCHEMA
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.params import described
 from stages.scans.images import read_color, read_depth
 from stages.scans.layouts.scan_json import write_scan_json

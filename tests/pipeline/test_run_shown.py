@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.run.engine import Outcome
 from pipeline.run.run import RunResult
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 
 
 def outcome(stage: str, *, cached: bool, unmet: tuple[str, ...] = ()) -> Outcome:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.sections import Sections
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.inspecting.coverage.evidence import Evidence, Measured, measured_by
 from stages.inspecting.coverage.nearest import Remembered
 from stages.inspecting.coverage.probes import Probes, probes_of

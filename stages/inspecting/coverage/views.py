@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.scans.images import read_depth, read_seen
 from stages.scans.poses import inverted

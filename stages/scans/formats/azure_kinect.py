@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.formats.table_values import number_row
 from stages.scans.poses import rigid

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.telling import tell
 from stages.scans.formats.table_values import MATRICES, matrix_in
 from stages.scans.scan import Camera, Pose, StereoRig

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.scan import Camera
 
 # Radians; below the first the lens bends nothing, beyond the second no lens sees.

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.telling import tell
 from stages.scans.formats.table_values import number_of, number_row
 from stages.scans.scan import Camera, scaled

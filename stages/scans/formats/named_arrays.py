@@ -6,7 +6,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.numpy_files import NPY_FAULTS, array_of
 from stages.files.zip_archives import entry_content, opened_archive
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.telling import tell
 from stages.scans.formats import orb_slam, zed
 from stages.scans.formats.calibration import (

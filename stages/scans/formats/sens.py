@@ -15,7 +15,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.images import decode_color
 from stages.files.opening import opened

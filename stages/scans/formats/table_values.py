@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 
 # What calibrations call the matrix of a camera.
 MATRICES = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")

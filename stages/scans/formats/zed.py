@@ -13,7 +13,7 @@ import configparser
 from pathlib import Path
 from typing import Any
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats.image_size import is_of_shape
 from stages.scans.formats.table_values import number_of
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import common_size, images, pair
 from stages.scans.reading.layout import Layout

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
 from stages.scans.formats import calibration, headed_text, trajectories

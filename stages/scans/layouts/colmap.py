@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
 from stages.scans.formats import colmap, trajectories
 from stages.scans.formats.colmap import View

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats import trajectories
 from stages.scans.formats.trajectories import Trajectory
 from stages.scans.reading.associations import read_associations

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import about_order, common_size, first_existing, has, images, pair

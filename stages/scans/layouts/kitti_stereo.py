@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
 from stages.files.noting import note
 from stages.scans.formats import trajectories

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import read_array, read_stored
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import rigid

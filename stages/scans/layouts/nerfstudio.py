@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import has_alpha, read_alpha
 from stages.files.telling import tell

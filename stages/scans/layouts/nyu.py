@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import read_raw_depth
 from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout

@@ -15,7 +15,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats import trajectories
 from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.files import about_order, common_size, first_existing, has, images, numbers, pair

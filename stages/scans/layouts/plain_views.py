@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.noting import note, only_looking
 from stages.files.telling import in_sentences, telling
 from stages.scans.formats import trajectories

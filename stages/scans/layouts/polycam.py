@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import from_opengl, matrix_of, rigid

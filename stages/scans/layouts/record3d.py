@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents, lzfse_blocks
 from stages.files.images import decode_color, read_raw_depth
 from stages.files.zip_archives import entry_content, opened_archive

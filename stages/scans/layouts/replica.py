@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair

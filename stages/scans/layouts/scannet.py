@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.axis_alignment import up_of_scannet

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats import calibration, sens, trajectories
 from stages.scans.poses import rigid
 from stages.scans.reading.axis_alignment import up_of_scannet

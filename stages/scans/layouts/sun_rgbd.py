@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import read_raw_depth
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import common_size, images, pair

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import read_raw_depth, read_stored
 from stages.scans.formats import rig_calibration, trajectories
 from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair

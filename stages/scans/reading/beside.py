@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
 from stages.files.telling import in_sentences, telling

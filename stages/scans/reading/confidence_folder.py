@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import read_stored
 from stages.files.noting import only_looking
 from stages.scans.reading.files import first_existing, images, numbers

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
 from stages.files.inside import leads_inside
 from stages.scans.scan import SkippedFrame

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._opencv import require_opencv
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import decode_color, file_bytes, image_size
 from stages.scans.scan import Packed
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import decode_color, file_bytes
 from stages.scans.reading.files import images, numbers
 from stages.scans.scan import Frame, Packed, Scan

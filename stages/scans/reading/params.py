@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.scans.poses import AS_WRITTEN, CONVENTIONS
 from stages.scans.scan import Camera

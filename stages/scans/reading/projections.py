@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.formats.calibration import matrix_camera
 from stages.scans.formats.image_size import LARGEST_SIDE, for_images, is_of_shape

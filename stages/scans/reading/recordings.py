@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 
 
 def one_recording(place: Path, suffix: str) -> Path:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import read_raw_depth
 from stages.files.noting import only_looking
 from stages.scans.scan import Packed, Scan

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.ros.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
 from stages.scans.ros.recording import Recording
 

@@ -29,7 +29,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import opening, zstd_blocks
 from stages.scans.ros.recording import LARGEST_MESSAGE, Messages, Recording
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.opening import opened, require_regular
 from stages.scans.ros.recording import LARGEST_MESSAGE, Messages, Recording, as_ros_1, unpacked
 

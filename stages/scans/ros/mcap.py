@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import zstd_blocks
 from stages.scans.ros.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
 from stages.scans.ros.recording import Messages, Recording, as_ros_1, unpacked

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats import rig_calibration
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig

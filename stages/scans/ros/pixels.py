@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.images import decode_color, decode_depth
 from stages.scans.ros.messages import ImageMessage, read_compressed, read_image

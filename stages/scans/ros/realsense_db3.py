@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.poses import rigid
 from stages.scans.ros.images import topic_images
 from stages.scans.ros.messages import CameraMessage, read_text

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats import calibration, rig_calibration
 from stages.scans.formats.realsense import is_like_opencv
 from stages.scans.poses import inverted

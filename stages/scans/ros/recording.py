@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import zstd_blocks
 
 # No camera makes a larger image.

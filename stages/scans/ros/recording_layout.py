@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats import trajectories
 from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import takewhile
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats import calibration
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Stream, Streams, stated_depth_camera, unknown_place

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.poses import inverted
 from stages.scans.reading.streams import Accelerometer
 from stages.scans.ros.messages import (

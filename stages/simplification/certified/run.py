@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from stages import _kernels
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.simplification.certified.along_seams import run_along_seams
 from stages.simplification.certified.details import CertifiedDetails
 from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES, TOLERANCE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from stages import _kernels
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.simplification.in_sheets import run_in_sheets
 from stages.simplification.jia01.details import Jia01Details
 from stages.simplification.jia01.limits import limits_of

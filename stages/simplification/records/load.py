@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.simplification.records.archive import Arrays, json_object, read_arrays
 from stages.simplification.records.record import FORMAT_VERSION, CollapseRecord
 from stages.simplification.records.sound import require_sound

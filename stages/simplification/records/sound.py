@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.simplification.kernel_input import Ids
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.wedges import Wedges

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.simplification.color_weight import color_weight
 from stages.simplification.corner_attributes import CornerAttributes, LightCorners
 from stages.simplification.records.record import CollapseRecord

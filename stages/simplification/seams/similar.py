@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.surface.equal_positions import equal_positions, first_members, position_keys, rank_labels
 from stages.surface.mesh import Triangles, Vertices
 from stages.surface.sheets import taken_apart

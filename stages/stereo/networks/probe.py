@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.stereo.networks.network import Network

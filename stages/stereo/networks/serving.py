@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of
 from stages.files.own_process import limit_memory
 

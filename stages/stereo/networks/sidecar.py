@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.documents import read_document
 
 STEREO, MONOCULAR = "stereo", "monocular"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface.formats.colors import srgb_from_linear, to_uint8
 from stages.surface.formats.gltf_container import COMPRESSED, SCAN_FROM_WORLD, Gltf, Tree, read_container
 from stages.surface.formats.gltf_materials import MaterialReader, Placement

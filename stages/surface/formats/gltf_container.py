@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of
 from stages.surface.formats.textures import beside
 

@@ -16,7 +16,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_png, kind_of
 from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
 from stages.surface.formats.gltf_container import Gltf, Tree, data_of_uri, natural

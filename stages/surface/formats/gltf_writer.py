@@ -18,7 +18,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import MeshError, StageError
+from stages.diagnostics.errors import MeshError, StageError
 from stages.files.replacing import replacing
 from stages.surface.finite import LARGEST_SINGLE
 from stages.surface.formats.colors import linear_from_srgb

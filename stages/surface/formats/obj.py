@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError, MeshError
+from stages.diagnostics.errors import InputError, MeshError
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.files.text_numbers import parse_numbers, parse_whole_numbers

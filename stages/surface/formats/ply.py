@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
 from stages.surface.formats.colors import to_uint8
 from stages.surface.formats.ply_format import Header, Lists, Table, read_tables

@@ -23,7 +23,7 @@ from pipeline.batch.queue import Job, Settings, new_queue, standing_queue
 from pipeline.batch.records import Records
 from pipeline.config import Config
 from pipeline.run.run import run
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow
@@ -246,7 +246,7 @@ import signal, sys
 from pathlib import Path
 from pipeline.batch.dask import work_by_dask
 from pipeline.batch.queue import Job, Settings, new_queue
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 
 queue = new_queue(Path(sys.argv[1]), 1, Settings(""), [Job(0, "x", "x")])
 try:

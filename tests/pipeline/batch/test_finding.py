@@ -9,7 +9,7 @@ import pytest
 from small_scans import write_small_scan
 
 from pipeline.batch.finding import find_scans
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 
 
 @pytest.fixture

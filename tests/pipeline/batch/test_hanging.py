@@ -28,7 +28,7 @@ from pipeline.batch.told import JobAt, JobEnded, Noted, Told
 from pipeline.batch.worker import Worker
 from pipeline.config import Config
 from pipeline.run.run import run
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 
 Begin = Callable[..., Queue]
 # Nothing that does not hang is silent for so long, however busy the machine is.

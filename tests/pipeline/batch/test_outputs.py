@@ -14,7 +14,7 @@ from pipeline.batch import outputs
 from pipeline.batch.outputs import require_replaceable, withdraw_outputs, write_outputs
 from pipeline.batch.records import DONE, FAILED, RUNNING, UNUSABLE, WAITING, Record
 from pipeline.batch.summary import COLUMNS, Summary, csv_of, parquet_of
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 
 FIGURES = {
     "layout": "tum",

@@ -24,7 +24,7 @@ from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Told
 from pipeline.batch.worker import Worker
 from pipeline.config import Config
 from pipeline.run.run import run
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 
 pytestmark = pytest.mark.slow
 Begin = Callable[..., Queue]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.cleaning.clean import clean
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.surface.convert import to_open3d, to_trimesh
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh

@@ -10,7 +10,7 @@ from sample_in_pieces import small_pieces
 
 from stages.cleaning.clean import CleanParams, clean
 from stages.cleaning.clean_in_pieces import clean_in_pieces
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.pieces import Pieces
 

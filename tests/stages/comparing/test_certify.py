@@ -9,7 +9,7 @@ from real_parts import quarter
 
 from stages.cleaning.clean import clean
 from stages.comparing.certify import CertifyParams, certify
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.simplification.simplify import simplify
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages import Mesh, align, changes, compare, deviations
-from stages.errors import InputError, MeshError
+from stages.diagnostics.errors import InputError, MeshError
 
 Floats = np.ndarray
 SEEDS = st.integers(0, 10_000)

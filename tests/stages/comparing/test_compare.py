@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from stages.comparing.compare import CompareParams, compare
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 

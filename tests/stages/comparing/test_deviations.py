@@ -14,7 +14,7 @@ from stages._open3d import open3d
 from stages.comparing.needles import WithNeedles
 from stages.comparing.palette import PALETTES, colors_of
 from stages.comparing.signed import Sides
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.surface.raycasting import Surface, bounding_box
 
 

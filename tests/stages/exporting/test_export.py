@@ -11,7 +11,7 @@ from browsers import PAGE, node
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
 from stages import Image, Material, export, preset, read_mesh
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.exporting.export import AXES, GLTF, SUFFIXES, require_fitting
 from stages.exporting.presets import PRESETS
 from stages.surface.formats.gltf_container import read_container

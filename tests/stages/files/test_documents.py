@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.config import Config
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files import documents
 from stages.files.documents import read_document, read_json
 from stages.files.row_numbers import numbers_on

@@ -5,7 +5,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.exr import exr_size, read_exr
 from stages.files.images import image_size
 from stages.scans.images import read_depth

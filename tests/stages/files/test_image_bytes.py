@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import decoded_image, encoded_png, promised_size
 from stages.files.images import image_size, read_stored
 

@@ -4,7 +4,7 @@ import lzfse
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.lzfse_blocks import decompress, raw_size
 
 RNG = np.random.default_rng(0)

@@ -17,7 +17,7 @@ from seamed_meshes import wrapped_ball
 
 from pipeline.cache.digest import file_digest
 from pipeline.config import Config
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.files import documents, images
 from stages.files.exr import exr_size, read_exr
 from stages.files.opening import content_of, opened, require_regular, text_in

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.own_process import DiedError, asked
 
 BODIES = {
@@ -22,7 +22,7 @@ BODIES = {
 
 
 def module_of(body: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    text = "from stages.errors import InputError\nfrom stages.files.own_process import answer\n\n"
+    text = "from stages.diagnostics.errors import InputError\nfrom stages.files.own_process import answer\n\n"
     text += f"def work(words):\n    {body}\n\ndef main():\n    answer(work)\n"
     (folder / "made_for_a_test.py").write_text(text)
     monkeypatch.syspath_prepend(str(folder))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.files.replacing import replacing
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.files.replacing_folder import replacing_folder
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.zip_archives import entry_content, opened_archive
 
 BIG = 50_000_000

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from sample_in_pieces import small_pieces
 
-from stages.errors import InputError, StageError, UsageError
+from stages.diagnostics.errors import InputError, StageError, UsageError
 from stages.fusion.adding import begun
 from stages.fusion.bricks import Cube, Seen, coordinates, level_of, numbers_of, passes, touched_bricks
 from stages.fusion.fuse import fuse, fuse_to_file

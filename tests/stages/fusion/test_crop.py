@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from thing_on_table import AT, BALL, CAMERA, HALF, frames, pose, seen
 
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop, cropped, cut, shown
 from stages.fusion.fuse import Fused, fuse

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.errors import InputError, StageError, UsageError
+from stages.diagnostics.errors import InputError, StageError, UsageError
 from stages.fusion.fuse import Fused, fuse
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Scan

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.fusion.fuse import fuse
 from stages.fusion.params import FuseParams
 from stages.fusion.upsampling import upsampled, upsampled_alone, upsampled_frame

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from thin_sheet import thin_sheet
 
 from stages import _kernels
-from stages.errors import StageError, UsageError
+from stages.diagnostics.errors import StageError, UsageError
 from stages.frames.posed_depth import read_posed_depth
 from stages.fusion.fuse import fuse
 from stages.fusion.params import FuseParams

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.fusion.fuse import fuse
 from stages.inspecting.inspect import inspect
 from stages.inspecting.inspection import Inspection

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.inspecting.view_poses import check_view_poses, require_view_poses
 from stages.scans.read import read_scan
 

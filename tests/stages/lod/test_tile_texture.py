@@ -15,7 +15,7 @@ from seamed_meshes import wrapped_ball
 from tiles_read import Tile, read_tiles
 
 from stages import Mesh, clean, lod, simplify
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import decoded_image
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_texture import Piece, model_of, with_images

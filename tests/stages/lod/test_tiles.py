@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tiles_read import Tile, chunks, read_tiles
 
 from stages import __version__, _kernels, bake, clean, lod, simplify
-from stages.errors import InputError, StageError, UsageError
+from stages.diagnostics.errors import InputError, StageError, UsageError
 from stages.lod.grid import on_grid
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_glb import tile_glb

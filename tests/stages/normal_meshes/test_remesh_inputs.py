@@ -14,7 +14,7 @@ from normal_mesh_checks import EXACT, SMALL, assert_sound, diagonal, remeshed
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION
 from stages.normal_meshes.remesh import RemeshParams, remesh
 from stages.surface.mesh import Mesh, Texture

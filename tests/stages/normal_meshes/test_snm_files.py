@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from real_parts import quarter
 
 from stages.cleaning.clean import clean
-from stages.errors import InputError, StageError, UsageError
+from stages.diagnostics.errors import InputError, StageError, UsageError
 from stages.normal_meshes.normal_mesh import NormalMesh, decode
 from stages.normal_meshes.remesh import remesh
 from stages.simplification.simplify import simplify

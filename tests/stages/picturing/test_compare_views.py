@@ -10,7 +10,7 @@ from seamed_meshes import wrapped_ball
 
 from stages import Mesh, compare_views
 from stages.comparing.seen import seen_from
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.picturing.compare_views import _finer
 from stages.picturing.viewpoints import viewpoints
 from stages.surface.raycasting import Surface

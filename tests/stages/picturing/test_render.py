@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.picturing.render import Model, render, write_png
 from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.scans.scan import Camera, Frame

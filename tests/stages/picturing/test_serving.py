@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from browsers import served
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.picturing.page.serving import FolderServer
 
 SECRET = b"secret of somebody else"

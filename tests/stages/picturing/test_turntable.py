@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from stages.errors import StageError, UsageError
+from stages.diagnostics.errors import StageError, UsageError
 from stages.picturing.panels import Panels
 from stages.picturing.turntable import turntable
 from stages.picturing.video import CODECS, write_video

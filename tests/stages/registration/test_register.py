@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.registration.features import recognise
 from stages.registration.graph import Edge, pieces
 from stages.registration.motion import Motion, NoMotion, angle, motion_between

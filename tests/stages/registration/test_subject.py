@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.config import Config
 from pipeline.run.run import run
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.fusion.fuse import fuse
 from stages.inspecting.inspect import inspect
 from stages.registration.marks import Plate, marked_motion, moving_marks

@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
 from stages.scans.images import read_color, read_depth, read_right, read_seen
 from stages.scans.scan import Camera, Frame

@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan, recognise
 from stages.scans.table import LAYOUTS

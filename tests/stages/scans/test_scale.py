@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tagged_wall
 
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.images import read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

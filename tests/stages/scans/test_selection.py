@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

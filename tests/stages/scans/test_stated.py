@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

@@ -10,7 +10,7 @@ import tagged_wall
 from scipy.spatial.transform import Rotation
 from tagged_wall import CAMERA, TAGS, Tag
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans import tags
 from stages.scans.scan import Camera, Frame
 from stages.scans.tag_scale import scale_by_tags

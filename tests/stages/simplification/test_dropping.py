@@ -11,7 +11,7 @@ from coloured_meshes import sheet
 from seamed_meshes import wrapped_ball
 from simplified_checks import parameters_for
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.simplification.dropping import drop_small
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.simplify import simplify

@@ -14,7 +14,7 @@ from typing import Any, get_type_hints
 import pytest
 from coloured_meshes import sheet
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.params import described
 from stages.simplification.auto import chosen
 from stages.simplification.keywords import SimplifyKeywords

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.simplification.regions import Box, Region, Sphere, parse_region, resolve_control
 from stages.surface.mesh import Mesh
 

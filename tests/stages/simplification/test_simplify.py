@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.simplification.simplify import Simplified, SimplifyParams, simplify
 from stages.surface.mesh import Mesh, Texture
 from stages.surface.mesh_files import read_mesh

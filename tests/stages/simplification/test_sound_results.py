@@ -13,7 +13,7 @@ from seamed_meshes import folded_strips, wrapped_ball
 from simplified_checks import assert_sound, parameters_for
 from varied_meshes import varied_meshes
 
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.simplify import simplify
 from stages.surface.mesh import Mesh

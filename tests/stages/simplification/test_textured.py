@@ -9,7 +9,7 @@ from seamed_meshes import wrapped_ball
 from textured_models import as_jpeg, as_png, gltf_material, textured_ball, waves, with_materials
 
 import stages
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.simplification import textured
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import SimplifyParams, simplify

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from onnx import helper
 
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.stereo.by_network import completed, network_of

@@ -13,7 +13,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import stages
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, StereoRig
 from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color
 from stages.scans.scan import Camera, Frame, StereoRig
 from stages.stereo.rectify import rectified_rig

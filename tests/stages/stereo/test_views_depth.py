@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from stages import read_scan, views_depth
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.features import detect_keypoints, match_descriptors
 from stages.scans.images import read_depth
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame

@@ -18,7 +18,7 @@ import json, os, resource, sys, time, warnings
 
 import scipy.sparse.csgraph, trimesh
 from stages.cleaning.clean import clean
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface.mesh_files import read_mesh
 from stages.simplification.simplify import simplify
 from stages.surface.topology import topology

@@ -10,7 +10,7 @@ import pytest
 from clouds import cloud, las, write_cloud
 
 from stages import read_cloud
-from stages.errors import InputError, UsageError
+from stages.diagnostics.errors import InputError, UsageError
 from stages.surface import cloud_files
 from stages.surface.cloud_files import read_mesh_or_cloud
 from stages.surface.formats.ply import write_ply

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from varied_meshes import varied_meshes
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.surface import convert
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh

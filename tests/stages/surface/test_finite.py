@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from coloured_meshes import ball, sheet
 
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.exporting.export import SUFFIXES, export
 from stages.exporting.usd import write_usd
 from stages.lod.build import build

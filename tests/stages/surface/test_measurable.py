@@ -13,7 +13,7 @@ from seamed_meshes import wrapped_ball
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.normal_meshes.remesh import remesh
 from stages.picturing.render import render
 from stages.picturing.viewpoints import viewpoints

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.errors import InputError, MeshError, UsageError
+from stages.diagnostics.errors import InputError, MeshError, UsageError
 from stages.surface.formats.obj import read_obj
 from stages.surface.formats.ply import CONFIDENCE_LOST
 from stages.surface.mesh import Mesh

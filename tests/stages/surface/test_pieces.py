@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface import pieces
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh import Mesh

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stages.cleaning.clean import clean
-from stages.errors import MeshError
+from stages.diagnostics.errors import MeshError
 from stages.surface.convert import as_mesh, with_vertex_colors
 from stages.surface.mesh import Mesh
 from stages.surface.spatial_order import with_rows

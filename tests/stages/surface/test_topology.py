@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.errors import InputError, MeshError
+from stages.diagnostics.errors import InputError, MeshError
 from stages.surface.edges import components, edges_of
 from stages.surface.mesh_files import read_mesh
 from stages.surface.topology import Topology, is_degenerate, require_manifold, topology

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface import vertex_clustering
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Mesh

@@ -5,7 +5,7 @@ import trimesh
 from coloured_meshes import ball, of_trimesh, sheet
 
 import stages.texturing.painted_pages as pages_module
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.simplification.simplify import simplify
 from stages.surface.color import color_at
 from stages.surface.mesh import Image, Material, Mesh, Texture

@@ -9,7 +9,7 @@ import pytest
 from plates import CAMERA, depth_of, frames_of, looking, plate, together, without
 
 from stages import Mesh, clean, coverage
-from stages.errors import InputError, MeshError, UsageError
+from stages.diagnostics.errors import InputError, MeshError, UsageError
 from stages.inspecting.coverage.covered import Coverage
 from stages.inspecting.coverage.kinds import MISSING, THIN
 from stages.inspecting.coverage.place import Place

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.formats.azure_kinect import color_from_depth
 from stages.scans.formats.calibration import read_camera
 from stages.scans.read import read_scan

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.telling import telling
 from stages.scans.formats.calibration import read_camera, read_depth_scale
 from stages.scans.formats.rig_calibration import read_rig

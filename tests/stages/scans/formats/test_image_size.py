@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.telling import in_sentences, telling
 from stages.scans.formats.calibration import read_camera
 from stages.scans.formats.rig_calibration import read_rig

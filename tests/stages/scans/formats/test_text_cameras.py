@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.documents import read_document
 from stages.files.telling import telling
 from stages.scans.formats.calibration import read_camera, read_depth_scale

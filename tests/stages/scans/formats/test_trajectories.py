@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.telling import in_sentences, telling
 from stages.scans.formats.trajectories import (
     Trajectory,

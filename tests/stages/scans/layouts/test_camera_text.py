@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

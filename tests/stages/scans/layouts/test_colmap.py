@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.scans.images import read_depth, read_pinhole
 from stages.scans.params import ScanParams

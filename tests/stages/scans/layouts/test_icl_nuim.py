@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

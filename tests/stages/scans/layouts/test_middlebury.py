@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.cache.digest import scan_digest
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

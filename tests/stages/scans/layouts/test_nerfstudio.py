@@ -6,7 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color, read_depth, read_seen
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

@@ -6,7 +6,7 @@ import pytest
 
 from stages.adjusting.offset import offset, sights
 from stages.adjusting.view import color_camera, place_of_color
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.scans.images import read_depth
 from stages.scans.params import ScanParams

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.inspecting.unused import unused
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

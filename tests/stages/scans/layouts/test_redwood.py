@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

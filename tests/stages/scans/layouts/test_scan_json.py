@@ -4,7 +4,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_depth
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.params import ScanParams

@@ -8,7 +8,7 @@ it and 0.5 m above; camera 0 looks forward, x right, y down, z forward, 0.3 m be
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

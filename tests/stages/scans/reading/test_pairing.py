@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.reading.files import images, pair
 
 

@@ -10,7 +10,7 @@ from tiny_recordings import (
     recording,
 )
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.read import read_scan
 
 

@@ -8,7 +8,7 @@ from recordings import Image, Recording, Stream, made, stamped, transform
 from scipy.spatial.transform import Rotation
 from tiny_recordings import INTERVAL, START, doubts
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color, read_right
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

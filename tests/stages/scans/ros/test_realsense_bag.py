@@ -16,7 +16,7 @@ from tiny_recordings import (
     recording,
 )
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.params import ScanParams

@@ -14,7 +14,7 @@ from tiny_recordings import (
     recording,
 )
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color, read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan

@@ -20,7 +20,7 @@ from tiny_recordings import (
     ros_depth,
 )
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files import zstd_blocks
 from stages.scans.images import read_color, read_depth
 from stages.scans.params import ScanParams

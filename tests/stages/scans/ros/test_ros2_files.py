@@ -6,7 +6,7 @@ import pytest
 from recordings import Image
 from tiny_recordings import INTERVAL, START, color_image, depth_map, outcome, ros_bag, ros_color, ros_depth
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.scans.read import read_scan
 from stages.scans.ros import chunked
 

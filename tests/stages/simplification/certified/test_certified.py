@@ -11,7 +11,7 @@ import pytest
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.simplification.auto import chosen
 from stages.simplification.regions import Box, Sphere
 from stages.simplification.simplify import Simplified, SimplifyParams, simplify

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.simplification.certified.details import CertifiedDetails
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import stages
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.simplification.planar.patches import colored_by_patch
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify

@@ -17,7 +17,7 @@ from scipy.spatial import Delaunay
 from stages import _kernels
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.progress import silent
 from stages.simplification.regions import Sphere
 from stages.simplification.simplify import simplify

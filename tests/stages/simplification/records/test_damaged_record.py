@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from saved_records import arrays_of, recorded, saved
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.simplification.records.load import load_record
 
 

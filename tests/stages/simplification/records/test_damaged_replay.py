@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from saved_records import KINDS, arrays_of, saved
 
-from stages.errors import ScanloomError
+from stages.diagnostics.errors import ScanloomError
 from stages.simplification.records.load import load_record
 from stages.surface.mesh import validated
 

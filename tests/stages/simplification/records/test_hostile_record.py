@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from saved_records import KINDS, arrays_of, saved
 
-from stages.errors import InputError, ScanloomError
+from stages.diagnostics.errors import InputError, ScanloomError
 from stages.simplification.records.load import load_record
 from stages.simplification.records.record import CollapseRecord
 from stages.surface.mesh import Mesh

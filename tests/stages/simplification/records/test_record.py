@@ -13,7 +13,7 @@ from real_parts import quarter
 
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.steps import Replayed
 from stages.simplification.simplify import Simplified, simplify

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from saved_records import KINDS, arrays_of, recorded, saved
 
-from stages.errors import StageError
+from stages.diagnostics.errors import StageError
 from stages.simplification.records.load import load_record
 from stages.simplification.records.record import FORMAT_VERSION
 from stages.simplification.records.steps import Replayed

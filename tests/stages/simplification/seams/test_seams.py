@@ -26,7 +26,7 @@ from simplified_checks import assert_sound as assert_near
 
 from stages import _kernels
 from stages.cleaning.clean import clean
-from stages.errors import UsageError
+from stages.diagnostics.errors import UsageError
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
 from stages.simplification.seams.similar import equal_sets, joinable_sets

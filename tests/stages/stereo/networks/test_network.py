@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.stereo.networks.network import Network
 from stages.stereo.networks.probe import known_pair
 from stages.stereo.networks.process import NetworkProcesses

@@ -4,7 +4,7 @@ import networks
 import pytest
 from onnx import helper
 
-from stages.errors import InputError, StageError
+from stages.diagnostics.errors import InputError, StageError
 from stages.stereo.networks import probe
 from stages.stereo.networks.probe import probe_network
 

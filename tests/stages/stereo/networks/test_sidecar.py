@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.stereo.networks.sidecar import Sidecar, read_sidecar, sidecar_of, written
 
 PAIR = 'kind = "stereo"\noutput = "d"\nunit = "px"\n[inputs]\na = "left"\nb = "right"\n'

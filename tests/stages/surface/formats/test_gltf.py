@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from stages.errors import InputError, MeshError
+from stages.diagnostics.errors import InputError, MeshError
 from stages.files.image_bytes import encoded_png
 from stages.surface.formats.gltf import read_gltf
 from stages.surface.formats.gltf_writer import write_gltf

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages import Image, Material, Mesh, Texture, _kernels, read_mesh
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.surface.formats.gltf_container import read_container
 from stages.surface.formats.gltf_packing import COMPRESSIONS, lattice_of
 from stages.surface.formats.gltf_writer import write_gltf

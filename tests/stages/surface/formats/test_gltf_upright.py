@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stages import read_mesh, simplify, write_mesh
-from stages.errors import MeshError, UsageError
+from stages.diagnostics.errors import MeshError, UsageError
 from stages.surface.formats.colors import linear_from_srgb
 from stages.surface.formats.gltf_container import read_container
 from stages.surface.upright import direction_of, turn_along_y, turn_along_z

@@ -5,7 +5,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import encoded_png
 from stages.surface.convert import with_vertex_colors
 from stages.surface.formats import obj_statements

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pipeline.evaluation import deviations
 from pipeline.steps import coverage as covering
-from stages.errors import InputError, MeshError, StageError
+from stages.diagnostics.errors import InputError, MeshError, StageError
 from stages.surface.formats.ply import read_ply, read_vertex_values, write_ply, write_ply_cloud
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture

@@ -5,6 +5,12 @@ from __future__ import annotations
 import errno
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stages.diagnostics.diagnostic import Code, Diagnostic, Location, Severity
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 # What the system's loader says of a library it has no room for, Python of a thread, and Open3D of an array.
 # The loader says "cannot allocate memory in static TLS block" where it lacks something else.
@@ -16,31 +22,55 @@ _NO_ROOM = re.compile(
 _OPENCV_NO_MEMORY = -4
 
 # The folder of our own modules, which have no such error.
-_OURS = Path(__file__).parents[1]
+_OURS = Path(__file__).parents[2]
 
 
 class ScanloomError(Exception):
-    """A failure with one plain sentence for the person who reads it."""
-
-
-class InputError(ScanloomError):
-    """The input cannot be used (exit code 3).
-
-    Say what is wrong, in which file, where in it, and what to do.
+    """Error with a diagnostic for the user; its text is that of the diagnostic.
 
     Parameters
     ----------
-    message : the sentence; no file name at its start when `file` is given.
-    file : the file it is about; its path is put before the message.
+    code : kind of the error.
+    message : complete sentence; with values it is a template of `str.format`.
+    where : the file, frame or argument that the message is about.
+    remedy : what the user can do; a template, too.
+    values : fields of the templates.
+
+    Attributes
+    ----------
+    diagnostic : code, message, remedy, location and values.
     """
 
-    def __init__(self, message: str, file: Path | str | None = None) -> None:
-        super().__init__(f"{file}: {message}" if file is not None else message)
-        self.file = file
+    def __init__(
+        self, code: Code, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
+    ) -> None:
+        self._set(code.create(Severity.ERROR, message, where, remedy, values))
+
+    def _set(self, diagnostic: Diagnostic) -> None:
+        self.diagnostic = diagnostic
+        super().__init__(str(diagnostic))
+
+    @classmethod
+    def of(cls, diagnostic: Diagnostic) -> Self:
+        """Create the error of a diagnostic."""
+        error = cls.__new__(cls)
+        error._set(diagnostic)
+        return error
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (type(self), self.diagnostic)
+
+
+def _restore(kind: type[ScanloomError], diagnostic: Diagnostic) -> ScanloomError:
+    return kind.of(diagnostic)
+
+
+class InputError(ScanloomError):
+    """The input cannot be used (exit code 3)."""
 
 
 class MeshError(InputError):
-    """A mesh breaks a rule: an index out of range, a value that is not finite, an edge of three faces."""
+    """A mesh breaks a rule: an index out of range, a value that is not finite, an edge of three triangles."""
 
 
 class UsageError(ScanloomError):

@@ -1,0 +1,1 @@
+"""Diagnostics: what is wrong, odd or not reached, as values with a stable code."""

@@ -1,0 +1,192 @@
+"""A diagnostic, and the code that it is an instance of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+
+class Severity(str, Enum):
+    """Severity of a diagnostic.
+
+    Attributes
+    ----------
+    INFO : nothing is lost.
+    WARNING : the result is written, but something was left out, assumed or changed.
+    UNMET : the result is written, but a requirement of the user is not reached.
+    ERROR : there is no result.
+    """
+
+    INFO = "info"
+    WARNING = "warning"
+    UNMET = "unmet"
+    ERROR = "error"
+
+
+# All declared codes by name.
+_DECLARED: dict[str, Code] = {}
+
+
+@dataclass(frozen=True)
+class Code:
+    """Kind of diagnostic, declared once next to the modules that emit it.
+
+    Attributes
+    ----------
+    name : topic and kind, such as "file.truncated"; stable, and part of JSON.
+    title : what all diagnostics of this code have in common; a heading of the documentation.
+    explanation : causes and remedies, Markdown.
+    example : message as it is printed.
+
+    Raises
+    ------
+    ValueError
+        If another code has this name.
+    """
+
+    name: str
+    title: str
+    explanation: str
+    example: str
+
+    def __post_init__(self) -> None:
+        if self.name in _DECLARED:
+            raise ValueError(f"the code {self.name} is declared twice")
+        _DECLARED[self.name] = self
+
+    @property
+    def topic(self) -> str:
+        """Return the part of the name before the dot."""
+        return self.name.partition(".")[0]
+
+    def info(self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any) -> Diagnostic:
+        """Create a diagnostic that only informs; see `create`."""
+        return self.create(Severity.INFO, message, where, remedy, values)
+
+    def warning(
+        self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
+    ) -> Diagnostic:
+        """Create a warning; see `create`."""
+        return self.create(Severity.WARNING, message, where, remedy, values)
+
+    def unmet(
+        self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
+    ) -> Diagnostic:
+        """Create a diagnostic of a requirement that is not reached; see `create`."""
+        return self.create(Severity.UNMET, message, where, remedy, values)
+
+    def create(
+        self, severity: Severity, message: str, where: Location, remedy: str, values: Mapping[str, Any]
+    ) -> Diagnostic:
+        """Create a diagnostic of this code.
+
+        Parameters
+        ----------
+        message : complete sentence; with values it is a template of `str.format`.
+        where : the file, frame or argument that the message is about.
+        remedy : what the user can do; a template, too.
+        values : fields of the templates, such as counts and lengths.
+        """
+        if values:
+            message, remedy = message.format(**values), remedy.format(**values)
+        kept = {name: _simple(value) for name, value in values.items()}
+        where = where if where is None or isinstance(where, Where) else Where(str(where))
+        return Diagnostic(self.name, severity, message, remedy or None, where, kept)
+
+
+@dataclass(frozen=True)
+class Where:
+    """Location that a diagnostic is about.
+
+    Attributes
+    ----------
+    file : path, or the name of an argument such as "mesh".
+    frame : name of a frame.
+    """
+
+    file: str | None = None
+    frame: str | None = None
+
+    def __str__(self) -> str:
+        frame = None if self.frame is None else f"frame {self.frame}"
+        return ": ".join(part for part in (self.file, frame) if part is not None)
+
+
+Location = Where | Path | str | None
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """One instance of something wrong, odd or not reached.
+
+    Attributes
+    ----------
+    code : name of the code, such as "file.truncated"; see docs/when-it-goes-wrong.
+    severity : whether there is a result, and whether it is what was asked for.
+    message : complete sentences with units, in the words of Python and TOML.
+    remedy : what the user can do.
+    where : file or frame.
+    values : numbers and names in the message.
+    """
+
+    code: str
+    severity: Severity
+    message: str
+    remedy: str | None = None
+    where: Where | None = None
+    values: Mapping[str, float | int | str] = field(default_factory=dict, hash=False)
+
+    def __str__(self) -> str:
+        where = "" if self.where is None else f"{self.where}: "
+        return f"{where}{self.message}" if self.remedy is None else f"{where}{self.message}; {self.remedy}"
+
+    def at(self, where: Location) -> Diagnostic:
+        """Return the diagnostic with another location."""
+        return replace(self, where=where if where is None or isinstance(where, Where) else Where(str(where)))
+
+    def figures(self) -> dict[str, Any]:
+        """Return the diagnostic ready for JSON."""
+        figures: dict[str, Any] = {
+            "code": self.code,
+            "severity": self.severity.value,
+            "message": self.message,
+            "remedy": self.remedy,
+            "file": None if self.where is None else self.where.file,
+            "frame": None if self.where is None else self.where.frame,
+            "values": dict(self.values),
+        }
+        return {name: value for name, value in figures.items() if value not in (None, {})}
+
+    @classmethod
+    def from_figures(cls, figures: Mapping[str, Any]) -> Diagnostic:
+        """Create the diagnostic that `figures` returned.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If they are not those of a diagnostic.
+        """
+        file, frame = figures.get("file"), figures.get("frame")
+        return cls(
+            figures["code"],
+            Severity(figures["severity"]),
+            figures["message"],
+            figures.get("remedy"),
+            None if file is None and frame is None else Where(file, frame),
+            figures.get("values", {}),
+        )
+
+
+def declared_codes() -> dict[str, Code]:
+    """Return the codes of all modules that are imported, by name."""
+    return dict(_DECLARED)
+
+
+def _simple(value: Any) -> float | int | str:
+    """Return a value that JSON can hold."""
+    if isinstance(value, (int, float, str)):
+        return value
+    return value.item() if hasattr(value, "item") and getattr(value, "size", 0) == 1 else str(value)
