@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.codes import BATCH_OPTIONS_CONFLICT
 from cli.output import Output, size_of
 from cli.run_options import LIMITS_PANEL
 from stages.diagnostics.errors import UsageError
@@ -119,7 +120,12 @@ def jobs_wanted(jobs: str) -> int | None:
     if jobs == AUTO:
         return None
     if not (jobs.isascii() and jobs.isdigit() and 0 < int(jobs) <= 1024):
-        raise UsageError(f"--jobs is {jobs!r}; it must be a number from 1 to 1024, or {AUTO}.")
+        raise UsageError(
+            BATCH_OPTIONS_CONFLICT,
+            "--jobs is {jobs!r}; it must be a number from 1 to 1024, or {auto}.",
+            jobs=jobs,
+            auto=AUTO,
+        )
     return int(jobs)
 
 

@@ -68,7 +68,7 @@ def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
     except MeshError as error:
         if error.file != called:
             raise
-        raise MeshError(str(error).removeprefix(f"{called}: "), path) from error
+        raise MeshError(CODE_UNKNOWN, str(error).removeprefix(f"{called}: "), path) from error
 
 
 def write_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:

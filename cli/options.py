@@ -114,7 +114,7 @@ def build(cls: type, values: dict[str, Any]) -> Any:
         name = message.split(" ", 1)[0]
         # The person typed an option, not a field.
         raise UsageError(
-            message.replace(name, option_name(name), 1) if name in fields_given else message
+            CODE_UNKNOWN, message.replace(name, option_name(name), 1) if name in fields_given else message
         ) from None
 
 

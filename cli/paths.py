@@ -10,7 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError, UsageError
+from stages.files.codes import FILE_PATH_INVALID
 from stages.files.moving import move
+from stages.surface.codes import USAGE_EXTENSION_UNKNOWN
 
 # What stages.surface.mesh_files.write_mesh can write.
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
@@ -19,16 +21,18 @@ MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 def require_scan(folder: Path) -> Path:
     """Return the folder of a scan, or the file that is one, or say that there is none."""
     if not folder.exists():
-        raise InputError("there is no such folder or file; give that of a scan.", folder)
+        raise InputError(
+            FILE_PATH_INVALID, "there is no such folder or file", folder, remedy="give that of a scan."
+        )
     return folder
 
 
 def require_file(path: Path) -> Path:
     """Return the path of a file, or say that it is none."""
     if not path.exists():
-        raise InputError("there is no such file.", path)
+        raise InputError(FILE_PATH_INVALID, "there is no such file.", path)
     if path.is_dir():
-        raise InputError("this is a folder; give a mesh file.", path)
+        raise InputError(FILE_PATH_INVALID, "this is a folder", path, remedy="give a mesh file.")
     return path
 
 
@@ -45,10 +49,15 @@ def require_new_file(path: Path, suffixes: tuple[str, ...]) -> Path:
     if path.suffix.lower() not in suffixes:
         known = ", ".join(suffixes)
         raise UsageError(
-            f"{path}: the extension {path.suffix or '(none)'} stands for no format; use {known}."
+            USAGE_EXTENSION_UNKNOWN,
+            "{path}: the extension {detail} stands for no format",
+            remedy="use {known}.",
+            path=path,
+            detail=path.suffix or "(none)",
+            known=known,
         )
     if path.is_dir():
-        raise InputError("this is a folder; give the name of a file.", path)
+        raise InputError(FILE_PATH_INVALID, "this is a folder", path, remedy="give the name of a file.")
     require_writable(path.parent)
     return path
 
@@ -57,9 +66,11 @@ def require_writable(folder: Path) -> Path:
     """Check that a folder can be written to or, if it does not exist, that it can be made."""
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not there.is_dir():
-        raise InputError("this is a file; results need a folder.", there)
+        raise InputError(FILE_PATH_INVALID, "this is a file; results need a folder.", there)
     if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError("this folder cannot be written to; choose another.", there)
+        raise InputError(
+            FILE_PATH_INVALID, "this folder cannot be written to", there, remedy="choose another."
+        )
     return folder
 
 
@@ -73,7 +84,7 @@ def new_folder(path: Path) -> Iterator[Path]:
         If there is something at `path` already, other than an empty folder.
     """
     if path.is_dir() and any(path.iterdir()):
-        raise InputError("this folder is not empty; name a new one.", path)
+        raise InputError(FILE_PATH_INVALID, "this folder is not empty", path, remedy="name a new one.")
     parent = require_writable(path).absolute().parent
     parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=parent))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli import completing
+from cli.codes import BATCH_OPTIONS_CONFLICT
 from cli.output import Output
 from cli.quality import config_of
 from stages.diagnostics.errors import UsageError
@@ -142,5 +143,11 @@ def bytes_or_none(size: str | None, option: str) -> int | None:
         return None
     count = bytes_of(size, option)
     if count == 0:
-        raise UsageError(f"a limit of nothing ({option} {size}) lets no scan through; leave it out.")
+        raise UsageError(
+            BATCH_OPTIONS_CONFLICT,
+            "a limit of nothing ({option} {size}) lets no scan through",
+            remedy="leave it out.",
+            option=option,
+            size=size,
+        )
     return count

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
+from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, CONFIG_UNREADABLE, USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.files.documents import parse_toml
 from stages.files.opening import text_in
@@ -43,7 +44,12 @@ class Sections:
             For another word.
         """
         if quality not in [*cls.QUALITIES]:  # a file may hold what is no word
-            raise UsageError(f"quality is {quality!r}; it must be one of {', '.join(cls.QUALITIES)}.")
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "quality is {quality!r}; it must be one of {qualities}.",
+                quality=quality,
+                qualities=", ".join(cls.QUALITIES),
+            )
         config = cls()
         for section, values in cls.QUALITIES[quality].items():
             config = config._with(section, values, f"quality {quality}")
@@ -70,12 +76,21 @@ class Sections:
         """
         try:
             if path.stat().st_size > _MAX_BYTES:
-                raise UsageError(f"{path}: the file is too large for a configuration.")
+                raise UsageError(
+                    CONFIG_UNREADABLE, "{path}: the file is too large for a configuration.", path=path
+                )
             text = text_in(path, "utf-8")
         except OSError as error:
-            raise UsageError(f"{path}: the config file cannot be read ({error.strerror}).") from error
+            raise UsageError(
+                CONFIG_UNREADABLE,
+                "{path}: the config file cannot be read ({strerror}).",
+                path=path,
+                strerror=error.strerror,
+            ) from error
         except UnicodeDecodeError as error:
-            raise UsageError(f"{path}: the config file is not UTF-8 text.") from error
+            raise UsageError(
+                CONFIG_UNREADABLE, "{path}: the config file is not UTF-8 text.", path=path
+            ) from error
         return cls.loads(text, str(path), quality)
 
     @classmethod
@@ -84,18 +99,26 @@ class Sections:
         try:
             data = parse_toml(text)
         except ValueError as error:
-            raise UsageError(f"{where}: this is not TOML ({error}).") from error
+            raise UsageError(
+                CONFIG_UNREADABLE, "{place}: this is not TOML ({error}).", place=where, error=error
+            ) from error
         named = data.pop("quality", None) if cls.QUALITIES else None
         try:
             config = cls() if named is None else cls.of(named)
         except UsageError as error:
-            raise UsageError(f"{where}: {error}") from error
+            raise UsageError(CODE_UNKNOWN, "{place}: {error}", place=where, error=error) from error
         if quality is not None:
             config = cls.of(quality)
         for section, values in data.items():
             config._require_section(section, where)
             if not isinstance(values, dict):
-                raise UsageError(f"{where}: {section} is a section; write [{section}], its parameters below.")
+                raise UsageError(
+                    CONFIG_UNREADABLE,
+                    "{place}: {section} is a section",
+                    remedy="write [{section}], its parameters below.",
+                    place=where,
+                    section=section,
+                )
             config = config._with(section, values, where)
         return config
 
@@ -110,7 +133,9 @@ class Sections:
             section, dot, key = name.partition(".")
             if not (equals and dot and section and key):
                 raise UsageError(
-                    f"--set {assignment}: write stage.parameter=value, say fuse.voxel_size=0.01."
+                    CONFIG_UNREADABLE,
+                    "--set {assignment}: write stage.parameter=value, say fuse.voxel_size=0.01.",
+                    assignment=assignment,
                 )
             where = f"--set {assignment}"
             config._require_section(section, where)
@@ -145,14 +170,27 @@ class Sections:
     def _require_section(self, section: str, where: str) -> None:
         if section not in self.types():
             advice = _did_you_mean(section, self.types())
-            raise UsageError(f"{where}: there is no stage {section!r}; {advice}")
+            raise UsageError(
+                CONFIG_PARAMETER_UNKNOWN,
+                "{place}: there is no stage {section!r}; {advice}",
+                place=where,
+                section=section,
+                advice=advice,
+            )
 
     def _kind(self, section: str, key: str, where: str) -> Any:
         self._require_section(section, where)
         cls = self.types()[section]
         known = described(cls)
         if key not in known:
-            raise UsageError(f"{where}: {section} has no parameter {key!r}; {_did_you_mean(key, known)}")
+            raise UsageError(
+                CONFIG_PARAMETER_UNKNOWN,
+                "{place}: {section} has no parameter {key!r}; {did_you_mean}",
+                place=where,
+                section=section,
+                key=key,
+                did_you_mean=_did_you_mean(key, known),
+            )
         return hints_of(cls)[key]
 
     def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
@@ -160,7 +198,9 @@ class Sections:
         try:
             changed = dataclasses.replace(getattr(self, section), **changes)
         except UsageError as error:
-            raise UsageError(f"{where}: {section}.{error}") from error
+            raise UsageError(
+                CODE_UNKNOWN, "{place}: {section}.{error}", place=where, section=section, error=error
+            ) from error
         return dataclasses.replace(self, **{section: changed})  # type: ignore[type-var]
 
 
@@ -206,7 +246,13 @@ def _from_word(text: str, hint: Any, where: str) -> Any:
                 continue
     if str in kinds or Path in kinds:
         return text
-    raise UsageError(f"{where} must be {_kind_names(hint)}, not {text!r}.")
+    raise UsageError(
+        USAGE_VALUE_INVALID,
+        "{place} must be {kind_names}, not {text!r}.",
+        place=where,
+        kind_names=_kind_names(hint),
+        text=text,
+    )
 
 
 def _number(word: str) -> Any:
@@ -219,7 +265,9 @@ def _number(word: str) -> Any:
 
 def _canonical_value(value: Any, hint: Any, where: str) -> Any:
     if isinstance(value, float) and value in (float("inf"), float("-inf")):
-        raise UsageError(f"{where} is infinite; give a number, or leave it out.")
+        raise UsageError(
+            USAGE_VALUE_INVALID, "{place} is infinite", remedy="give a number, or leave it out.", place=where
+        )
     if isinstance(value, Path):
         raise TypeError(f"{where} is a path; a result must depend on the file's content, not on its name")
     typed = _typed(value, hint)

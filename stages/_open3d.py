@@ -87,7 +87,7 @@ def imported() -> Any:
             raise KeyboardInterrupt from error
         if is_lack_of_memory(error):
             raise MemoryError from error
-        raise StageError(_explain(str(error))) from error
+        raise StageError(CODE_UNKNOWN, _explain(str(error))) from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
 

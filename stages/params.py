@@ -13,6 +13,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
+from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 
 P = TypeVar("P")
@@ -105,7 +106,13 @@ def check(params: Any) -> None:
             continue
         _check_type(name, value, kinds)
         if about.choices and value not in about.choices:
-            raise UsageError(f"{name} is {value!r}; it must be one of {', '.join(about.choices)}.")
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "{name} is {value!r}; it must be one of {choices}.",
+                name=name,
+                value=value,
+                choices=", ".join(about.choices),
+            )
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             _check_range(name, value, about)
 
@@ -133,7 +140,13 @@ def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
     except (TypeError, ValueError):
         row = ()
     if not len(row) == len(numbers) == count or not all(map(math.isfinite, row)):
-        raise UsageError(f"{name} is {value!r}; it must be {count} finite numbers.")
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "{name} is {value!r}; it must be {count} finite numbers.",
+            name=name,
+            value=value,
+            count=count,
+        )
     return row
 
 
@@ -142,24 +155,50 @@ def _check_type(name: str, value: Any, kinds: tuple[Any, ...]) -> None:
         kinds = (*kinds, int)
     if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
         names = " or ".join(sorted({k.__name__ for k in kinds}))
-        raise UsageError(f"{name} is {value!r}; it must be of type {names}.")
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "{name} is {value!r}; it must be of type {names}.",
+            name=name,
+            value=value,
+            names=names,
+        )
 
 
 def _check_range(name: str, value: float, about: Described) -> None:
     unit = f" {about.unit}" if about.unit else ""
     if math.isnan(value):
-        raise UsageError(f"{name} is not a number.")
+        raise UsageError(USAGE_VALUE_INVALID, "{name} is not a number.", name=name)
     if about.low is not None and (value < about.low or (about.low_open and value == about.low)):
         bound = "more than" if about.low_open else "at least"
-        raise UsageError(f"{name} is {value:g}{unit}; it must be {bound} {about.low:g}{unit}.")
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "{name} is {value:g}{unit}; it must be {bound} {low:g}{unit}.",
+            name=name,
+            value=value,
+            unit=unit,
+            bound=bound,
+            low=about.low,
+        )
     if about.high is not None and value > about.high:
-        raise UsageError(f"{name} is {value:g}{unit}; it must be at most {about.high:g}{unit}.")
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "{name} is {value:g}{unit}; it must be at most {high:g}{unit}.",
+            name=name,
+            value=value,
+            unit=unit,
+            high=about.high,
+        )
 
 
 def resolve(cls: type[P], params: P | None, changes: Mapping[str, object]) -> P:
     """Parameters of a call: those given (or the defaults), with the named changes applied."""
     unknown = sorted(set(changes) - set(described(cls)))
     if unknown:
-        raise UsageError(f"unknown parameter {unknown[0]!r}; known are {', '.join(described(cls))}.")
+        raise UsageError(
+            CONFIG_PARAMETER_UNKNOWN,
+            "unknown parameter {unknown!r}; known are {described}.",
+            unknown=unknown[0],
+            described=", ".join(described(cls)),
+        )
     base = cls() if params is None else params
     return replace(base, **changes) if changes else base  # type: ignore[type-var]

@@ -12,6 +12,7 @@ from cli.output import Output
 from cli.paths import new_folder
 from cli.scan_argument import ScanFolder, read_scan
 from stages import AdjustParams, InputError, ScanParams
+from stages.scans.codes import SCAN_DEPTH_MISSING
 from stages.scans.read import require_complete
 
 
@@ -41,9 +42,13 @@ def adjust(
     source = read_scan(folder, scan, out, complete=False)
     if source.is_stereo or source.is_views:
         raise InputError(
-            f"these are images without depth; run `scanloom depth {folder} OUTDIR` and adjust OUTDIR, or "
-            "`scanloom run` for the whole way.",
+            SCAN_DEPTH_MISSING,
+            "these are images without depth",
             folder,
+            remedy=(
+                "run `scanloom depth {folder} OUTDIR` and adjust OUTDIR, or `scanloom run` for the whole way."
+            ),
+            folder=folder,
         )
     require_complete(source, folder)
     with new_folder(target) as draft, out.progress("adjust", "steps") as progress:

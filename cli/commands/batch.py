@@ -21,6 +21,7 @@ from cli.batch_options import (
 )
 from cli.batch_result import tell_batch
 from cli.batch_watch import watching_batch
+from cli.codes import BATCH_OPTIONS_CONFLICT
 from cli.options import Changes
 from cli.output import Output
 from cli.paths import require_writable
@@ -39,6 +40,7 @@ from cli.run_options import (
     bytes_or_none,
     run_config,
 )
+from pipeline.batch.codes import BATCH_ALREADY_EXISTS, BATCH_DASK, BATCH_SCANS_NOT_DONE
 from stages import ScanParams
 from stages.diagnostics.errors import InputError, UsageError
 
@@ -141,7 +143,9 @@ def batch(
     jobs_wanted(jobs)
     if queue_only and (dry_run or (jobs, threads, *sizes) != (AUTO, None, None, None)):
         raise UsageError(
-            "--queue-only works on nothing; give --jobs, --threads, --memory and --disk to scanloom worker."
+            BATCH_OPTIONS_CONFLICT,
+            "--queue-only works on nothing",
+            remedy="give --jobs, --threads, --memory and --disk to scanloom worker.",
         )
     _require_executor(executor, scheduler)
     config = _portable(run_config(config_file, quality, settings, scan_options, page, report, out))
@@ -149,7 +153,12 @@ def batch(
     folder, target = folder.resolve(), target.resolve()
     where = cache_folder(target, cache)
     if where == folder or target == folder:
-        raise UsageError(f"{folder}: results and cache cannot stand among the scans; name other folders.")
+        raise UsageError(
+            BATCH_ALREADY_EXISTS,
+            "{folder}: results and cache cannot stand among the scans",
+            remedy="name other folders.",
+            folder=folder,
+        )
     scans, others = _found(folder, config, include, exclude, [target, where])
     require_writable(target)
     if not overwrite:
@@ -197,13 +206,14 @@ def batch(
 
 def _require_executor(executor: str, scheduler: str | None) -> None:
     if executor not in ("own", "dask"):
-        raise UsageError(f"--executor is {executor!r}; it must be own or dask.")
+        raise UsageError(BATCH_DASK, "--executor is {executor!r}; it must be own or dask.", executor=executor)
     if executor == "dask" and scheduler is None:
         raise UsageError(
-            "--executor dask needs --scheduler: an address, or slurm, pbs, sge, lsf, oar or htcondor."
+            BATCH_DASK,
+            "--executor dask needs --scheduler: an address, or slurm, pbs, sge, lsf, oar or htcondor.",
         )
     if executor == "own" and scheduler is not None:
-        raise UsageError("--scheduler is Dask's; give --executor dask with it.")
+        raise UsageError(BATCH_DASK, "--scheduler is Dask's", remedy="give --executor dask with it.")
 
 
 def _portable(config: Config) -> Config:
@@ -248,7 +258,9 @@ def _found(
     if not found:
         why = f"; {others[0].place.name}: {others[0].reason}" if others else ""
         which = " that is asked for" if include or exclude else ""
-        raise InputError(f"there is no scan{which} in it{why}.", folder)
+        raise InputError(
+            BATCH_SCANS_NOT_DONE, "there is no scan{which} in it{why}.", folder, which=which, why=why
+        )
     return [(one.place, one.name) for one in found], others
 
 

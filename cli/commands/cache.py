@@ -12,6 +12,7 @@ import typer
 
 from cli.exit_codes import FAILED
 from cli.output import Output, size_of, table_of
+from pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
 from stages import InputError, UsageError
 from stages.params import check, param
 
@@ -98,13 +99,15 @@ def _open(folder: Path | None) -> Cache:
 
     if folder is None and CACHE_VARIABLE not in os.environ:
         raise UsageError(
-            f"which cache? Give its folder, or the output folder of a run, or set {CACHE_VARIABLE}."
+            MACHINE_CACHE_UNUSABLE,
+            "which cache? Give its folder, or the output folder of a run, or set {cache_variable}.",
+            cache_variable=CACHE_VARIABLE,
         )
     chosen = Path(os.environ[CACHE_VARIABLE]) if folder is None else folder
     for place in (chosen, cache_folder(chosen)) if chosen.is_dir() else ():
         if (place / "CACHEDIR.TAG").is_file():
             return Cache(place)
-    raise InputError("there is no cache here.", chosen)
+    raise InputError(MACHINE_CACHE_UNUSABLE, "there is no cache here.", chosen)
 
 
 def _print_entries(folder: Path, entries: Sequence[Listed], out: Output, done: str = "kept") -> None:

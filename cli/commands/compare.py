@@ -16,9 +16,11 @@ from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from pipeline.report.comparison_page import page_of_comparison
 from stages import ChangeParams, CompareParams, DeviationParams, Mesh, UsageError, ViewsParams
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.files.replacing import replacing
 from stages.picturing.render import write_png
 from stages.surface.cloud import is_cloud
+from stages.surface.codes import COMPARE_POINT_CLOUD
 from stages.surface.mesh_files import SHAPE_ALONE, standing
 
 # Formats that keep the colours of a change.
@@ -113,18 +115,20 @@ def compare(
     Example: scanloom compare fused.ply simplified.ply --json
     """
     if how not in ("none", "icp"):
-        raise UsageError(f"--align is {how!r}; it must be none or icp.")
+        raise UsageError(USAGE_OPTIONS_CONFLICT, "--align is {how!r}; it must be none or icp.", how=how)
     if save_aligned is not None:
         if how == "none":
-            raise UsageError("--save-aligned needs --align icp: nothing is moved without it.")
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT, "--save-aligned needs --align icp: nothing is moved without it."
+            )
         require_new_file(save_aligned, MESH_SUFFIXES)
     if save_change is not None:
         if not change:
-            raise UsageError("--save-change needs --change.")
+            raise UsageError(USAGE_OPTIONS_CONFLICT, "--save-change needs --change.")
         require_new_file(save_change, COLORED_SUFFIXES)
     if save_views is not None:
         if seen.views == 0:
-            raise UsageError("--save-views needs --views: none are drawn without it.")
+            raise UsageError(USAGE_OPTIONS_CONFLICT, "--save-views needs --views: none are drawn without it.")
         require_writable(save_views)
     for path, suffix in ((save_ply, ".ply"), (picture, ".png"), (page, ".html")):
         if path is not None:
@@ -177,4 +181,10 @@ def _require_surfaces(wanted: dict[str, Any], read: dict[Path, Mesh]) -> None:
     for option, is_wanted in wanted.items():
         cloud = next((path for path, mesh in read.items() if is_cloud(mesh)), None)
         if is_wanted and cloud is not None:
-            raise UsageError(f"{option} needs two surfaces, and {cloud} is a cloud of points; leave it out.")
+            raise UsageError(
+                COMPARE_POINT_CLOUD,
+                "{option} needs two surfaces, and {cloud} is a cloud of points",
+                remedy="leave it out.",
+                option=option,
+                cloud=cloud,
+            )

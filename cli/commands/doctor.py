@@ -13,7 +13,9 @@ import typer
 from cli.output import Output, size_of, table_of
 from cli.paths import require_new_file
 from pipeline.report.file_names import REPORT
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.errors import InputError, UsageError
+from stages.files.codes import FILE_PATH_INVALID
 from stages.files.opening import text_in
 from stages.files.replacing import replacing
 from stages.inspecting.machine import machine
@@ -42,7 +44,7 @@ def doctor(
     found = machine()
     if bundle is None:
         if of_run is not None:
-            raise UsageError("--run needs --bundle: it says which run goes into it.")
+            raise UsageError(USAGE_OPTIONS_CONFLICT, "--run needs --bundle: it says which run goes into it.")
     else:
         require_new_file(bundle, (".zip",))
         _write(bundle, found, of_run)
@@ -55,7 +57,9 @@ def _write(path: Path, found: Mapping[str, Any], of_run: Path | None) -> None:
     if of_run is not None:
         report = of_run / REPORT
         if not report.is_file():
-            raise InputError(f"holds no {REPORT}; give the OUT of a run.", of_run)
+            raise InputError(
+                FILE_PATH_INVALID, "holds no {report}", of_run, remedy="give the OUT of a run.", report=REPORT
+            )
         texts[REPORT] = text_in(report, "utf-8")
     path.parent.mkdir(parents=True, exist_ok=True)
     home = str(Path.home())

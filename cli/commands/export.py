@@ -17,6 +17,7 @@ from stages import ExportParams
 from stages.diagnostics.errors import InputError
 from stages.exporting.export import SUFFIXES, require_fitting
 from stages.exporting.presets import PRESETS, preset
+from stages.files.codes import FILE_PATH_INVALID
 
 
 def export(
@@ -47,7 +48,7 @@ def export(
     wanted = replace(ExportParams() if intent is None else preset(intent, target.suffix), **given)
     require_fitting(target, wanted)
     if target.is_dir():
-        raise InputError("this is a folder; give the name of a file.", target)
+        raise InputError(FILE_PATH_INVALID, "this is a folder", target, remedy="give the name of a file.")
     require_writable(target.parent)
     mesh = read_standing(source, out)
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,7 @@ from cli.scan_argument import ScanFolder, read_scan
 from cli.skipped import tell_skipped
 from stages import FuseParams, InputError, ScanParams
 from stages.inspecting.sanity import require_poses
+from stages.scans.codes import SCAN_DEPTH_MISSING
 
 
 def fuse(
@@ -40,9 +41,14 @@ def fuse(
     if source.is_stereo or source.is_views:
         what = "stereo pairs" if source.is_stereo else "single views"
         raise InputError(
-            f"these are {what} without depth; run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, "
-            "or `scanloom run` for the whole way.",
+            SCAN_DEPTH_MISSING,
+            "these are {what} without depth",
             folder,
+            remedy=(
+                "run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, or `scanloom run` for the whole way."
+            ),
+            what=what,
+            folder=folder,
         )
     if scan.check_poses:
         for doubt in require_poses(source):

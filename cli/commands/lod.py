@@ -14,6 +14,7 @@ from cli.output import Output, size_of, table_of
 from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
 from stages import BakeParams, UsageError, lod
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.lod import Hierarchy, LodParams
 from stages.printing import at_most
 from stages.simplification.regions import parse_region
@@ -121,9 +122,9 @@ def cut(
     """
     require_new_file(target, MESH_SUFFIXES if texture is None else TEXTURED_SUFFIXES)
     if (eye is None) != (look is None):
-        raise UsageError("a view needs both --eye and --look.")
+        raise UsageError(USAGE_OPTIONS_CONFLICT, "a view needs both --eye and --look.")
     if texture is not None and not image:
-        raise UsageError("--texture asks for an image and --no-image for none.")
+        raise UsageError(USAGE_VALUE_INVALID, "--texture asks for an image and --no-image for none.")
     view = None
     if eye is not None and look is not None:
         view = lod.View(eye, look, up, *size, field)

@@ -13,6 +13,7 @@ from cli.mesh_arguments import about_file, read_file, tell_notes
 from cli.output import Output, size_of
 from cli.paths import require_file, require_writable
 from stages import UsageError, lod
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.files.replacing_folder import require_replaceable_folder
 from stages.lod import TileImageParams, TilesParams
 from stages.lod.tiles import TILESET, WHAT, is_tileset
@@ -60,7 +61,7 @@ def tiles(
     require_replaceable_folder(target, is_tileset, WHAT)
     require_writable(target.parent)
     if texture is not None and not image:
-        raise UsageError("--texture asks for images and --no-image for none.")
+        raise UsageError(USAGE_VALUE_INVALID, "--texture asks for images and --no-image for none.")
     hierarchy = lod.read_slod(require_file(source))
     tell_notes(source, hierarchy.notes, out)
     model = None if texture is None else read_file(texture, out)

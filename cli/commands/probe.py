@@ -12,6 +12,7 @@ from cli.output import Output
 from cli.paths import require_file
 from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
+from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
 from stages.stereo.networks.probe import probe_network
 from stages.stereo.networks.sidecar import sidecar_of, written
 
@@ -38,7 +39,12 @@ def probe(
     """
     target = sidecar_of(require_file(network))
     if write and target.exists():
-        raise InputError("is there already; move it away, or leave out --write.", target)
+        raise InputError(
+            DEPTH_NETWORK_SIDECAR_INVALID,
+            "is there already",
+            target,
+            remedy="move it away, or leave out --write.",
+        )
     with out.progress("probe", "ways") as progress:
         found = probe_network(network, progress=progress)
     text = written(found.sidecar)

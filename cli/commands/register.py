@@ -13,6 +13,7 @@ from cli.paths import new_folder
 from cli.scan_argument import ScanFolder, read_scan
 from cli.skipped import tell_skipped
 from stages import InputError, RegisterParams, ScanParams
+from stages.scans.codes import SCAN_DEPTH_MISSING
 from stages.scans.read import require_complete
 
 
@@ -39,9 +40,13 @@ def register(
     source = read_scan(folder, scan, out, complete=False)
     if source.is_stereo:
         raise InputError(
-            f"these are stereo pairs without depth; run `scanloom depth {folder} OUTDIR`, register OUTDIR, "
-            "or `scanloom run` for the whole way.",
+            SCAN_DEPTH_MISSING,
+            "these are stereo pairs without depth",
             folder,
+            remedy=(
+                "run `scanloom depth {folder} OUTDIR`, register OUTDIR, or `scanloom run` for the whole way."
+            ),
+            folder=folder,
         )
     require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:

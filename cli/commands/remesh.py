@@ -18,6 +18,7 @@ from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from stages import InputError, RemeshParams
 from stages.normal_meshes.unmet import unmet
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
+from stages.surface.codes import MESH_NO_SURFACE
 from stages.surface.formats.ply import CONFIDENCE_LOST, read_vertex_values
 
 _SNM = (".snm",)
@@ -86,5 +87,10 @@ def remesh(
 def _confidence(path: Path) -> NDArray[np.float64] | None:
     values = read_vertex_values(path, "confidence") if path.suffix.lower() == ".ply" else None
     if values is not None and not np.isfinite(values).all():
-        raise InputError("has a confidence that is not finite; remove the property `confidence`.", path)
+        raise InputError(
+            MESH_NO_SURFACE,
+            "has a confidence that is not finite",
+            path,
+            remedy="remove the property `confidence`.",
+        )
     return values

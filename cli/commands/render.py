@@ -16,7 +16,9 @@ from cli.output import Output
 from cli.paths import require_new_file
 from cli.scan_argument import read_scan
 from stages import Frame, Mesh, ScanParams, UsageError, Viewpoint
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.params import check, param
+from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
 from stages.picturing.lettering import ScaleBar
 from stages.picturing.panels import Panels
 from stages.picturing.render import write_png
@@ -76,7 +78,9 @@ class PictureParams:
     def __post_init__(self) -> None:
         check(self)
         if self.up == "none":
-            raise UsageError("up is none, but a picture has an upper side; give an axis.")
+            raise UsageError(
+                USAGE_VALUE_INVALID, "up is none, but a picture has an upper side", remedy="give an axis."
+            )
         if self.up is not None:
             direction_of(self.up)
 
@@ -147,7 +151,9 @@ def render(
     """
     *sources, target = files
     if not sources:
-        raise UsageError("give one or more mesh files, and last the picture or the video to write.")
+        raise UsageError(
+            RENDER_NOTHING_TO_DRAW, "give one or more mesh files, and last the picture or the video to write."
+        )
     require_new_file(target, _SUFFIXES)
     is_video = target.suffix.lower() == _VIDEO
     free = _free_view(eye, look)
@@ -155,7 +161,11 @@ def render(
         params, video, field, is_video=is_video, has_scan=scan is not None, is_free=free is not None
     )
     if scan is None and reading != ScanParams():
-        raise UsageError("how to read a scan is said, but no scan is given; name it with --scan.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "how to read a scan is said, but no scan is given",
+            remedy="name it with --scan.",
+        )
     frames = read_scan(scan, reading, out).frames if scan is not None else ()
     meshes = [read_file(source, out) for source in sources]
     texts = _texts(sources, meshes, params, label)
@@ -187,7 +197,7 @@ def render(
 
 def _free_view(eye: Point | None, look: Point | None) -> tuple[Point, Point] | None:
     if (eye is None) != (look is None):
-        raise UsageError("a free view needs both --eye and --look.")
+        raise UsageError(USAGE_OPTIONS_CONFLICT, "a free view needs both --eye and --look.")
     return None if eye is None or look is None else (eye, look)
 
 
@@ -203,18 +213,32 @@ def _require_effect(
     """Refuse what would have no effect on what is asked for."""
     if video and not is_video:
         named = ", ".join(f"--{name}" for name in video)
-        raise UsageError(f"{named} is of videos; name an OUT that ends in {_VIDEO}.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "{named} is of videos",
+            remedy="name an OUT that ends in {video}.",
+            named=named,
+            video=_VIDEO,
+        )
     if is_video and (has_scan or is_free or params.viewpoint != 1):
-        raise UsageError("a video goes once around: leave out --viewpoint, --scan, --eye and --look.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "a video goes once around: leave out --viewpoint, --scan, --eye and --look.",
+        )
     if is_free and (has_scan or params.viewpoint != 1):
-        raise UsageError("--eye and --look say where to look from: leave out --viewpoint and --scan.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "--eye and --look say where to look from: leave out --viewpoint and --scan.",
+        )
     if field is not None and not is_free:
-        raise UsageError("--field is of a free view; give --eye and --look.")
+        raise UsageError(USAGE_OPTIONS_CONFLICT, "--field is of a free view", remedy="give --eye and --look.")
     if has_scan and (params.height is not None or params.up is not None):
-        raise UsageError("--scan has cameras of its own: leave out --height and --up.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT, "--scan has cameras of its own: leave out --height and --up."
+        )
     sizes = [params.width, params.height or 0]
     if is_video and any(size % 2 for size in sizes):
-        raise UsageError("a video has an even width and height.")
+        raise UsageError(USAGE_VALUE_INVALID, "a video has an even width and height.")
 
 
 def _texts(
@@ -224,7 +248,11 @@ def _texts(
     if given:
         if len(given) != len(meshes):
             raise UsageError(
-                f"--label is given {len(given)} times for {len(meshes)} meshes; give one for each."
+                USAGE_OPTIONS_CONFLICT,
+                "--label is given {given_count} times for {meshes_count} meshes",
+                remedy="give one for each.",
+                given_count=len(given),
+                meshes_count=len(meshes),
             )
         return list(given)
     wanted = len(meshes) > 1 if params.labels is None else params.labels
@@ -249,7 +277,12 @@ def _chosen(mesh: Mesh, params: PictureParams, frames: Sequence[Frame]) -> Viewp
         up=_up(params),
     )
     if params.viewpoint > len(around):
-        raise UsageError(f"--viewpoint is {params.viewpoint}, but there are only {len(around)} viewpoints.")
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "--viewpoint is {viewpoint}, but there are only {around_count} viewpoints.",
+            viewpoint=params.viewpoint,
+            around_count=len(around),
+        )
     chosen = around[params.viewpoint - 1]
     return replace(chosen, cull=True) if params.inside else chosen
 

@@ -28,6 +28,7 @@ from cli.run_options import (
 )
 from cli.watch import watching
 from stages import ScanParams, UsageError
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 
 if TYPE_CHECKING:
     from pipeline.run.dry_run import DryRun
@@ -95,7 +96,9 @@ def run(
 
     require_scan(scan)
     if dry_run and plot is not None:
-        raise UsageError("--plot draws how long stages took; --dry-run writes nothing.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT, "--plot draws how long stages took; --dry-run writes nothing."
+        )
     require_plot(plot)
     config = run_config(config_file, quality, settings, scan_options, page, report, out)
     limits = Limits(bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk"))

@@ -18,6 +18,7 @@ from cli.output import Output, lines_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.written_bounds import SaveBounds, write_bounds
 from stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.exporting.export import GLTF
 from stages.exporting.same_packing import same_packing, stored_bytes
 from stages.params import resolve
@@ -102,7 +103,11 @@ def simplify(
     if save_bounds is not None:
         require_new_file(save_bounds, (".ply",))
         if not chosen(params).proves:
-            raise UsageError(f"--save-bounds is for bounds that are proven; {_how_to_prove()}.")
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT,
+                "--save-bounds is for bounds that are proven; {how_to_prove}.",
+                how_to_prove=_how_to_prove(),
+            )
     regions = [parse_region(text) for text in region or ()]
     mesh = read_file(source, out)
     packing = same_packing(source, mesh) if target.suffix.lower() in GLTF else ExportParams()

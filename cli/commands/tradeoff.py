@@ -13,6 +13,7 @@ from cli.output import Output, table_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.plot_option import plot_option, require_plot
 from stages import Tradeoff, TradeoffParams, UsageError
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 
 
 def tradeoff(
@@ -78,7 +79,12 @@ def _count(word: str) -> int:
     try:
         return int(word.replace("_", ""))
     except ValueError:
-        raise UsageError(f"--counts has {word!r}; give whole numbers, say 50000,20000,5000.") from None
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "--counts has {word!r}",
+            remedy="give whole numbers, say 50000,20000,5000.",
+            word=word,
+        ) from None
 
 
 def _text(found: Tradeoff) -> str:

@@ -14,7 +14,9 @@ from cli.mesh_arguments import read_standing
 from cli.output import Output
 from cli.paths import require_new_file
 from pipeline.report.page import page_of_mesh, page_of_run
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.errors import InputError, UsageError
+from stages.files.codes import FILE_PATH_INVALID
 from stages.files.replacing import replacing
 from stages.lod.tiles import TILESET
 from stages.picturing.page.files import INDEX, tiles_page
@@ -64,10 +66,12 @@ def view(
     if target is not None:
         require_new_file(target, (".html",))
     if not what.exists():
-        raise InputError("there is no such file or folder.", what)
+        raise InputError(FILE_PATH_INVALID, "there is no such file or folder.", what)
     is_tiles = (what / TILESET).is_file()
     if is_tiles and target is not None:
-        raise UsageError("tiles are many files; lod tiles --page writes their page beside them.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT, "tiles are many files; lod tiles --page writes their page beside them."
+        )
     if is_tiles:
         _serve(what, tiles_page(), port, open_browser, out)
         return

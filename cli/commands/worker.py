@@ -22,6 +22,7 @@ from cli.batch_watch import watching_batch
 from cli.output import Output
 from cli.paths import require_writable
 from cli.run_options import DiskOption, MemoryOption, bytes_or_none
+from pipeline.batch.codes import BATCH_ALREADY_EXISTS
 from stages.diagnostics.errors import InputError
 
 
@@ -61,7 +62,11 @@ def worker(
     # Jobs run in processes that are elsewhere.
     queue = standing_queue(target.resolve()) if target.is_dir() else None
     if queue is None:
-        raise InputError("no batch was begun here; begin one with scanloom batch SCANS -o OUT.", target)
+        raise InputError(
+            BATCH_ALREADY_EXISTS,
+            "no batch was begun here; begin one with scanloom batch SCANS -o OUT.",
+            target,
+        )
     require_writable(queue.folder)
     tell_version(queue.version, out)
     with ending_as_interrupted(), watching_batch(out) as tell:

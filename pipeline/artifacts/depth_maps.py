@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from pipeline.stage import Artifact
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.prefetch import read_ahead
 from stages.scans.read import read_scan
@@ -103,7 +104,12 @@ def write_depth_maps(
     written = list(read_ahead(write, usable(), threads=threads, ahead=threads + 1))
     if not written:
         first = f" The first, {skipped[0].name}: {skipped[0].reason}" if skipped else ""
-        raise InputError(f"none of the {count} pairs can be used.{first}")
+        raise InputError(
+            SCAN_TOO_MANY_FRAMES_SKIPPED,
+            "none of the {count} pairs can be used.{first}",
+            count=count,
+            first=first,
+        )
     write_scan_json(folder, [one.frame for one in written], up=scan.up, is_metric=scan.is_metric)
     points = np.concatenate([one.points for one in written])
     write_ply_cloud(folder / "points.ply", points, np.concatenate([one.colors for one in written]))

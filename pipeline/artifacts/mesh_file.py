@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.stage import Artifact
 from stages.diagnostics.errors import StageError
+from stages.surface.codes import FUSE_TOO_LARGE
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of
@@ -56,8 +57,16 @@ class MeshFile(Artifact):
         """
         if self.is_large:
             raise StageError(
-                f"{stage} reads all of {self.FILE} at once, which has {self.triangle_count:,} triangles; "
-                f"it takes up to {MOST_AT_ONCE:,}. Give a larger fuse.voxel_size, or fuse a part (fuse.box)."
+                FUSE_TOO_LARGE,
+                (
+                    "{stage} reads all of {file} at once, which has {triangle_count:,} "
+                    "triangles; it takes up to {most_at_once:,}."
+                ),
+                remedy="Give a larger fuse.voxel_size, or fuse a part (fuse.box).",
+                stage=stage,
+                file=self.FILE,
+                triangle_count=self.triangle_count,
+                most_at_once=MOST_AT_ONCE,
             )
         return self.load()
 

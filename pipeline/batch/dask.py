@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.batch.claims import Claims
+from pipeline.batch.codes import BATCH_DASK
 from pipeline.batch.one import Task
 from pipeline.batch.queue import Queue
 from pipeline.batch.records import FAILED, Record, Records
@@ -130,8 +131,12 @@ def _completed(client: Any, tasks: Collection[Any], tell: Tell) -> Iterator[Any]
             one = next(ended)
             if one.cancelled():
                 raise StageError(
-                    f"the scheduler at {client.scheduler.address} is gone; what has ended is kept: run the "
-                    "batch again, with a scheduler that runs."
+                    BATCH_DASK,
+                    (
+                        "the scheduler at {address} is gone; what has ended is kept: run the batch "
+                        "again, with a scheduler that runs."
+                    ),
+                    address=client.scheduler.address,
                 )
             yield one
             looked, is_told = time.monotonic(), False
@@ -178,7 +183,9 @@ def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise UsageError("--executor dask needs Dask; install scanloom[dask].") from error
+        raise UsageError(
+            BATCH_DASK, "--executor dask needs Dask", remedy="install scanloom[dask]."
+        ) from error
     if scheduler in SYSTEMS:
         with _cluster(scheduler, workers) as cluster, Client(cluster) as client:
             yield client
@@ -186,7 +193,12 @@ def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
     try:
         client = Client(scheduler, timeout=_PATIENCE)
     except (OSError, ValueError) as error:
-        raise InputError(f"no scheduler of Dask answers at {scheduler}: {error}.") from error
+        raise InputError(
+            BATCH_DASK,
+            "no scheduler of Dask answers at {scheduler}: {error}.",
+            scheduler=scheduler,
+            error=error,
+        ) from error
     with client:
         yield client
 
@@ -194,12 +206,19 @@ def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
 def _cluster(system: str, workers: int | None) -> Any:
     """Return a cluster whose workers a system of a computing centre starts, as the user has configured it."""
     if workers is None:
-        raise UsageError(f"--scheduler {system} needs --jobs N: how many workers to ask it for.")
+        raise UsageError(
+            BATCH_DASK, "--scheduler {system} needs --jobs N: how many workers to ask it for.", system=system
+        )
     ctrl_c = signal.getsignal(signal.SIGINT)
     try:
         import dask_jobqueue
     except ImportError as error:
-        raise UsageError(f"--scheduler {system} needs dask-jobqueue; install scanloom[dask].") from error
+        raise UsageError(
+            BATCH_DASK,
+            "--scheduler {system} needs dask-jobqueue",
+            remedy="install scanloom[dask].",
+            system=system,
+        ) from error
     if signal.getsignal(signal.SIGINT) is not ctrl_c:
         # As it is imported it takes Ctrl-C for an end in good order: whatever calls this would seem done.
         signal.signal(signal.SIGINT, ctrl_c)
@@ -213,8 +232,10 @@ def _cluster(system: str, workers: int | None) -> Any:
             with suppress(AssertionError):
                 cluster.close()
         raise InputError(
-            f"workers cannot be started by {system}: {' '.join(str(error).split())}; "
-            "~/.config/dask/jobqueue.yaml says how."
+            BATCH_DASK,
+            "workers cannot be started by {system}: {split}; ~/.config/dask/jobqueue.yaml says how.",
+            system=system,
+            split=" ".join(str(error).split()),
         ) from error
     return cluster
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from pipeline.batch.codes import BATCH_SCANS_NOT_DONE
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_LAYOUT_UNKNOWN
 from stages.scans.read import matching
 from stages.scans.table import LAYOUTS
 
@@ -149,11 +151,15 @@ def _listed(folder: Path) -> list[Path]:
 def _require_listed(folder: Path) -> None:
     if not folder.is_dir():
         what = "this is a file" if folder.exists() else "there is no such folder"
-        raise InputError(f"{what}; give the folder that holds the scans.", folder)
+        raise InputError(
+            BATCH_SCANS_NOT_DONE, "{what}", folder, remedy="give the folder that holds the scans.", what=what
+        )
     try:
         next(folder.iterdir(), None)
     except OSError as error:
-        raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
+        raise InputError(
+            SCAN_LAYOUT_UNKNOWN, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
+        ) from error
 
 
 def _name(place: Path, top: Path) -> str:

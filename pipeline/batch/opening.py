@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pipeline.batch.claims import RELEASED, Claim, Claims
+from pipeline.batch.codes import BATCH_ALREADY_EXISTS
 from pipeline.batch.heartbeat import Watch
 from pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue, standing_queue
 from pipeline.batch.records import FAILED, Records
@@ -85,7 +86,9 @@ def _require_quiet(queue: Queue, note: Callable[[str], None]) -> None:
         for worker in watch.living():
             if watch.said(worker) != first.get(worker):
                 raise InputError(
-                    f"another batch is at work in it (worker {worker}); wait for its end, or name another "
-                    "output folder.",
+                    BATCH_ALREADY_EXISTS,
+                    "another batch is at work in it (worker {worker})",
                     queue.out,
+                    remedy="wait for its end, or name another output folder.",
+                    worker=worker,
                 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from pipeline.batch.codes import BATCH_ALREADY_EXISTS
 from pipeline.batch.summary import COLUMNS, CSV, PARQUET, Summary, csv_of, parquet_of
 from pipeline.batch.whole import write_whole
 from pipeline.failures import explained
@@ -69,7 +70,10 @@ def require_replaceable(out: Path) -> None:
         path = out / name
         if os.path.lexists(path) and not _is_own(path):
             raise InputError(
-                "no batch has written this; move it, name another output folder, or give --overwrite.", path
+                BATCH_ALREADY_EXISTS,
+                "no batch has written this",
+                path,
+                remedy="move it, name another output folder, or give --overwrite.",
             )
 
 

@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from pipeline.batch.codes import BATCH_QUEUE_DAMAGED
 from pipeline.batch.whole import write_whole
 from pipeline.cache.digest import digest
 from pipeline.failures import explained
@@ -228,9 +229,10 @@ def _read(out: Path, folder: Path) -> Queue:
     settings = _settings(about) if about else None
     if about is None or settings is None or not isinstance(count, int):
         raise InputError(
-            "the queue is damaged, or of another version; run scanloom batch again, which writes it anew and "
-            "keeps all results.",
+            BATCH_QUEUE_DAMAGED,
+            "the queue is damaged, or of another version",
             path,
+            remedy="run scanloom batch again, which writes it anew and keeps all results.",
         )
     jobs = {job.number: job for line in rest if line and (job := _job(line)) is not None}
     damaged = tuple(number for number in range(count) if number not in jobs)

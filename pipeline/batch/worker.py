@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pipeline.batch.admission import Admission, Needs
 from pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
+from pipeline.batch.codes import BATCH_WORKER_STOPPED
 from pipeline.batch.heartbeat import Heartbeat, Watch, name_of_worker
 from pipeline.batch.process import Message, Process
 from pipeline.batch.queue import Queue
@@ -131,8 +132,12 @@ class Worker:
         """Raise StageError where a later batch has removed this one, as it may when no worker gave a sign."""
         if not self._queue.folder.is_dir():
             raise StageError(
-                f"another batch was begun in {self._queue.out} while this worker gave no sign of life; what "
-                "it had finished is in the cache."
+                BATCH_WORKER_STOPPED,
+                (
+                    "another batch was begun in {out} while this worker gave no sign of life; "
+                    "what it had finished is in the cache."
+                ),
+                out=self._queue.out,
             )
 
     def _begin(self, slot: Slot, claim: Claim) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
@@ -47,5 +48,10 @@ def bytes_of(text: str, name: str) -> int:
     found = re.fullmatch(r"\s*(\d{1,12}(?:\.\d{1,12})?)\s*([kmgt]b)?\s*", text, re.ASCII | re.IGNORECASE)
     # Who writes so much without a unit means bytes, and would have no limit at all.
     if found is None or (not found[2] and float(found[1]) >= _BYTES_MEANT):
-        raise UsageError(f"{name} is {text[:40]!r}; it must be a size such as 500 MB, 20 GB or 1.5 TB.")
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "{name} is {text!r}; it must be a size such as 500 MB, 20 GB or 1.5 TB.",
+            name=name,
+            text=text[:40],
+        )
     return round(float(found[1]) * _UNITS[(found[2] or "mb").lower()])

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.own_paths import from_there, home
+from stages.diagnostics.codes import MACHINE_BUSY
 from stages.diagnostics.errors import StageError
 from stages.files.opening import opened
 from stages.progress import Progress, silent
@@ -113,7 +114,12 @@ class ScanDigest:
             before, signature = self._files[path]
             # The time stamp only saves reading all files again; a touched file is read, and is no change.
             if _signature(path) != signature and content(path) != before:
-                raise StageError(f"{path} changed while it was being read; run again when it is complete.")
+                raise StageError(
+                    MACHINE_BUSY,
+                    "{path} changed while it was being read",
+                    remedy="run again when it is complete.",
+                    path=path,
+                )
 
 
 def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:

@@ -35,6 +35,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
 from pipeline.cache.digest import digest
 from pipeline.cache.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, seal, verified
 from pipeline.cache.files import write_whole
@@ -417,8 +418,10 @@ def _require_folder(path: Path) -> None:
     """Refuse what is no folder: behind a link stand files of somebody else."""
     if os.path.lexists(path) and not is_folder(path):
         raise StageError(
-            f"{path}: a folder of the cache is expected here, and this is a link or a file; remove it, or "
-            "keep the whole cache elsewhere (SCANLOOM_CACHE)."
+            MACHINE_CACHE_UNUSABLE,
+            "{path}: a folder of the cache is expected here, and this is a link or a file",
+            remedy="remove it, or keep the whole cache elsewhere (SCANLOOM_CACHE).",
+            path=path,
         )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from stages.comparing.deviations import Deviations
 from stages.diagnostics.errors import InputError
 from stages.files.documents import read_json
+from stages.picturing.codes import REPORT_INCOMPLETE
 from stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
 from stages.surface.raycasting import Floats
 
@@ -76,7 +77,12 @@ def read_deviations(folder: Path) -> Kept | None:
     mesh, values = read_ply(folder / MESH), read_vertex_values(folder / MESH, PROPERTY)
     quantiles = np.array(document["quantiles_m"], np.float64)
     if values is None or not np.isfinite(values).all():
-        raise InputError(f"its vertices have no property `{PROPERTY}` that is finite.", folder / MESH)
+        raise InputError(
+            REPORT_INCOMPLETE,
+            "its vertices have no property `{property}` that is finite.",
+            folder / MESH,
+            property=PROPERTY,
+        )
     if quantiles.shape != (_STEPS + 1,) or not (np.diff(quantiles) >= 0).all():
         raise ValueError(quantiles.shape)
     return Kept(document["figures"], quantiles, mesh.vertices, values)

@@ -23,6 +23,7 @@ from pipeline.steps.texture import MAPS
 from stages import Mesh
 from stages.diagnostics.errors import InputError
 from stages.files.documents import read_json
+from stages.picturing.codes import REPORT_INCOMPLETE
 from stages.picturing.page.packing import Paint, Shown, Warn, packed_page, turn_of_page
 from stages.surface.formats.ply_format import promised
 from stages.surface.mesh_files import standing
@@ -53,7 +54,13 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     name = next((name for name in _RESULTS if (folder / name).is_file()), None)
     if name is None:
         known = ", ".join(_RESULTS)
-        raise InputError(f"holds none of {known}, nor tiles; give a mesh file, or the OUT of a run.", folder)
+        raise InputError(
+            REPORT_INCOMPLETE,
+            "holds none of {known}, nor tiles",
+            folder,
+            remedy="give a mesh file, or the OUT of a run.",
+            known=known,
+        )
     result = standing(folder / name, _read(folder / name, warn))
     turn = turn_of_page(result)
     report, told = _reported(folder / REPORT)

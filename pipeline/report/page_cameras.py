@@ -14,6 +14,7 @@ from pipeline.evaluation.photos import FILE as CAMERAS
 from stages.diagnostics.errors import InputError
 from stages.files.documents import read_json, require_inside
 from stages.files.opening import content_of
+from stages.picturing.codes import REPORT_INCOMPLETE
 from stages.picturing.page.one_file import PageCamera
 
 _JPEG = b"\xff\xd8\xff"
@@ -25,7 +26,12 @@ def as_runs_write(path: Path) -> Iterator[None]:
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError("this is not as a run writes it; run once more, or move it away.", path) from error
+        raise InputError(
+            REPORT_INCOMPLETE,
+            "this is not as a run writes it",
+            path,
+            remedy="run once more, or move it away.",
+        ) from error
 
 
 def cameras_of(folder: Path, turn: NDArray[np.float64], skipped: Mapping[str, str]) -> list[PageCamera]:
@@ -63,10 +69,12 @@ def _photo(name: str, path: Path) -> bytes:
     """Return a photo that cameras.json names; the page is passed on, so nothing else may get into it."""
     photo = path.parent / require_inside(name, path, "photo")
     if not photo.resolve().is_relative_to(path.parent.resolve()):
-        raise InputError(f"the photo {name[:100]!r} leads out of the folder.", path)
+        raise InputError(
+            REPORT_INCOMPLETE, "the photo {name!r} leads out of the folder.", path, name=name[:100]
+        )
     if not photo.is_file():
-        raise InputError("this photo is missing; run once more.", photo)
+        raise InputError(REPORT_INCOMPLETE, "this photo is missing", photo, remedy="run once more.")
     content = content_of(photo)
     if not content.startswith(_JPEG):
-        raise InputError("this is not a JPEG file.", photo)
+        raise InputError(REPORT_INCOMPLETE, "this is not a JPEG file.", photo)
     return content

@@ -14,6 +14,7 @@ from pipeline.run.asked import Asked
 from pipeline.run.events import Events, Warned, unwatched
 from pipeline.run.run import RunResult, cache_folder, run
 from stages.diagnostics.errors import InputError
+from stages.inspecting.codes import COVERAGE_LIMITED
 
 
 def run_again(
@@ -46,7 +47,11 @@ def run_again(
     folder = asked.scan if scan is None else scan
     if not folder.exists():
         raise InputError(
-            "the scan that these results were made from is not there any more; say with --scan where it is.",
+            COVERAGE_LIMITED,
+            (
+                "the scan that these results were made from is not there any more; say with "
+                "--scan where it is."
+            ),
             folder,
         )
     section = replace(getattr(asked.config, stage), enabled=True, **changes)
@@ -58,24 +63,33 @@ def run_again(
 
 def _asked(out: Path, cache_dir: Path | None, events: Events) -> Asked:
     if not out.exists():
-        raise InputError("there is no such folder; give the OUT of a run.", out)
+        raise InputError(COVERAGE_LIMITED, "there is no such folder", out, remedy="give the OUT of a run.")
     if not out.is_dir():
-        raise InputError("this is a file; give the OUT of a run, a folder.", out)
+        raise InputError(COVERAGE_LIMITED, "this is a file", out, remedy="give the OUT of a run, a folder.")
     cache = cache_folder(out.resolve(), cache_dir)
     record = (
         Cache(cache, lambda text: events(Warned(text))).latest_run(out.resolve()) if cache.is_dir() else {}
     )
     asked = Asked.of(record.get("asked"))
     if asked is None and not (out / REPORT).is_file():
-        raise InputError("no run has left its results here; give the OUT of `scanloom run`.", out)
+        raise InputError(
+            COVERAGE_LIMITED,
+            "no run has left its results here",
+            out,
+            remedy="give the OUT of `scanloom run`.",
+        )
     if asked is None:
         raise InputError(
-            f"the cache {cache} does not tell how this was made; name that of the run with --cache, or run "
-            "`scanloom run` once more.",
+            COVERAGE_LIMITED,
+            "the cache {cache} does not tell how this was made",
             out,
+            remedy="name that of the run with --cache, or run `scanloom run` once more.",
+            cache=cache,
         )
     if not (out / "clean.ply").is_file():
         raise InputError(
-            "there is no clean.ply: the run has not come so far; finish it with `scanloom run`.", out
+            COVERAGE_LIMITED,
+            "there is no clean.ply: the run has not come so far; finish it with `scanloom run`.",
+            out,
         )
     return asked

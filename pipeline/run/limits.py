@@ -19,6 +19,7 @@ from pipeline.cache.entry import Entry
 from pipeline.cache.system import peak_bytes
 from pipeline.config import Config
 from pipeline.expectation import BASE_BYTES, Expectation
+from pipeline.run.codes import BATCH_LIMIT_EXCEEDED
 from stages.diagnostics.errors import StageError
 
 # Seconds between two looks at what a stage has taken.
@@ -128,7 +129,7 @@ class LimitGuard:
 
     def _end_or_warn(self, why: str, basis: str) -> None:
         if basis != "estimated" or (self._limits.memory or math.inf) <= BASE_BYTES:
-            raise StageError(why)
+            raise StageError(CODE_UNKNOWN, why)
         self._warn(f"{why} This is an estimate; the stage is stopped if it comes to that.")
 
     def during(self, stage: str, folder: Path, share: float) -> None:
@@ -147,7 +148,7 @@ class LimitGuard:
         if self._limits.memory is not None and self._is_time("memory", _MEMORY_PAUSE):
             taken = self._peak()
             if taken > self._limits.memory:
-                raise StageError(self._memory_trouble(stage, taken, None, share))
+                raise StageError(CODE_UNKNOWN, self._memory_trouble(stage, taken, None, share))
         if self._limits.disk is not None and self._is_time("disk", _DISK_PAUSE):
             self._require_disk(stage, 2 * _bytes_in(folder), share)
 
@@ -173,8 +174,13 @@ class LimitGuard:
         if limit is not None and self._written + more > limit:
             total = self._written + more
             raise StageError(
-                f"{stage} brings what the run has written to {_size(total)}, more than the limit of "
-                f"{_size(limit)}; raise it, or make less: {self._lighter(self._at_end(total, share), limit)}."
+                BATCH_LIMIT_EXCEEDED,
+                "{stage} brings what the run has written to {size}, more than the limit of {size_2}",
+                remedy="raise it, or make less: {lighter}.",
+                stage=stage,
+                size=_size(total),
+                size_2=_size(limit),
+                lighter=self._lighter(self._at_end(total, share), limit),
             )
 
     def _is_time(self, what: str, pause: float) -> bool:

@@ -21,6 +21,7 @@ from pipeline.cache.store import Cache
 from pipeline.failures import explained
 from pipeline.report.file_names import PAGE, REPORT
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_OUTPUT_REFUSED
 from stages.files.inside import leads_inside
 from stages.files.opening import text_in
 from stages.picturing.page.one_file import is_page
@@ -225,9 +226,10 @@ class Results:
     def _refuse(self, path: Path) -> None:
         if not self._overwrite:
             raise InputError(
-                "no run has placed this, or it was changed since; move it, name another output folder, or "
-                "give --overwrite.",
+                FILE_OUTPUT_REFUSED,
+                "no run has placed this, or it was changed since",
                 path,
+                remedy="move it, name another output folder, or give --overwrite.",
             )
 
     def _remember(self) -> None:

@@ -31,8 +31,11 @@ from pipeline.stage import AnyStage
 from pipeline.steps.adjust import is_adjusted
 from pipeline.steps.register import is_registered
 from stages import __version__
+from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN
 from stages.diagnostics.errors import InputError, UsageError
+from stages.files.codes import FILE_OUTPUT_REFUSED
 from stages.files.opening import content_of
+from stages.picturing.codes import REPORT_INCOMPLETE
 from stages.picturing.show import Page
 from stages.printing import counted, line, rows_table
 from stages.scans.read import read_scan, require_complete
@@ -90,7 +93,9 @@ class RunResult:
             If the run left none.
         """
         if self.page is None:
-            raise UsageError("this run left no page; report.page=true and report.enabled=true make one.")
+            raise UsageError(
+                REPORT_INCOMPLETE, "this run left no page; report.page=true and report.enabled=true make one."
+            )
         html = content_of(self.page)
         return Page(title=self.out.name, html=html, width=width, height=height, warnings=())
 
@@ -184,7 +189,11 @@ def wanted_of(
     for folder, what in ((out, "output"), (cache.folder, "cache")):
         if folder == scan_folder:
             raise UsageError(
-                f"{folder}: the {what} folder is the scan itself, which is only read; name another."
+                FILE_OUTPUT_REFUSED,
+                "{folder}: the {what} folder is the scan itself, which is only read",
+                remedy="name another.",
+                folder=folder,
+                what=what,
             )
     require_stages([*force, *([] if until is None else [until])])
     scan = read_scan(scan_folder, config.scan, complete=False)
@@ -194,7 +203,7 @@ def wanted_of(
     absent = skip_reasons(scan, config)
     for name in (*force, until):
         if name in absent:
-            raise UsageError(f"{name} {absent[name]}.")
+            raise UsageError(CODE_UNKNOWN, "{name} {absent}.", name=name, absent=absent[name])
     names = [stage.name for stage in plan]
     warnings = list(scan.warnings)
     if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
@@ -329,6 +338,7 @@ def require_stages(names: Sequence[str]) -> None:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             raise UsageError(
+                CONFIG_PARAMETER_UNKNOWN,
                 f"there is no stage {name!r}; "
-                + (f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}.")
+                + (f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}."),
             )

@@ -9,6 +9,7 @@ from pipeline.cache.digest import content, digest, label_digests, scan_digest
 from pipeline.config import Config
 from pipeline.graph import source_name
 from pipeline.run.engine import Source
+from stages.diagnostics.codes import MACHINE_BUSY
 from stages.diagnostics.errors import StageError
 from stages.inspecting.libraries import installed
 from stages.progress import Progress, silent
@@ -45,7 +46,12 @@ def _network(file: Path) -> Source:
     def require_unchanged() -> None:
         for what, path in files.items():
             if content(path) != parts[what]:
-                raise StageError(f"{path} changed while it was being read; run again when it is complete.")
+                raise StageError(
+                    MACHINE_BUSY,
+                    "{path} changed while it was being read",
+                    remedy="run again when it is complete.",
+                    path=path,
+                )
 
     parts |= installed("onnxruntime")
     return Source(digest(parts), file, parts, require_unchanged)

@@ -12,6 +12,8 @@ from stages.adjusting.cameras import lens_of
 from stages.adjusting.lens import OPENCV
 from stages.diagnostics.errors import InputError
 from stages.frames.features import detect_keypoints
+from stages.registration.codes import REGISTER_FRAMES_UNUSABLE
+from stages.scans.codes import SCAN_FRAMES_SKIPPED
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
@@ -93,16 +95,18 @@ def read_view(frame: Frame) -> View:
     frame = replace(frame, shutter_turn=None)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError("there is no depth map.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", f"frame {frame.name}")
     camera = color_camera(frame)
     is_plain = not camera.fisheye and len(camera.distortion) <= OPENCV
     color = as_taken(frame) if is_plain else read_color(frame)
     if color is None:
-        raise InputError("there is no colour image.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", f"frame {frame.name}")
     grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
     if not _DARK <= grey.mean() <= _BRIGHT:
         what = BLACK if grey.mean() < _DARK else OVER_EXPOSED
-        raise InputError(f"its colour image is {what}.", f"frame {frame.name}")
+        raise InputError(
+            REGISTER_FRAMES_UNUSABLE, "its colour image is {what}.", f"frame {frame.name}", what=what
+        )
     if grey.shape[1] > WIDEST:
         size = (WIDEST, max(round(grey.shape[0] * WIDEST / grey.shape[1]), 1))
         grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.regularity import Limits, irregular
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.errors import UsageError
 from stages.params import check as check_params
 from stages.params import param, resolve
@@ -127,9 +128,16 @@ def require_answerable(requirements: Iterable[str], min_thickness: float) -> Non
     """
     for word in requirements:
         if word not in REQUIREMENTS:
-            raise UsageError(f"there is no requirement {word!r}; there are {', '.join(REQUIREMENTS)}.")
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT,
+                "there is no requirement {word!r}; there are {requirements}.",
+                word=word,
+                requirements=", ".join(REQUIREMENTS),
+            )
         if word == "no-thin-triangles" and min_thickness == 0:
-            raise UsageError("no-thin-triangles needs min_thickness: without it, nothing is thin.")
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT, "no-thin-triangles needs min_thickness: without it, nothing is thin."
+            )
 
 
 @dataclass(frozen=True, eq=False)

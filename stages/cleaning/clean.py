@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.check import CheckParams
+from stages.cleaning.codes import CLEAN_NOTHING_LEFT
 from stages.cleaning.degenerate import without_degenerate
 from stages.cleaning.manifold import make_manifold
 from stages.cleaning.repair import Repaired, repair
 from stages.cleaning.stitch import stitch, weld
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.errors import MeshError, StageError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_fields, by_figures, table
@@ -87,7 +89,7 @@ class CleanParams:
     def __post_init__(self) -> None:
         check(self)
         if self.max_shape is not None and not self.repair:
-            raise UsageError("max_shape is for repairs; give repair, too.")
+            raise UsageError(USAGE_OPTIONS_CONFLICT, "max_shape is for repairs", remedy="give repair, too.")
 
 
 class CleanKeywords(TypedDict, total=False):
@@ -216,11 +218,11 @@ def clean(
     counts["unused_vertices"] = len(mesh.vertices) + counts["split_vertices"] - len(traced.mesh.vertices)
     progress(3, steps)
     if len(traced.mesh.triangles) == 0:
-        raise MeshError("has no triangle with an area; nothing is left of it.", "mesh")
+        raise MeshError(CLEAN_NOTHING_LEFT, "has no triangle with an area; nothing is left of it.", "mesh")
     try:
         require_manifold(traced.mesh)
     except MeshError as error:
-        raise StageError(f"cleaning failed, its result {error}") from error
+        raise StageError(CLEAN_NOTHING_LEFT, "cleaning failed, its result {error}", error=error) from error
     progress(_STEPS, steps)
     cleaned = Cleaned(traced.mesh, traced.vertex_source, traced.triangle_source, Removed(**counts), min_area)
     if params.repair:

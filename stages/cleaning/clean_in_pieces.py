@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import CleanParams, is_large
+from stages.cleaning.codes import CLEAN_NOTHING_LEFT
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.progress import Progress, silent
+from stages.surface.codes import FUSE_TOO_LARGE
 from stages.surface.edges import components
 from stages.surface.pieces import Extent, Pieces, Written, write_pieces
 from stages.surface.topology import areas
@@ -75,8 +77,10 @@ def clean_in_pieces(
     whole_only = [name for name in ("repair", "fill_holes", "weld_distance") if getattr(params, name)]
     if whole_only:
         raise UsageError(
-            f"{' and '.join(whole_only)} of clean needs the whole mesh at once, which is too large for that; "
-            "leave it out, or give a larger fuse.voxel_size."
+            FUSE_TOO_LARGE,
+            "{whole_only} of clean needs the whole mesh at once, which is too large for that",
+            remedy="leave it out, or give a larger fuse.voxel_size.",
+            whole_only=" and ".join(whole_only),
         )
     pieces = Pieces(fused)
     steps = 2 * len(pieces)
@@ -89,7 +93,9 @@ def clean_in_pieces(
         is_kept, min_area = is_large(islands.area, params)
         sizes = _numbered(pieces, islands, is_kept, numbers)
         if not sizes or not sizes[-1].triangles[1]:
-            raise MeshError("has no triangle with an area; nothing is left of it.", "mesh")
+            raise MeshError(
+                CLEAN_NOTHING_LEFT, "has no triangle with an area; nothing is left of it.", "mesh"
+            )
 
         def kept() -> Iterator[Written]:
             for number in range(len(pieces)):

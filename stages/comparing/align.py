@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
+from stages.comparing.codes import COMPARE_MESHES_APART
 from stages.comparing.measurable import box_of, comparable
 from stages.comparing.sampling import sampled
 from stages.diagnostics.errors import InputError
@@ -104,8 +105,10 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     found = pipeline.evaluate_registration(source, target, _REACHES[1] * size, motion)
     if found.fitness < _LEAST_OVERLAP:
         raise InputError(
-            f"the two cannot be aligned: {found.fitness:.0%} of the points have a partner nearby; "
-            "bring them roughly into place first."
+            COMPARE_MESHES_APART,
+            "the two cannot be aligned: {fitness:.0%} of the points have a partner nearby",
+            remedy="bring them roughly into place first.",
+            fitness=found.fitness,
         )
     motion = _rigid(motion)
     rms = _rms_to_planes(source, target, np.asarray(found.correspondence_set), motion)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
@@ -83,7 +84,11 @@ class CertifyParams:
     def __post_init__(self) -> None:
         check(self)
         if self.only_decide and self.max_shape is None and self.max_color is None:
-            raise UsageError("only_decide is for limits; give max_shape, max_color or both.")
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT,
+                "only_decide is for limits",
+                remedy="give max_shape, max_color or both.",
+            )
 
 
 class CertifyKeywords(TypedDict, total=False):
@@ -214,7 +219,9 @@ def certify(
         limit = (shape, color)
     colored = a.colors is not None and b.colors is not None
     if params.max_color is not None and not colored:
-        raise UsageError("max_color is given, but not both meshes have vertex colours.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT, "max_color is given, but not both meshes have vertex colours."
+        )
     with_color = colored and (limit is None or params.max_color is not None)
     prove = functools.partial(_proven, _soup(a, colored), _soup(b, colored), params)
     if limit is None:
@@ -253,7 +260,7 @@ def _proven(
             progress=progress,
         )
     except _kernels.InvalidMeshError as error:
-        raise MeshError(f"{error}.", "mesh") from error
+        raise MeshError(CODE_UNKNOWN, "{error}.", "mesh", error=error) from error
 
 
 def _is_within(found: tuple[float, float], limit: tuple[float, float], with_color: bool) -> bool:

@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.comparing.codes import TEXTURE_PHOTOS_MISMATCH
 from stages.comparing.placing import poses_of, turn_seen
 from stages.comparing.seen import Levels, Seen, fitted, seen_from
 from stages.diagnostics.errors import InputError
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
+from stages.scans.codes import SCAN_FRAMES_SKIPPED
 from stages.scans.images import read_depth, read_photo
 from stages.scans.poses import inverted
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame, scaled
@@ -136,7 +138,7 @@ def left_out(mesh: Mesh, frames: Sequence[Frame], progress: Progress = silent) -
 def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorImage]:
     image, camera, shown = read_photo(frame)
     if frame.world_from_camera is None:
-        raise InputError("there is no camera pose.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no camera pose.", f"frame {frame.name}")
     apart = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
     given = np.asarray(frame.world_from_camera, np.float64) @ inverted(apart)
     if frame.shutter_turn is not None:
@@ -150,7 +152,7 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         if judged is not None:
             found.append((*judged, pose))
     if not found:
-        raise InputError("its photo does not show the mesh.", f"frame {frame.name}")
+        raise InputError(TEXTURE_PHOTOS_MISMATCH, "its photo does not show the mesh.", f"frame {frame.name}")
     # A wrong pose may come near to little of the photo.
     least = _SAME_COVERAGE * max(score.coverage for score, *_ in found)
     score, drawn, pose = max(

@@ -26,6 +26,7 @@ class Severity(str, Enum):
     ERROR = "error"
 
 
+_ENDS = (".", "?", "!")
 # All declared codes by name.
 _DECLARED: dict[str, Code] = {}
 
@@ -141,7 +142,9 @@ class Diagnostic:
 
     def __str__(self) -> str:
         where = "" if self.where is None else f"{self.where}: "
-        return f"{where}{self.message}" if self.remedy is None else f"{where}{self.message}; {self.remedy}"
+        if self.remedy is None:
+            return where + self.message
+        return f"{where}{self.message}{' ' if self.message.endswith(_ENDS) else '; '}{self.remedy}"
 
     def at(self, where: Location) -> Diagnostic:
         """Return the diagnostic with another location."""

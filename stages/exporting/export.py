@@ -16,6 +16,7 @@ from stages.exporting.usd import require_usd, write_usd
 from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.printing import by_figures, table
+from stages.surface.codes import USAGE_EXTENSION_UNKNOWN
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS, lattice_of
 from stages.surface.formats.gltf_writer import write_gltf
@@ -229,11 +230,29 @@ def require_fitting(path: Path, params: ExportParams) -> None:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         ending = path.suffix or "(none)"
-        raise UsageError(f"{path}: the extension {ending} stands for no format; use {', '.join(SUFFIXES)}.")
+        raise UsageError(
+            USAGE_EXTENSION_UNKNOWN,
+            "{path}: the extension {ending} stands for no format",
+            remedy="use {suffixes}.",
+            path=path,
+            ending=ending,
+            suffixes=", ".join(SUFFIXES),
+        )
     if suffix not in GLTF and (params.compress != "none" or params.shading != "bare"):
-        raise UsageError(f"{path}: compress and shading are of glTF; write .glb.")
+        raise UsageError(
+            USAGE_EXTENSION_UNKNOWN,
+            "{path}: compress and shading are of glTF",
+            remedy="write .glb.",
+            path=path,
+        )
     if suffix in STANDING and (params.unit != "m" or params.on_floor):
-        raise UsageError(f"{path}: {suffix} is in metres, and placed by its own axes; write .stl or .obj.")
+        raise UsageError(
+            USAGE_EXTENSION_UNKNOWN,
+            "{path}: {suffix} is in metres, and placed by its own axes",
+            remedy="write .stl or .obj.",
+            path=path,
+            suffix=suffix,
+        )
     if suffix in USD:
         require_usd()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.errors import UsageError
 from stages.exporting.export import GLTF, STANDING, ExportKeywords, ExportParams
 
@@ -44,7 +45,12 @@ def preset(name: str, suffix: str = ".glb") -> ExportParams:
         If there is none of this name.
     """
     if name not in PRESETS:
-        raise UsageError(f"there is no preset {name!r}; there are {', '.join(PRESETS)}.")
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "there is no preset {name!r}; there are {presets}.",
+            name=name,
+            presets=", ".join(PRESETS),
+        )
     suffix = suffix.lower()
     left_out = (*(() if suffix in GLTF else _OF_GLTF), *(_OF_OTHERS if suffix in STANDING else ()))
     kept: Any = {key: value for key, value in PRESETS[name].items() if key not in left_out}

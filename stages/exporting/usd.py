@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import StageError, UsageError
+from stages.exporting.codes import EXPORT_LEFT_OUT
 from stages.files.image_bytes import encoded_png
 from stages.files.replacing import replacing
+from stages.surface.codes import USAGE_EXTENSION_UNKNOWN
 from stages.surface.finite import LARGEST_SINGLE
 from stages.surface.formats.colors import linear_from_srgb
 from stages.surface.mesh import Mesh, require_writable
@@ -39,7 +41,9 @@ def require_usd() -> None:
     try:
         import pxr  # noqa: F401
     except ImportError:
-        raise UsageError("USD is written by usd-core; install scanloom[usd].") from None
+        raise UsageError(
+            USAGE_EXTENSION_UNKNOWN, "USD is written by usd-core", remedy="install scanloom[usd]."
+        ) from None
 
 
 def write_usd(path: Path, mesh: Mesh) -> list[str]:
@@ -59,7 +63,12 @@ def write_usd(path: Path, mesh: Mesh) -> list[str]:
     require_usd()
     require_writable(mesh, path, single_precision=True)
     if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"{path}: USD is written as {', '.join(SUFFIXES)}.")
+        raise UsageError(
+            USAGE_EXTENSION_UNKNOWN,
+            "{path}: USD is written as {suffixes}.",
+            path=path,
+            suffixes=", ".join(SUFFIXES),
+        )
     with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
         folder = Path(kept)
         text = folder / f"{path.stem}.usda"
@@ -79,7 +88,7 @@ def _pack(text: Path, packed: Path, path: Path) -> None:
     from pxr import UsdUtils
 
     if not UsdUtils.CreateNewUsdzPackage(str(text), str(packed)):
-        raise StageError(f"{path}: usd-core could not make the package.")
+        raise StageError(EXPORT_LEFT_OUT, "{path}: usd-core could not make the package.", path=path)
     with replacing(path) as part:
         shutil.copyfile(packed, part)
 

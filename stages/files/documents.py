@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_PATH_OUTSIDE, FILE_TEXT_INVALID, RECORDING_DAMAGED
 from stages.files.inside import leads_inside
 from stages.files.opening import opened, text_in
 
@@ -43,7 +44,7 @@ def read_text(path: Path) -> str:
     """
     try:
         if path.stat().st_size > _MAX_TEXT_BYTES:
-            raise InputError("the file is too large for what it should hold.", path)
+            raise InputError(FILE_TEXT_INVALID, "the file is too large for what it should hold.", path)
         with opened(path) as file:
             is_wide = file.read(2) in _WIDE_MARKS
         try:
@@ -54,9 +55,11 @@ def read_text(path: Path) -> str:
                 raise
             return text
     except OSError as error:
-        raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
+        raise InputError(
+            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
     except UnicodeDecodeError as error:
-        raise InputError("a text file is expected; this one is binary.", path) from error
+        raise InputError(FILE_TEXT_INVALID, "a text file is expected; this one is binary.", path) from error
 
 
 def lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -84,7 +87,13 @@ def require_inside(name: str, path: Path, where: str) -> str:
         or not leads_inside(name)
         or max(len(part.encode("utf-8", "replace")) for part in parts) > _LONGEST_NAME
     ):
-        raise InputError(f"{where}: {name[:100]!r} is not a path inside the folder.", path)
+        raise InputError(
+            FILE_PATH_OUTSIDE,
+            "{place}: {name!r} is not a path inside the folder.",
+            path,
+            place=where,
+            name=name[:100],
+        )
     return name
 
 
@@ -100,7 +109,7 @@ def parse_json(text: str, path: Path) -> object:
         require_shallow(document)
     except (ValueError, RecursionError) as error:
         line = f"; look at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
-        raise InputError(f"the file is not valid JSON{line}.", path) from error
+        raise InputError(FILE_TEXT_INVALID, "the file is not valid JSON{line}.", path, line=line) from error
     return document
 
 
@@ -128,7 +137,7 @@ def read_document(path: Path) -> dict[str, Any]:
     """
     most = _MAX_DOCUMENT_BYTES if path.suffix in (".json", ".toml", ".xml") else _MAX_YAML_BYTES
     if path.exists() and path.stat().st_size > most:
-        raise InputError("the file is too large for what it should hold.", path)
+        raise InputError(FILE_TEXT_INVALID, "the file is too large for what it should hold.", path)
     text = read_text(path)
     try:
         if path.suffix == ".json":
@@ -141,9 +150,11 @@ def read_document(path: Path) -> dict[str, Any]:
             document = _parse_yaml(text)
     except (ValueError, RecursionError) as error:
         summary = " ".join(str(error).split())[:200]
-        raise InputError(f"the file does not parse: {summary}.", path) from error
+        raise InputError(
+            FILE_TEXT_INVALID, "the file does not parse: {summary}.", path, summary=summary
+        ) from error
     if not isinstance(document, dict):
-        raise InputError("names with values are expected in it.", path)
+        raise InputError(FILE_TEXT_INVALID, "names with values are expected in it.", path)
     return document
 
 

@@ -17,6 +17,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_UNREADABLE
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import content_of, opened, said_of
 from stages.files.room import require_room
@@ -58,7 +59,9 @@ def exr_size(path: Path) -> tuple[int, int]:
         with opened(path) as file:
             header = _header(file.read(_HEADER_BYTES), path)
     except (OSError, ValueError) as error:
-        raise InputError(f"the image cannot be opened ({said_of(error)}).", path) from error
+        raise InputError(
+            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+        ) from error
     return header.width, header.height
 
 
@@ -75,22 +78,30 @@ def read_exr(path: Path) -> NDArray[Any]:
     try:
         data = content_of(path)
     except (OSError, ValueError) as error:
-        raise InputError(f"the image cannot be opened ({said_of(error)}).", path) from error
+        raise InputError(
+            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+        ) from error
     header = _header(data, path)
     if _is_cut_short(data, header):
-        raise InputError("the image is cut short; copy it again or leave the frame out.", path)
+        raise InputError(
+            FILE_DAMAGED, "the image is cut short", path, remedy="copy it again or leave the frame out."
+        )
     try:
         with _printing, contextlib.redirect_stdout(sys.stderr):
             file = OpenEXR.File(str(path), separate_channels=True)
         channels = {name: channel.pixels for name, channel in file.channels().items()}
     except (RuntimeError, ValueError, IndexError, MemoryError) as error:
         require_room(_NUMBER_BYTES * header.width * header.height * header.channels)
-        raise InputError("the image does not decode; it is damaged.", path) from error
+        raise InputError(FILE_DAMAGED, "the image does not decode; it is damaged.", path) from error
     depth = _depth_of(channels)
     if depth is None:
         names = ", ".join(sorted(channels))[:80]
         raise InputError(
-            f"which channel is depth cannot be told: it holds {names}. Write one channel, Z.", path
+            FILE_DEPTH_FORMAT,
+            "which channel is depth cannot be told: it holds {names}.",
+            path,
+            remedy="Write one channel, Z.",
+            names=names,
         )
     return depth
 
@@ -109,10 +120,13 @@ def _depth_of(channels: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
 def _header(data: bytes, path: Path) -> _Header:
     """Return the header of an OpenEXR file whose size is one that can be."""
     if data[:4] != _START or len(data) < 8:
-        raise InputError("this is no OpenEXR image, or its start is damaged.", path)
+        raise InputError(FILE_DAMAGED, "this is no OpenEXR image, or its start is damaged.", path)
     if int.from_bytes(data[4:8], "little") & _UNREAD:
         raise InputError(
-            "OpenEXR with tiles, several parts or deep pixels is not read; write scan lines.", path
+            FILE_DEPTH_FORMAT,
+            "OpenEXR with tiles, several parts or deep pixels is not read",
+            path,
+            remedy="write scan lines.",
         )
     try:
         attributes, end = _attributes(data)
@@ -120,14 +134,20 @@ def _header(data: bytes, path: Path) -> _Header:
         channels = _channel_count(attributes[b"channels"])
         compression = attributes[b"compression"][0]
     except (KeyError, ValueError, IndexError, struct.error) as error:
-        raise InputError("the header of the image is damaged.", path) from error
+        raise InputError(FILE_DAMAGED, "the header of the image is damaged.", path) from error
     if compression >= len(_ROWS):
-        raise InputError("its kind of compression is not read; write it with ZIP.", path)
+        raise InputError(
+            FILE_DEPTH_FORMAT, "its kind of compression is not read", path, remedy="write it with ZIP."
+        )
     width, height = right - left + 1, bottom - top + 1
     if not (width > 0 and height > 0 and channels > 0 and width * height * channels <= MAX_PIXELS):
         raise InputError(
-            f"the image claims to be {width}×{height} pixels of {channels} channels; its header is damaged.",
+            FILE_DAMAGED,
+            "the image claims to be {width}×{height} pixels of {channels} channels; its header is damaged.",
             path,
+            width=width,
+            height=height,
+            channels=channels,
         )
     return _Header(width, height, channels, compression, end)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from stages._opencv import require_opencv
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_UNREADABLE
 from stages.files.exr import exr_size, read_exr
 from stages.files.image_bytes import (
     MAX_PIXELS,
@@ -50,7 +51,9 @@ def image_size(path: Path) -> tuple[int, int]:
         with opened(path) as file:
             size = promised_size(file.read(_HEADER_BYTES))
     except (OSError, ValueError) as error:
-        raise InputError(f"the image cannot be opened ({said_of(error)}).", path) from error
+        raise InputError(
+            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+        ) from error
     if size is not None:
         _require_possible(size, path)
         return size
@@ -81,19 +84,29 @@ def read_array(path: Path, what: str) -> NDArray[Any]:
         array = mapped(path)
     except NPY_FAULTS as error:
         require_room(path.stat().st_size if path.is_file() else 0)
-        raise InputError(f"{what} cannot be read ({error}).", path) from error
+        raise InputError(
+            FILE_UNREADABLE, "{what} cannot be read ({error}).", path, what=what, error=error
+        ) from error
     return array
 
 
 def require_raw_depth(raw: NDArray[Any], source: Path | str) -> NDArray[Any]:
     """Return the values of a depth map, or raise InputError where they are none."""
     if raw.ndim != 2:
-        raise InputError("a depth map of one channel is expected; this is a colour image.", source)
+        raise InputError(
+            FILE_DEPTH_FORMAT, "a depth map of one channel is expected; this is a colour image.", source
+        )
     if raw.dtype == np.uint8:
-        raise InputError("the depth map has 8 bits a pixel; 16-bit or float depth is expected.", source)
+        raise InputError(
+            FILE_DEPTH_FORMAT, "the depth map has 8 bits a pixel; 16-bit or float depth is expected.", source
+        )
     if raw.dtype.kind not in "uif" or raw.size > MAX_PIXELS:
         raise InputError(
-            f"16-bit or float depth is expected; this is {raw.shape} of type {raw.dtype}.", source
+            FILE_DEPTH_FORMAT,
+            "16-bit or float depth is expected; this is {raw_shape} of type {raw_dtype}.",
+            source,
+            raw_shape=raw.shape,
+            raw_dtype=raw.dtype,
         )
     return raw
 
@@ -112,7 +125,10 @@ def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
     image = _decoded(data, source)
     if image.dtype != np.uint8:
         raise InputError(
-            f"a colour image of 8 bits a channel is expected; this one is {image.dtype}.", source
+            FILE_DEPTH_FORMAT,
+            "a colour image of 8 bits a channel is expected; this one is {image_dtype}.",
+            source,
+            image_dtype=image.dtype,
         )
     if image.ndim == 2:
         return cast("NDArray[np.uint8]", cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
@@ -151,7 +167,7 @@ def read_alpha(path: Path) -> NDArray[np.uint8]:
     """
     image = read_stored(path)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4:
-        raise InputError("an image with 8 bits of transparency (RGBA) is expected.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "an image with 8 bits of transparency (RGBA) is expected.", path)
     return np.asarray(255 * (image[:, :, 3] >= 128), np.uint8)
 
 
@@ -171,12 +187,20 @@ def file_bytes(path: Path) -> bytes:
     try:
         return content_of(path)
     except (OSError, ValueError) as error:
-        raise InputError(f"the image cannot be opened ({said_of(error)}).", path) from error
+        raise InputError(
+            FILE_UNREADABLE, "the image cannot be opened ({said_of}).", path, said_of=said_of(error)
+        ) from error
 
 
 def _require_possible(size: tuple[int, int], source: Path | str) -> None:
     if not is_possible(size):
-        raise InputError(f"the image claims to be {size[0]}×{size[1]} pixels; its header is damaged.", source)
+        raise InputError(
+            FILE_DAMAGED,
+            "the image claims to be {size}×{size_2} pixels; its header is damaged.",
+            source,
+            size=size[0],
+            size_2=size[1],
+        )
 
 
 def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
@@ -184,7 +208,9 @@ def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
     import cv2
 
     if is_cut_short(data):
-        raise InputError("the image is cut short; copy it again or leave the frame out.", source)
+        raise InputError(
+            FILE_DAMAGED, "the image is cut short", source, remedy="copy it again or leave the frame out."
+        )
     size = promised_size(data)
     if size is not None:
         _require_possible(size, source)
@@ -194,5 +220,7 @@ def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
         image = None
     if image is None:
         require_room_for(size)
-        raise InputError("the image does not decode; it is damaged or of an unknown format.", source)
+        raise InputError(
+            FILE_DAMAGED, "the image does not decode; it is damaged or of an unknown format.", source
+        )
     return np.asarray(image)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_DAMAGED
 from stages.files.room import require_room
 
 # An encoder fills blocks of tens of kilobytes; thousands of small ones are made to swell.
@@ -27,16 +28,22 @@ def decompress(data: bytes, size: int, source: str) -> bytes:
 
     promised = raw_size(data)
     if promised is None:
-        raise InputError("the LZFSE data is damaged or cut short.", source)
+        raise InputError(FILE_DAMAGED, "the LZFSE data is damaged or cut short.", source)
     if promised != size:
-        raise InputError(f"it holds {promised} bytes where {size} are expected.", source)
+        raise InputError(
+            FILE_DAMAGED,
+            "it holds {promised} bytes where {size} are expected.",
+            source,
+            promised=promised,
+            size=size,
+        )
     try:
         raw = bytes(lzfse.decompress(data))
     except (lzfse.error, ValueError, MemoryError) as error:
         require_room(2 * size)
-        raise InputError("the LZFSE data is damaged or cut short.", source) from error
+        raise InputError(FILE_DAMAGED, "the LZFSE data is damaged or cut short.", source) from error
     if len(raw) != size:
-        raise InputError("the LZFSE data is damaged or cut short.", source)
+        raise InputError(FILE_DAMAGED, "the LZFSE data is damaged or cut short.", source)
     return raw
 
 

@@ -64,7 +64,7 @@ def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
         require_room(_MEMORY)
         raise DiedError(said["died"])
     if "error" in said:
-        raise InputError(said["error"])
+        raise InputError(CODE_UNKNOWN, said["error"])
     answer: dict[str, Any] = said["answer"]
     return answer
 

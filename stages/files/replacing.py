@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError, StageError
+from stages.files.codes import FILE_OUTPUT_REFUSED, FILE_PATH_INVALID
 from stages.files.moving import move
 
 # Bytes of a name that file systems take; a draft's is longer than its file's by the rest.
@@ -46,7 +47,12 @@ def replacing(path: Path) -> Iterator[Path]:
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:
-        raise StageError(f"{path}: cannot be written: {error.strerror or error}.") from error
+        raise StageError(
+            FILE_OUTPUT_REFUSED,
+            "{path}: cannot be written: {detail}.",
+            path=path,
+            detail=error.strerror or error,
+        ) from error
 
 
 def _mode_of_replaceable(target: Path, named: Path) -> int | None:
@@ -56,11 +62,18 @@ def _mode_of_replaceable(target: Path, named: Path) -> int | None:
     except FileNotFoundError:
         return None
     if stat.S_ISDIR(found.st_mode):
-        raise InputError("this is a folder; give the name of a file.", named)
+        raise InputError(FILE_PATH_INVALID, "this is a folder", named, remedy="give the name of a file.")
     if not stat.S_ISREG(found.st_mode):
-        raise InputError("this is no plain file and is not replaced; name another.", named)
+        raise InputError(
+            FILE_OUTPUT_REFUSED, "this is no plain file and is not replaced", named, remedy="name another."
+        )
     if not os.access(target, os.W_OK):
-        raise InputError("this file may not be written; change its permissions or name another.", named)
+        raise InputError(
+            FILE_OUTPUT_REFUSED,
+            "this file may not be written",
+            named,
+            remedy="change its permissions or name another.",
+        )
     return stat.S_IMODE(found.st_mode)
 
 

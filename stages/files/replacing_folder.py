@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError, StageError
+from stages.files.codes import FILE_OUTPUT_REFUSED
 from stages.files.moving import move
 from stages.files.replacing import draft_of
 
@@ -49,7 +50,12 @@ def replacing_folder(path: Path, is_ours: Callable[[Path], bool], what: str) -> 
             shutil.rmtree(draft, ignore_errors=True)
             shutil.rmtree(old, ignore_errors=True)
     except OSError as error:
-        raise StageError(f"{path}: cannot be written: {error.strerror or error}.") from error
+        raise StageError(
+            FILE_OUTPUT_REFUSED,
+            "{path}: cannot be written: {detail}.",
+            path=path,
+            detail=error.strerror or error,
+        ) from error
 
 
 def require_replaceable_folder(path: Path, is_ours: Callable[[Path], bool], what: str) -> None:
@@ -63,6 +69,12 @@ def require_replaceable_folder(path: Path, is_ours: Callable[[Path], bool], what
     if not path.exists():
         return
     if not path.is_dir():
-        raise InputError(f"this is a file; {what} is a folder.", path)
+        raise InputError(FILE_OUTPUT_REFUSED, "this is a file; {what} is a folder.", path, what=what)
     if any(path.iterdir()) and not is_ours(path):
-        raise InputError(f"this folder is not empty and is not {what}; name a new one.", path)
+        raise InputError(
+            FILE_OUTPUT_REFUSED,
+            "this folder is not empty and is not {what}",
+            path,
+            remedy="name a new one.",
+            what=what,
+        )

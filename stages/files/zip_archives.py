@@ -8,6 +8,7 @@ import zlib
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_ARCHIVE_DAMAGED, FILE_DAMAGED
 from stages.files.opening import require_regular
 
 # What reading an archive can raise; RuntimeError is for an encryption nobody asked for.
@@ -38,7 +39,10 @@ def opened_archive(path: Path) -> zipfile.ZipFile:
         return zipfile.ZipFile(require_regular(path))
     except FAULTS as error:
         raise InputError(
-            "the archive does not open; it is damaged or was cut short. Copy it again.", path
+            FILE_DAMAGED,
+            "the archive does not open; it is damaged or was cut short.",
+            path,
+            remedy="Copy it again.",
         ) from error
 
 
@@ -59,16 +63,23 @@ def entry_content(archive: zipfile.ZipFile, name: str, path: Path, most: int) ->
     try:
         entry = archive.getinfo(name)
         if entry.file_size > most:
-            raise InputError(f"{name} is too large for what it should hold.", path)
+            raise InputError(
+                FILE_ARCHIVE_DAMAGED, "{name} is too large for what it should hold.", path, name=name
+            )
         if not is_bounded(entry):
             raise InputError(
-                f"{name} is compressed in a way that is not read; pack the archive again with deflate.", path
+                FILE_ARCHIVE_DAMAGED,
+                "{name} is compressed in a way that is not read; pack the archive again with deflate.",
+                path,
+                name=name,
             )
         with archive.open(entry) as content:
             # A read of all there is would unpack it before its size is compared with what the entry says.
             return content.read(max(entry.file_size, 1))
     except FAULTS as error:
-        raise InputError(f"{name} cannot be read from the archive; it is damaged.", path) from error
+        raise InputError(
+            FILE_DAMAGED, "{name} cannot be read from the archive; it is damaged.", path, name=name
+        ) from error
 
 
 def is_bounded(entry: zipfile.ZipInfo) -> bool:

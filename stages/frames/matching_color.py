@@ -6,6 +6,7 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError
 from stages.frames.projection import project
+from stages.scans.codes import SCAN_FRAMES_SKIPPED
 from stages.scans.images import read_color
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, scaled
 
@@ -28,7 +29,11 @@ def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:
 
     color = read_color(frame)
     if color is None:
-        raise InputError("there is no colour image, while other frames have one.", f"frame {frame.name}")
+        raise InputError(
+            SCAN_FRAMES_SKIPPED,
+            "there is no colour image, while other frames have one.",
+            f"frame {frame.name}",
+        )
     size = (frame.camera.width, frame.camera.height)
     if frame.color_camera is not None:
         return _reproject_color(color, frame, frame.color_camera, depth)

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
 from stages.frames.posed_depth import PosedDepth, read_posed_depth
+from stages.fusion.codes import FUSE_DEVICE_MISSING, FUSE_NO_SURFACE
 from stages.fusion.crop import Crop
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import Plan, make_plan
@@ -21,6 +23,7 @@ from stages.fusion.relief import evened_alone
 from stages.fusion.upsampling import upsampled_alone, upsampled_frame
 from stages.fusion.voxels import Box, Field, Keys, Volume, touched_blocks
 from stages.progress import Progress
+from stages.scans.codes import POSE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import ColorImage, Frame, Pose, Scan, SkippedFrame
 
@@ -223,10 +226,17 @@ def nothing_fused(work: Work, outcomes: Sequence[Outcome], min_weight: int) -> I
     """Return the error of a fusion that nothing came out of."""
     used = [one.used for one in outcomes if isinstance(one, Tally) and one.used]
     return InputError(
-        f"no surface came out of {len(used)} frames at voxels of {work.plan.voxel_size:g} m: none was seen "
-        f"by {min_weight} of them{inside(work.plan.crop, sum(used))}. Check poses and depth scale, or lower "
-        "min_weight.",
+        FUSE_NO_SURFACE,
+        (
+            "no surface came out of {used_count} frames at voxels of {voxel_size:g} m: "
+            "none was seen by {min_weight} of them{inside}."
+        ),
         work.where,
+        remedy="Check poses and depth scale, or lower min_weight.",
+        used_count=len(used),
+        voxel_size=work.plan.voxel_size,
+        min_weight=min_weight,
+        inside=inside(work.plan.crop, sum(used)),
     )
 
 
@@ -246,27 +256,43 @@ def device_of(params: FuseParams) -> str:
     wanted = params.device
     if params.backend == "own":
         if wanted == "cuda":
-            raise UsageError("device is 'cuda', which backend 'own' knows nothing of; choose open3d or auto.")
+            raise UsageError(
+                FUSE_DEVICE_MISSING,
+                "device is 'cuda', which backend 'own' knows nothing of",
+                remedy="choose open3d or auto.",
+            )
         return "CPU:0"
     if wanted != "cpu" and open3d().core.cuda.is_available():
         return "CUDA:0"
     if wanted == "cuda":
-        raise UsageError("device is 'cuda', but Open3D finds no CUDA device; choose cpu or auto.")
+        raise UsageError(
+            FUSE_DEVICE_MISSING,
+            "device is 'cuda', but Open3D finds no CUDA device",
+            remedy="choose cpu or auto.",
+        )
     return "CPU:0"
 
 
 def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
     if not frames:
-        raise InputError("there are no frames to fuse.", where)
+        raise InputError(USAGE_ARGUMENT_INVALID, "there are no frames to fuse.", where)
     if all(frame.world_from_camera is None for frame in frames):
         raise InputError(
-            f"none of the {len(frames)} frames has a camera pose; fusion needs the pose of each "
-            "(world_from_camera).",
+            POSE_MISSING,
+            (
+                "none of the {frames_count} frames has a camera pose; fusion needs the pose "
+                "of each (world_from_camera)."
+            ),
             where,
+            frames_count=len(frames),
         )
     if all(frame.depth is None for frame in frames):
         raise InputError(
-            f"none of the {len(frames)} frames has a depth map; compute depth from stereo pairs first.", where
+            FUSE_NO_SURFACE,
+            "none of the {frames_count} frames has a depth map",
+            where,
+            remedy="compute depth from stereo pairs first.",
+            frames_count=len(frames),
         )
 
 
@@ -276,7 +302,14 @@ def require_share(work: Work, outcomes: Sequence[Outcome]) -> None:
     count, share = len(work.frames), work.params.max_bad_share
     if len(skipped) > share * count:
         raise InputError(
-            f"{len(skipped)} of {count} frames cannot be used; at most {share:.0%} may be bad "
-            f"(max_bad_share). The first: {skipped[0].reason}",
+            SCAN_TOO_MANY_FRAMES_SKIPPED,
+            (
+                "{skipped_count} of {count} frames cannot be used; at most {share:.0%} may "
+                "be bad (max_bad_share). The first: {reason}"
+            ),
             work.where,
+            skipped_count=len(skipped),
+            count=count,
+            share=share,
+            reason=skipped[0].reason,
         )

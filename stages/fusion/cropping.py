@@ -9,6 +9,7 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
+from stages.fusion.codes import FUSE_CROP_EMPTY
 from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.params import FuseParams, Point
 from stages.fusion.scene import Scene
@@ -92,7 +93,12 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
     counts = [int(np.count_nonzero(shown(view, above))) for view in views]
     share = sum(counts) / len(depth)
     if share == 0:
-        raise UsageError(f"nothing is left to fuse: of {len(depth):,} points looked at 0 are inside {above}.")
+        raise UsageError(
+            FUSE_CROP_EMPTY,
+            "nothing is left to fuse: of {depth_count:,} points looked at 0 are inside {above}.",
+            depth_count=len(depth),
+            above=above,
+        )
     warnings = kept.warnings
     if share < _NEARLY_NOTHING:
         margin = above.height - found.offset_m
@@ -152,8 +158,15 @@ def _that_show(
             break
     if not views:
         raise UsageError(
-            f"nothing is left to fuse: of {points:,} points in {len(frames)} frames 0 are inside {crop}; "
-            f"most lie within {scene} m."
+            FUSE_CROP_EMPTY,
+            (
+                "nothing is left to fuse: of {points:,} points in {frames_count} frames 0 "
+                "are inside {crop}; most lie within {scene} m."
+            ),
+            points=points,
+            frames_count=len(frames),
+            crop=crop,
+            scene=scene,
         )
     return views
 

@@ -22,6 +22,7 @@ from stages.fusion.adding import (
     nothing_fused,
     own_volume,
 )
+from stages.fusion.codes import FUSE_BRICKS, FUSE_NO_SURFACE
 from stages.fusion.crop import corners_of, cut, part_of, within
 from stages.fusion.facts import Facts, MeshFigures
 from stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
@@ -153,7 +154,9 @@ def _fused(work: Work, progress: Progress, in_bricks: Callable[[], R]) -> Fused 
 def _is_in_bricks(work: Work, device: str) -> bool:
     """Whether space is to be cut in bricks from the start: as asked for, or likely to be needed."""
     if work.params.brick_size is not None and not _has_bricks(work, device):
-        raise UsageError("brick_size is for scanloom's own voxels; leave out device and backend.")
+        raise UsageError(
+            FUSE_BRICKS, "brick_size is for scanloom's own voxels", remedy="leave out device and backend."
+        )
     if len(work.frames) == 1 or not _has_bricks(work, device):
         return False
     expected = work.plan.blocks * work.plan.spread * block_bytes(color=work.color)
@@ -210,9 +213,11 @@ def _alone(work: Work) -> Fused:
     mesh = cut(relief(view, here, image, plan.voxel_size, plan.limits), plan.crop)
     if len(mesh.triangles) == 0:
         raise InputError(
-            f"no surface came out of the frame{inside(plan.crop, int(here.sum()))}. Check the depth scale "
-            "and the calibration.",
+            FUSE_NO_SURFACE,
+            "no surface came out of the frame{inside}.",
             f"frame {frame.name}",
+            remedy="Check the depth scale and the calibration.",
+            inside=inside(plan.crop, int(here.sum())),
         )
     return Fused(
         mesh=mesh,

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError, StageError
 from stages.fusion.bricks import Cube
+from stages.fusion.codes import FUSE_BRICKS
 from stages.fusion.voxels import Keys
 from stages.surface.mesh import Mesh
 
@@ -79,8 +80,10 @@ def reading(folder: Path) -> Iterator[None]:
         yield
     except (OSError, EOFError, ValueError, LookupError, BadZipFile, InputError) as error:
         raise StageError(
-            f"{folder}: this brick of the fused surface was damaged while it was used; run again, which "
-            "makes it anew."
+            FUSE_BRICKS,
+            "{folder}: this brick of the fused surface was damaged while it was used",
+            remedy="run again, which makes it anew.",
+            folder=folder,
         ) from error
 
 
@@ -125,8 +128,10 @@ class Joined:
         self.vertex_count, self.triangle_count = int(self.vertex_ends[-1]), int(self.triangle_ends[-1])
         if max(self.vertex_count, self.triangle_count) > np.iinfo(np.int32).max:
             raise StageError(
-                f"the surface has {self.triangle_count:,} triangles, more than can be numbered. Give a "
-                "larger voxel_size, or fuse a part of the scan (box)."
+                FUSE_BRICKS,
+                "the surface has {triangle_count:,} triangles, more than can be numbered.",
+                remedy="Give a larger voxel_size, or fuse a part of the scan (box).",
+                triangle_count=self.triangle_count,
             )
         self._shared = [
             self._local(cube.number, *joint.shared[:2])
@@ -174,4 +179,6 @@ class Joined:
 
 
 def _do_not_fit() -> StageError:
-    return StageError("pieces of the surface do not fit each other; fuse again, with --force fuse.")
+    return StageError(
+        FUSE_BRICKS, "pieces of the surface do not fit each other", remedy="fuse again, with --force fuse."
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypedDict
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
@@ -150,8 +151,12 @@ class FuseParams:
         check(self)
         if self.box is not None and not all(a < b for a, b in zip(self.box[:3], self.box[3:], strict=True)):
             raise UsageError(
-                f"box is {' '.join(f'{x:g}' for x in self.box)} m; its first three numbers must be the "
-                "lowest corner, its last three the highest."
+                USAGE_VALUE_INVALID,
+                (
+                    "box is {box} m; its first three numbers must be the lowest corner, its last "
+                    "three the highest."
+                ),
+                box=" ".join(f"{x:g}" for x in self.box),
             )
 
 

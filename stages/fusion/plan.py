@@ -20,6 +20,7 @@ from stages.fusion.scene import Scene, scene_of
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise, Survey, measured_noise, survey
 from stages.fusion.voxels import BLOCK, Weighing, touched_blocks
+from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Pose
 
@@ -224,7 +225,11 @@ def look(
     views = {i: result for i, result in results.items() if isinstance(result, PosedDepth)}
     if not views:
         raise InputError(
-            f"none of the {len(results)} frames looked at can be used. The first: {results[wanted[0]]}", where
+            SCAN_TOO_MANY_FRAMES_SKIPPED,
+            "none of the {results_count} frames looked at can be used. The first: {results}",
+            where,
+            results_count=len(results),
+            results=results[wanted[0]],
         )
     pairs: list[tuple[PosedDepth, PosedDepth | None]] = [
         (views[i], views.get(i + 1)) for i in first if i in views

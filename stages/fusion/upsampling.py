@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import InputError
 from stages.frames.depth_filter import bridge_gaps
 from stages.frames.matching_color import read_matching_color
@@ -111,7 +112,14 @@ def upsampled(depth: DepthImage, color: ColorImage | None, factor: int) -> Depth
 
     height, width = (factor * side for side in depth.shape)
     if color is not None and color.shape[:2] != (height, width):
-        raise InputError(f"colour is {color.shape[1]} × {color.shape[0]}, not {width} × {height}.")
+        raise InputError(
+            USAGE_ARGUMENT_INVALID,
+            "colour is {color_shape} × {color_shape_2}, not {width} × {height}.",
+            color_shape=color.shape[1],
+            color_shape_2=color.shape[0],
+            width=width,
+            height=height,
+        )
     there = depth > 0
     inverse = _inverse(depth)
     total, share = (

@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.codes import MACHINE_OUT_OF_MEMORY
 from stages.diagnostics.errors import StageError
 from stages.frames.posed_depth import PosedDepth
+from stages.fusion.codes import FUSE_FRAMES_FAR_APART
 from stages.scans.scan import Camera, ColorImage, Pose
 from stages.surface.mesh import Mesh
 
@@ -47,8 +49,11 @@ class OutgrownError(StageError):
 def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
     """Return the error of a volume that may not grow further."""
     return OutgrownError(
-        f"the volume outgrows its memory of {allowed_bytes / 1e6:.0f} MB at voxels of {voxel_size:g} m. Give "
-        "a larger voxel_size, a smaller max_depth or more memory."
+        MACHINE_OUT_OF_MEMORY,
+        "the volume outgrows its memory of {allowed_bytes:.0f} MB at voxels of {voxel_size:g} m.",
+        remedy="Give a larger voxel_size, a smaller max_depth or more memory.",
+        allowed_bytes=allowed_bytes / 1000000.0,
+        voxel_size=voxel_size,
     )
 
 
@@ -137,8 +142,14 @@ def touched_blocks(
     except _kernels.LimitError as error:
         reach = (1 << 20) * BLOCK * voxel_size
         raise StageError(
-            f"a frame shows places more than {reach / 1000:.3g} km from the other cameras, farther than "
-            f"voxels of {voxel_size:g} m are counted. Check the poses, or give a larger voxel_size."
+            FUSE_FRAMES_FAR_APART,
+            (
+                "a frame shows places more than {reach:.3g} km from the other cameras, "
+                "farther than voxels of {voxel_size:g} m are counted."
+            ),
+            remedy="Check the poses, or give a larger voxel_size.",
+            reach=reach / 1000,
+            voxel_size=voxel_size,
         ) from error
 
 

@@ -15,6 +15,7 @@ from stages.fusion.joining import Joined
 from stages.fusion.plan import Plan
 from stages.fusion.scene import point_of
 from stages.fusion.voxels import BLOCK, Keys
+from stages.surface.codes import FUSE_TOO_LARGE
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Written, is_many, write_pieces
@@ -42,7 +43,8 @@ def write_fused(path: Path, mesh: Mesh, plan: Plan) -> None:
     of_triangle = _pieces_of(voxels[mesh.triangles].min(axis=1), level)
     if (np.diff(of_vertex) < 0).any() or (np.diff(of_triangle) < 0).any():
         raise StageError(
-            "the fused mesh is not in the order of its blocks, which is a defect of this program."
+            FUSE_TOO_LARGE,
+            "the fused mesh is not in the order of its blocks, which is a defect of this program.",
         )
     numbers = np.unique(np.concatenate([of_vertex, of_triangle]))
     vertices, triangles = (

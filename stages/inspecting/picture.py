@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
+from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.scan import ColorImage, Frame, Scan
 
@@ -94,7 +95,9 @@ def _frame_panel(frame: Frame) -> NDArray[np.uint8]:
     if depth is None:
         sides = [image for image in (read_color(frame), read_right(frame)) if image is not None]
         if not sides:
-            raise InputError("there is neither colour nor depth.", f"frame {frame.name}")
+            raise InputError(
+                SCAN_DEPTH_MOSTLY_EMPTY, "there is neither colour nor depth.", f"frame {frame.name}"
+            )
         panel = np.concatenate([_sized(image) for image in sides], axis=1)
         _write(panel, frame.name, (12, 22))
         return panel

@@ -56,8 +56,12 @@ def require_poses(scan: Scan) -> list[str]:
     if warnings and AS_GIVEN in errors:
         compared = "; ".join(f"{error * 1000:.0f} mm {name}" for name, error in errors.items())
         raise InputError(
-            f"{warnings[0]} (compared: {compared}). {advice(min(errors, key=lambda name: errors[name]))}",
+            CODE_UNKNOWN,
+            "{warnings} (compared: {compared}). {advice}",
             scan.folder,
+            warnings=warnings[0],
+            compared=compared,
+            advice=advice(min(errors, key=lambda name: errors[name])),
         )
     return warnings
 

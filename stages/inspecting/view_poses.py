@@ -48,8 +48,12 @@ def require_view_poses(scan: Scan) -> None:
     if said:
         compared = "; ".join(f"{error:.1f} px {name}" for name, error in errors.items())
         raise InputError(
-            f"{said[0]} (compared: {compared}). {advice(min(errors, key=lambda name: errors[name]))}",
+            CODE_UNKNOWN,
+            "{said} (compared: {compared}). {advice}",
             scan.folder,
+            said=said[0],
+            compared=compared,
+            advice=advice(min(errors, key=lambda name: errors[name])),
         )
 
 

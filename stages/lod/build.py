@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.diagnostics.errors import InputError
+from stages.lod.codes import LEVELS_LEFT_OUT
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.model import packed
 from stages.params import check as check_params
@@ -143,7 +144,7 @@ def build(
     given = as_mesh(mesh)
     require_measurable(given, "mesh")
     if len(given.triangles) == 0:
-        raise InputError("the mesh has no triangles; there are no levels of it.")
+        raise InputError(LEVELS_LEFT_OUT, "the mesh has no triangles; there are no levels of it.")
     kept, islands = _without_islands(given, params.drop_islands)
     base, shape, color, progress = _base(_plain(kept), params, progress)
     hierarchy = _of_any(base, params, shape, progress)
@@ -193,7 +194,11 @@ def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
         return mesh, 0
     small, islands = find_small_components(mesh, size)
     if small.all():
-        raise InputError(f"every piece of the mesh is smaller than {size:g} m; nothing is left of it.")
+        raise InputError(
+            LEVELS_LEFT_OUT,
+            "every piece of the mesh is smaller than {size:g} m; nothing is left of it.",
+            size=size,
+        )
     if not islands:
         return mesh, 0
     note = (

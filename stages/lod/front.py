@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.printing import by_figures, table
 from stages.surface.mesh import Mesh
@@ -160,9 +161,9 @@ class Front:
 
     def _require(self, node: int, count: int) -> None:
         if node not in self._splits:
-            raise UsageError(f"node {node} is not in the front.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "node {node} is not in the front.", node=node)
         if count < 1:
-            raise UsageError("count is 1 or more.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "count is 1 or more.")
 
     def _is_below(self, node: int, above: int) -> bool:
         while node > above:
@@ -201,15 +202,21 @@ class Front:
             If nothing is asked for, an error comes without a view, or a number is out of range.
         """
         if error_px is not None and view is None:
-            raise UsageError("error_px is told in pixels of a view; give one, or max_shape in metres.")
+            raise UsageError(
+                USAGE_ARGUMENT_INVALID,
+                "error_px is told in pixels of a view",
+                remedy="give one, or max_shape in metres.",
+            )
         if triangles is None and error_px is None and max_shape is None and region is None:
-            raise UsageError("say how far to refine: triangles, error_px, max_shape or region.")
+            raise UsageError(
+                USAGE_ARGUMENT_INVALID, "say how far to refine: triangles, error_px, max_shape or region."
+            )
         asked = (("triangles", triangles, 1), ("error_px", error_px, 0), ("max_shape", max_shape, 0))
         for name, value, least in asked:
             if value is not None and not value >= least:
-                raise UsageError(f"{name} is {least} or more.")
+                raise UsageError(USAGE_ARGUMENT_INVALID, "{name} is {least} or more.", name=name, least=least)
         if not keep >= 1:
-            raise UsageError("keep is 1 or more.")
+            raise UsageError(USAGE_ARGUMENT_INVALID, "keep is 1 or more.")
         wanted = self._wanted(view, error_px, max_shape, region)
         open_before = self._above_front() if keep > 1 else set()
         self._splits = {0: 0} if self.hierarchy.nodes else {}

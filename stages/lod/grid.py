@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.lod.codes import LEVELS_TILES
 from stages.lod.hierarchy import Hierarchy
 from stages.surface.welding import same_rows
 
@@ -74,7 +75,9 @@ def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
     for steps, in_16_bits in ((_IN_16_BITS, True), (_IN_SINGLE, False)):
         step = _step_for(size, steps)
         if step > _LARGEST:
-            raise InputError("the model is too large for tiles, whose positions have single precision.")
+            raise InputError(
+                LEVELS_TILES, "the model is too large for tiles, whose positions have single precision."
+            )
         if in_16_bits and step > wanted:
             continue
         is_far = float(np.abs(middle).max()) > _FAR * size
@@ -89,8 +92,11 @@ def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
         share = max(math.sqrt(3) / 2, moved) * step * (1 + 1e-9) + lost
         return replace(hierarchy, vertices=places * step), Grid(step, origin, in_16_bits, share)
     raise InputError(
-        "vertices crowd too close for tiles, whose positions have single precision; "
-        "build the levels with a larger base_error."
+        LEVELS_TILES,
+        (
+            "vertices crowd too close for tiles, whose positions have single precision; "
+            "build the levels with a larger base_error."
+        ),
     )
 
 

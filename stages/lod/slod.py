@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of, said_of
 from stages.files.replacing import replacing
+from stages.lod.codes import LEVELS_FILE_DAMAGED
 from stages.lod.hierarchy import Hierarchy
 from stages.surface.finite import require_finite
 from stages.surface.mesh import NOT_WRITTEN
@@ -112,21 +113,32 @@ def read_slod(path: Path | str) -> Hierarchy:
     try:
         data = content_of(path)
     except OSError as error:
-        raise InputError(said_of(error), path) from None
+        raise InputError(CODE_UNKNOWN, said_of(error), path) from None
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
-        raise InputError(f"{path}: this is no .slod file.")
+        raise InputError(LEVELS_FILE_DAMAGED, "{path}: this is no .slod file.", path=path)
     _, version, size, checksum = _HEADER.unpack_from(data)
     if version != _FORMAT_VERSION:
         raise InputError(
-            f"{path}: this .slod file has version {version}; this scanloom reads version {_FORMAT_VERSION}."
+            LEVELS_FILE_DAMAGED,
+            "{path}: this .slod file has version {version}; this scanloom reads version {format_version}.",
+            path=path,
+            version=version,
+            format_version=_FORMAT_VERSION,
         )
     text = data[_HEADER.size : _HEADER.size + size]
     if len(text) < size or zlib.crc32(text) != checksum:
-        raise InputError(f"{path}: the file is damaged or cut off before its first level.")
+        raise InputError(
+            LEVELS_FILE_DAMAGED, "{path}: the file is damaged or cut off before its first level.", path=path
+        )
     try:
         return _read(data, _HEADER.size + size, json.loads(text))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise InputError(f"{path}: the .slod file is damaged: {error or 'it contradicts itself'}.") from None
+        raise InputError(
+            LEVELS_FILE_DAMAGED,
+            "{path}: the .slod file is damaged: {detail}.",
+            path=path,
+            detail=error or "it contradicts itself",
+        ) from None
 
 
 def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_image
+from stages.lod.codes import LEVELS_TILES
 from stages.params import check, param
 from stages.scans.prefetch import read_ahead, workers
 from stages.surface.color import color_at, has_color
@@ -198,7 +199,9 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
     """
     require_area(mesh, "model")
     if not has_color(mesh):
-        raise MeshError("has neither an image nor vertex colours that tiles could get.", "model")
+        raise MeshError(
+            LEVELS_TILES, "has neither an image nor vertex colours that tiles could get.", "model"
+        )
     if origin.any():
         mesh = mesh.with_(vertices=mesh.vertices - origin)
     box = bounding_box(mesh, levels)
@@ -208,9 +211,14 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
     size = float(np.linalg.norm(np.ptp(levels.vertices, axis=0)))
     if away > _FAR * size:
         raise MeshError(
-            "is of another surface than the levels, or in another place: half of them lie more than "
-            f"{away:.3g} m from it, and they are {size:.3g} m large.",
+            LEVELS_TILES,
+            (
+                "is of another surface than the levels, or in another place: half of them "
+                "lie more than {away:.3g} m from it, and they are {size:.3g} m large."
+            ),
             "model",
+            away=away,
+            size=size,
         )
     detail = detail_of(mesh)
     coarser = [

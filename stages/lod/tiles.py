@@ -19,6 +19,7 @@ from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of
 from stages.files.replacing_folder import replacing_folder
 from stages.files.written_by import installed_version
+from stages.lod.codes import LEVELS_FILE_DAMAGED
 from stages.lod.grid import Grid, on_grid
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_glb import tile_glb
@@ -245,7 +246,10 @@ def _require_whole(h: Hierarchy) -> None:
     for node, children in enumerate(h.children):
         below = int(h.coarse[children].sum())
         if below != h.full[node] if len(children) else h.level[node] > 0:
-            raise InputError("the finest levels are missing; tiles need them all. Build the file again.")
+            raise InputError(
+                LEVELS_FILE_DAMAGED,
+                "the finest levels are missing; tiles need them all. Build the file again.",
+            )
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,9 @@ from stages import _kernels
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
+from stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
 from stages.printing import by_fields, by_figures, table
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Mesh, require_writable
 from stages.surface.mesh_files import write_mesh
@@ -216,7 +218,12 @@ class NormalMesh:
 
     def _require_level(self, level: int) -> int:
         if not 0 <= level < len(self.levels):
-            raise UsageError(f"level is {level}, but there are only levels 0 to {len(self.levels) - 1}.")
+            raise UsageError(
+                LEVELS_LEVEL_MISSING,
+                "level is {level}, but there are only levels 0 to {levels_count}.",
+                level=level,
+                levels_count=len(self.levels) - 1,
+            )
         return level
 
 
@@ -240,24 +247,39 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
         For a level that the file never had.
     """
     if level is not None and level < 0:
-        raise UsageError(f"level is {level}; it must be at least 0.")
+        raise UsageError(LEVELS_LEVEL_MISSING, "level is {level}; it must be at least 0.", level=level)
     if isinstance(source, (str, Path)):
         where = str(source)
         try:
             data = content_of(Path(source))
         except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror or error}.", where) from error
+            raise InputError(
+                SIMPLIFY_RECORD_INVALID, "cannot be read: {detail}.", where, detail=error.strerror or error
+            ) from error
     else:
         where, data = "data", bytes(source)
     try:
         found = _kernels.decode_normal_mesh(data, -1 if level is None else level)
     except _kernels.SnmError as error:
-        raise InputError(f"{error}.", where) from error
+        raise InputError(CODE_UNKNOWN, "{error}.", where, error=error) from error
     if level is not None and level > found.promised:
-        raise UsageError(f"level is {level}, but {where} was made with levels 0 to {found.promised}.")
+        raise UsageError(
+            LEVELS_LEVEL_MISSING,
+            "level is {level}, but {place} was made with levels 0 to {promised}.",
+            level=level,
+            place=where,
+            promised=found.promised,
+        )
     if level is not None and level > found.levels:
         why = found.damage or "it was cut there"
-        raise InputError(f"has no level {level}, only levels 0 to {found.levels} are whole: {why}.", where)
+        raise InputError(
+            LEVELS_LEVEL_MISSING,
+            "has no level {level}, only levels 0 to {levels} are whole: {why}.",
+            where,
+            level=level,
+            levels=found.levels,
+            why=why,
+        )
     return normal_mesh_of(found, level_notes=())
 
 

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages import _kernels
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import MeshError
+from stages.normal_meshes.codes import LEVELS_NORMAL_MESH_INEXACT
 from stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
 from stages.normal_meshes.unmet import too_far
 from stages.params import check, param, resolve
@@ -258,10 +260,16 @@ def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
         used = np.unique(mesh.triangles)
         farthest = used[np.argmax(away[used])]
         raise MeshError(
-            f"most edges are shorter than {finest:.2g} m, which is all that can be told apart in a mesh of "
-            "this size; remove what lies far from the rest: "
-            f"vertex {farthest} is {away[farthest]:.2g} m away.",
+            LEVELS_NORMAL_MESH_INEXACT,
+            (
+                "most edges are shorter than {finest:.2g} m, which is all that can be told "
+                "apart in a mesh of this size"
+            ),
             "mesh",
+            remedy="remove what lies far from the rest: vertex {farthest} is {away:.2g} m away.",
+            finest=finest,
+            farthest=farthest,
+            away=away[farthest],
         )
 
 
@@ -342,9 +350,15 @@ def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
     array = np.asarray(values)
     if array.shape != (count,) or array.dtype.kind not in "biuf" or not np.isfinite(array).all():
         raise MeshError(
-            f"confidence is {array.dtype} of shape {array.shape}; a finite number for each of the "
-            f"{count} vertices is expected.",
+            USAGE_ARGUMENT_INVALID,
+            (
+                "confidence is {array_dtype} of shape {array_shape}; a finite number for "
+                "each of the {count} vertices is expected."
+            ),
             "mesh",
+            array_dtype=array.dtype,
+            array_shape=array.shape,
+            count=count,
         )
     return array.astype(np.float64)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from stages.diagnostics.errors import UsageError
 from stages.files.replacing import replacing
+from stages.picturing.codes import RENDER_LIBRARY_MISSING
 from stages.simplification.tradeoff import Tradeoff
 
 SUFFIXES = (".png", ".svg")
@@ -35,7 +36,9 @@ def require_plots() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise UsageError("plots are drawn by matplotlib; install scanloom[plot].") from None
+        raise UsageError(
+            RENDER_LIBRARY_MISSING, "plots are drawn by matplotlib", remedy="install scanloom[plot]."
+        ) from None
 
 
 def plot_tradeoff(path: Path, found: Tradeoff) -> None:

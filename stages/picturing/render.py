@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stages._opencv import require_opencv
 from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
+from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
 from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.scans.scan import ColorImage
 from stages.surface.color import color_at, has_color
@@ -72,7 +73,7 @@ def render(mesh: MeshLike, viewpoint: Viewpoint, *, shading: Shading = "color") 
     mesh = as_mesh(mesh)
     require_measurable(mesh, "mesh")
     if len(mesh.triangles) == 0:
-        raise InputError("the mesh has no triangles; there is nothing to draw.")
+        raise InputError(RENDER_NOTHING_TO_DRAW, "the mesh has no triangles; there is nothing to draw.")
     return Model(Surface(mesh)).draw(viewpoint, shading)
 
 

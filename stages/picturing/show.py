@@ -8,8 +8,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.files.replacing import replacing
+from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
 from stages.picturing.page.packing import Shown, packed_page
 from stages.printing import line
 from stages.surface.convert import MeshLike, as_mesh
@@ -93,9 +95,16 @@ def show(
         If `up` is no direction, or a size is too small.
     """
     if page_size < _LEAST_MB:
-        raise UsageError(f"page_size is {page_size:g} MB; it must be at least {_LEAST_MB:g} MB.")
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "page_size is {page_size:g} MB; it must be at least {least_mb:g} MB.",
+            page_size=page_size,
+            least_mb=_LEAST_MB,
+        )
     if height < 1:
-        raise UsageError(f"height is {height} px; it must be at least 1 px.")
+        raise UsageError(
+            USAGE_VALUE_INVALID, "height is {height} px; it must be at least 1 px.", height=height
+        )
     given = {title: thing, **(beside or {})}
     meshes = {name: _mesh_of(one, name) for name, one in given.items()}
     stands = meshes[title].up if up is None else _direction(up)
@@ -113,7 +122,7 @@ def _mesh_of(thing: Any, name: str) -> Mesh:
     own = getattr(thing, "mesh", None)
     mesh = as_mesh(own if isinstance(own, Mesh) else thing, name)
     if not len(mesh.triangles):
-        raise MeshError("there are no triangles to show.", name)
+        raise MeshError(RENDER_NOTHING_TO_DRAW, "there are no triangles to show.", name)
     return mesh
 
 

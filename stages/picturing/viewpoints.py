@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import InputError, UsageError
+from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
 from stages.printing import by_fields
 from stages.scans.scan import Camera, Frame, Pose
 from stages.surface.convert import MeshLike, as_mesh
@@ -88,7 +90,7 @@ def viewpoints(
     mesh = as_mesh(mesh)
     require_measurable(mesh, "mesh")
     if len(mesh.triangles) == 0:
-        raise InputError("the mesh has no triangles; there is nothing to look at.")
+        raise InputError(RENDER_NOTHING_TO_DRAW, "the mesh has no triangles; there is nothing to look at.")
     points = mesh.vertices[is_used(mesh)]
     points = points[:: 1 + len(points) // ENOUGH]
     upward = up_or_own(mesh, up)
@@ -187,12 +189,14 @@ def looking_at(
     """
     places = np.array([eye, look, up], np.float64)
     if places.shape != (3, 3) or not np.isfinite(places).all():
-        raise UsageError("eye, look and up are three finite numbers each.")
+        raise UsageError(USAGE_ARGUMENT_INVALID, "eye, look and up are three finite numbers each.")
     way = places[1] - places[0]
     if not way.any():
-        raise UsageError("the eye looks at where it is; give it another point to look at.")
+        raise UsageError(
+            USAGE_ARGUMENT_INVALID, "the eye looks at where it is", remedy="give it another point to look at."
+        )
     if not 0 < field < 180:
-        raise UsageError("the field of a view is above 0° and below 180°.")
+        raise UsageError(USAGE_ARGUMENT_INVALID, "the field of a view is above 0° and below 180°.")
     focal = 0.5 * height / math.tan(math.radians(0.5 * field))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = _rotation(way / np.linalg.norm(way), places[2]), places[0]

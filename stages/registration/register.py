@@ -19,6 +19,7 @@ from stages.registration import oddities
 from stages.registration.bridges import confirmed
 from stages.registration.chain import Chain, key_edges, make_chain
 from stages.registration.choosing import Placed, placed
+from stages.registration.codes import REGISTER_FRAMES_UNUSABLE, REGISTER_NOT_CONNECTED
 from stages.registration.focal import focal_of, focal_warnings, is_guess
 from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge, pieces
@@ -28,6 +29,7 @@ from stages.registration.odometry import one_thread_each
 from stages.registration.params import RegisterKeywords, RegisterParams
 from stages.registration.registered import Registration
 from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
+from stages.scans.codes import POSE_MISSING
 from stages.scans.images import read_depth
 from stages.scans.poses import inverted
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
@@ -83,7 +85,7 @@ def register(
     began = time.perf_counter()
     given = _given(frames) if params.refine else {}
     if params.refine and not given:
-        raise InputError("no frame has a pose that could be refined.", where)
+        raise InputError(POSE_MISSING, "no frame has a pose that could be refined.", where)
     if not (params.focal and is_guess(frames)):
         return _of_scene_or_thing(frames, given, params, began, where, progress)
     guess = frames[0].camera
@@ -142,7 +144,13 @@ def _registered(
         chain = make_chain(frames, max_depth, _first_half(progress) if params.loops else progress, guesses)
         if len(chain.seen) < 2:
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
-            raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
+            raise InputError(
+                REGISTER_FRAMES_UNUSABLE,
+                "{seen_count} frames can be used; poses need two at least{first}.",
+                where,
+                seen_count=len(chain.seen),
+                first=first,
+            )
         edges = list(key_edges(chain, max_depth))
         if params.loops:
             edges += loops(chain, max_depth, guesses, progress)
@@ -199,12 +207,25 @@ def _result(
     usable = sum(len(size) > 1 for size in sizes)
     if not usable:
         raise InputError(
-            f"no two of its {len(numbers)} frames can be placed to each other (frame {breaks[0].name}: "
-            f"{breaks[0].reason}). If poses are known, name them with scan.poses=FILE.",
+            REGISTER_NOT_CONNECTED,
+            (
+                "no two of its {numbers_count} frames can be placed to each other (frame "
+                "{breaks_name}: {reason}). If poses are known, name them with "
+                "scan.poses=FILE."
+            ),
             where,
+            numbers_count=len(numbers),
+            breaks_name=breaks[0].name,
+            reason=breaks[0].reason,
         )
     if piece > usable:
-        raise InputError(f"there is no piece {piece} of two frames or more; there are {usable}.", where)
+        raise InputError(
+            REGISTER_NOT_CONNECTED,
+            "there is no piece {piece} of two frames or more; there are {usable}.",
+            where,
+            piece=piece,
+            usable=usable,
+        )
     rank = {index: i for i, index in enumerate(order, 1)}
     left_out = [
         SkippedFrame(

@@ -15,6 +15,7 @@ import numpy as np
 from stages.diagnostics.errors import InputError, StageError
 from stages.frames.sampling import sample_evenly
 from stages.registration.belonging import masks_of_thing
+from stages.registration.codes import REGISTER_TURNING_OBJECT
 from stages.registration.features import Features
 from stages.registration.looks import Look, read_look, read_looks
 from stages.registration.still import Backdrop, Mask, backdrop_of, something_moves, stands_still
@@ -64,9 +65,14 @@ def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing
         if subject == "object":
             told = "nothing moves before it" if is_still else "it moves"
             raise StageError(
-                f"{'' if where is None else f'{where}: '}no thing can be told from what is around it: that "
-                f"needs a camera that stands still while the thing moves, but {told}. register.subject=scene "
-                "takes all that is seen."
+                REGISTER_TURNING_OBJECT,
+                (
+                    "{detail}no thing can be told from what is around it: that needs a camera "
+                    "that stands still while the thing moves, but {told}. register.subject=scene "
+                    "takes all that is seen."
+                ),
+                detail="" if where is None else f"{where}: ",
+                told=told,
             )
         return None
     more = [n for n in sample_evenly(len(frames), _BEHIND).tolist() if n not in looks]
@@ -124,8 +130,14 @@ def thing_not_placed(why: str, where: Path | None = None) -> StageError:
     """Return the error for a thing whose poses cannot be found."""
     named = "" if where is None else f"{where}: "
     return StageError(
-        f"{named}a thing moves before a camera that stands still, and cannot be put together: {why} Turn it "
-        "in smaller steps, on printed paper; register.subject=scene takes all that is seen."
+        REGISTER_TURNING_OBJECT,
+        (
+            "{named}a thing moves before a camera that stands still, and cannot be put "
+            "together: {why} Turn it in smaller steps, on printed paper; "
+            "register.subject=scene takes all that is seen."
+        ),
+        named=named,
+        why=why,
     )
 
 

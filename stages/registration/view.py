@@ -12,8 +12,10 @@ from stages._open3d import open3d
 from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.frames.projection import unproject
+from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
 from stages.registration.features import PIXELS, Features, features_of
 from stages.registration.points import deviation
+from stages.scans.codes import SCAN_FRAMES_SKIPPED
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
 
@@ -64,11 +66,11 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
 
     depth = read_depth(frame)
     if depth is None:
-        raise InputError("there is no depth map.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", f"frame {frame.name}")
     depth[depth > max_depth] = 0
     valid = depth[depth > 0]
     if valid.size == 0:
-        raise InputError("no pixel has a depth.", f"frame {frame.name}")
+        raise InputError(SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", f"frame {frame.name}")
     grey = None
     features = Features.none() if known is None else known
     if frame.color is not None and known is None:
@@ -98,7 +100,7 @@ def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
 
     color = read_matching_color(frame, depth) if frame.color_camera is not None else read_color(frame)
     if color is None:
-        raise InputError("there is no colour image.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", f"frame {frame.name}")
     share = min((PIXELS / (color.shape[0] * color.shape[1])) ** 0.5, 1.0)
     size = (max(round(color.shape[1] * share), 1), max(round(color.shape[0] * share), 1))
     if size != (color.shape[1], color.shape[0]):

@@ -13,8 +13,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import InputError
 from stages.files.images import decode_color, file_bytes, read_raw_depth, read_stored, require_raw_depth
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, CAMERA_INTRINSICS_GUESSED, SCAN_FRAMES_SKIPPED
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
 from stages.scans.shutter import turn_of_color
 from stages.scans.undistortion import Maps, maps_of, undistorted
@@ -75,12 +77,14 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
         If there is no image, it cannot be read, or it is of another shape than its camera's.
     """
     if frame.color is None:
-        raise InputError("there is no colour image.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", f"frame {frame.name}")
     image = _color(frame.color, frame.name)
     height, width = image.shape[:2]
     known = frame.color_camera or frame.camera
     if not known.is_calibrated:
-        raise InputError("its camera is not calibrated.", _called(frame.color, frame.name))
+        raise InputError(
+            CAMERA_INTRINSICS_GUESSED, "its camera is not calibrated.", _called(frame.color, frame.name)
+        )
     if abs(width * known.height / (height * known.width) - 1) > _SAME_SHAPE:
         require_size(image, known, frame.color, frame.name)
     camera = scaled(known, width, height)
@@ -109,8 +113,11 @@ def read_mask(frame: Frame) -> NDArray[np.uint8] | None:
     image = _stored(frame.mask)
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise InputError(
-            f"a mask of 8 bits a channel is expected, not {image.shape} {image.dtype}.",
+            USAGE_ARGUMENT_INVALID,
+            "a mask of 8 bits a channel is expected, not {image_shape} {image_dtype}.",
             _called(frame.mask, frame.name),
+            image_shape=image.shape,
+            image_dtype=image.dtype,
         )
     return _in_size(image if image.ndim == 2 else image[:, :, :3].max(axis=2), frame.camera)
 
@@ -166,10 +173,17 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
     height, width = image.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(
-            f"the image is {width}×{height}, but its camera is calibrated for "
-            f"{camera.width}×{camera.height}. "
-            "Give images of the calibrated size, or the calibration of this size.",
+            CAMERA_CALIBRATION_MISMATCH,
+            (
+                "the image is {width}×{height}, but its camera is calibrated for "
+                "{camera_width}×{camera_height}."
+            ),
             _called(source, name),
+            remedy="Give images of the calibrated size, or the calibration of this size.",
+            width=width,
+            height=height,
+            camera_width=camera.width,
+            camera_height=camera.height,
         )
 
 
@@ -186,7 +200,13 @@ def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:
         return decode_color(file_bytes(source), source)
     image = np.asarray(source)
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
-        raise InputError(f"colour must be (h, w, 3) uint8, not {image.shape} {image.dtype}.", f"frame {name}")
+        raise InputError(
+            USAGE_ARGUMENT_INVALID,
+            "colour must be (h, w, 3) uint8, not {image_shape} {image_dtype}.",
+            f"frame {name}",
+            image_shape=image.shape,
+            image_dtype=image.dtype,
+        )
     if image.ndim == 3:
         return np.ascontiguousarray(image[:, :, :3])
     return cast(ColorImage, cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
@@ -208,8 +228,11 @@ def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDAr
     image = _stored(source)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise InputError(
-            f"confidence of 8 bits in one channel is expected, not {image.shape} {image.dtype}.",
+            USAGE_ARGUMENT_INVALID,
+            "confidence of 8 bits in one channel is expected, not {image_shape} {image_dtype}.",
             _called(source, frame.name),
+            image_shape=image.shape,
+            image_dtype=image.dtype,
         )
     return _in_size(image, frame.camera)
 

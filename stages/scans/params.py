@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.params import param
 from stages.scans.reading.params import ReadingParams
@@ -53,7 +54,13 @@ class ScanParams(ReadingParams):
         super().__post_init__()
         given = [name for name in _SCALES if getattr(self, name) is not None]
         if len(given) > 1:
-            raise UsageError(f"{given[0]} and {given[1]} both say how long a unit is; leave one of them out.")
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT,
+                "{given} and {given_2} both say how long a unit is",
+                remedy="leave one of them out.",
+                given=given[0],
+                given_2=given[1],
+            )
         self.stated_scale()
 
     def stated_scale(self) -> float | None:
@@ -76,7 +83,12 @@ class ScanParams(ReadingParams):
         units = measured[0][0] if shape == [1] else math.dist(*measured) if shape == [3, 3] else math.nan
         if not (0 < units < math.inf and 0 < metres < math.inf):
             raise UsageError(
-                f"known_distance is {self.known_distance!r}; it must be a distance as it is measured and in "
-                "metres, `1.37 0.75`, or two points and the metres between them, `x,y,z x,y,z 0.75`."
+                USAGE_VALUE_INVALID,
+                (
+                    "known_distance is {known_distance!r}; it must be a distance as it is "
+                    "measured and in metres, `1.37 0.75`, or two points and the metres between "
+                    "them, `x,y,z x,y,z 0.75`."
+                ),
+                known_distance=self.known_distance,
             )
         return metres / units

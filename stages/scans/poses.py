@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, POSE_INVALID
 
 Pose = NDArray[np.float64]
 
@@ -65,12 +66,18 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
         return None
     if not finite.all():
         raise InputError(
-            f"{at}the pose holds a value that is not finite; correct it or remove its frame.", path
+            POSE_INVALID,
+            "{at}the pose holds a value that is not finite; correct it or remove its frame.",
+            path,
+            at=at,
         )
     if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=_RIGID_TOLERANCE):
         raise InputError(
-            f"{at}the last row of the pose is {_words(matrix[3])}, not 0 0 0 1; is it stored column-major?",
+            POSE_INVALID,
+            "{at}the last row of the pose is {words}, not 0 0 0 1; is it stored column-major?",
             path,
+            at=at,
+            words=_words(matrix[3]),
         )
     rotation = top[:, :3]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -79,11 +86,20 @@ def rigid(matrix: NDArray[np.float64], path: Path | str, where: str = "") -> Pos
     if not deviation <= _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         kind = "mirrors (determinant -1)" if deviation <= _RIGID_TOLERANCE else "is not a rotation"
         raise InputError(
-            f"{at}the pose is not rigid: its 3x3 part {kind}, off by {deviation:.2g} where 0.001 is allowed.",
+            POSE_INVALID,
+            (
+                "{at}the pose is not rigid: its 3x3 part {kind}, off by {deviation:.2g} "
+                "where 0.001 is allowed."
+            ),
             path,
+            at=at,
+            kind=kind,
+            deviation=deviation,
         )
     if np.abs(top[:, 3]).max() > LARGEST_VALUE:
-        raise InputError(f"{at}a place of {np.abs(top[:, 3]).max():g} cannot be right.", path)
+        raise InputError(
+            POSE_INVALID, "{at}a place of {max:g} cannot be right.", path, at=at, max=np.abs(top[:, 3]).max()
+        )
     pose = np.eye(4)
     pose[:3] = top
     return pose
@@ -113,8 +129,11 @@ def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
     if len(numbers) != 3 or not math.hypot(*numbers) <= _MOST_TURN:
         raise InputError(
-            f"{where}: shutter_turn is no rotation vector of three numbers, {_MOST_TURN:g} radian at most.",
+            CAMERA_ADJUSTED_MISMATCH,
+            "{place}: shutter_turn is no rotation vector of three numbers, {most_turn:g} radian at most.",
             path,
+            place=where,
+            most_turn=_MOST_TURN,
         )
     return np.array(numbers, np.float64)
 
@@ -129,7 +148,13 @@ def pose_from_quaternion(
     length = math.sqrt(x * x + y * y + z * z + w * w)
     # Real files round to four digits and more; far from unit length it is no rotation.
     if not 0.99 < length < 1.01:
-        raise InputError(f"{where}: the quaternion has length {length:.4g}, not 1.", path)
+        raise InputError(
+            POSE_INVALID,
+            "{place}: the quaternion has length {length:.4g}, not 1.",
+            path,
+            place=where,
+            length=length,
+        )
     x, y, z, w = x / length, y / length, z / length, w / length
     rotation = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), translation[0]],
@@ -148,7 +173,7 @@ def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, (0, 0, 0, 1)])
     if matrix.size != 16:
-        raise InputError(f"{where} is not a 4x4 matrix.", path)
+        raise InputError(POSE_INVALID, "{place} is not a 4x4 matrix.", path, place=where)
     return matrix.reshape(4, 4)
 
 

@@ -15,6 +15,13 @@ from stages.diagnostics.errors import InputError, UsageError
 from stages.files.blas_buffers import require_buffers
 from stages.files.noting import noting
 from stages.files.telling import in_sentences, telling
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_MISMATCH,
+    SCAN_LAYOUT_UNKNOWN,
+    SCAN_OPTION_UNUSED,
+    SCAN_SELECTION_EMPTY,
+    SCAN_TOO_MANY_FRAMES_SKIPPED,
+)
 from stages.scans.layouts import plain_views
 from stages.scans.layouts.plain_views import place_of_photos
 from stages.scans.layouts.refused import Refused, refused
@@ -94,7 +101,7 @@ def _layout_of(folder: Path, options: ScanParams) -> Layout:
     # Photos alone are no scan, but here their poses are said to be elsewhere.
     if options.poses is not None and place_of_photos(folder) is not None:
         return plain_views.LAYOUT
-    raise InputError(_unknown(folder), folder)
+    raise InputError(CODE_UNKNOWN, _unknown(folder), folder)
 
 
 def _as_meant(scan: Scan, convention: str) -> Scan:
@@ -121,26 +128,45 @@ def _require_used(
             continue
         if name == "calibration" and options.intrinsics is not None:
             raise UsageError(
-                f"scan.intrinsics and scan.calibration={path.name} both state the camera; leave one out."
+                SCAN_OPTION_UNUSED,
+                "scan.intrinsics and scan.calibration={path_name} both state the camera",
+                remedy="leave one out.",
+                path_name=path.name,
             )
         raise UsageError(
-            f"scan.{name}={path.name} has no use: the layout {layout.name} takes none. Leave it out."
+            SCAN_OPTION_UNUSED,
+            "scan.{name}={path_name} has no use: the layout {layout_name} takes none.",
+            remedy="Leave it out.",
+            name=name,
+            path_name=path.name,
+            layout_name=layout.name,
         )
     if options.baseline is not None and not read.is_stereo:
         raise UsageError(
-            "scan.baseline is the distance between the two cameras of a pair, and these frames are no pairs; "
-            "leave it out."
+            SCAN_OPTION_UNUSED,
+            (
+                "scan.baseline is the distance between the two cameras of a pair, and these "
+                "frames are no pairs"
+            ),
+            remedy="leave it out.",
         )
     if options.depth_scale is not None and read.is_stereo:
-        raise UsageError("scan.depth_scale is of depth maps, and these pairs have none yet; leave it out.")
+        raise UsageError(
+            SCAN_OPTION_UNUSED,
+            "scan.depth_scale is of depth maps, and these pairs have none yet",
+            remedy="leave it out.",
+        )
     if options.least_confidence is not None and all(frame.confidence is None for frame in read.frames):
         raise UsageError(
-            "scan.least_confidence is of maps of confidence, and these frames have none; leave it out."
+            SCAN_OPTION_UNUSED,
+            "scan.least_confidence is of maps of confidence, and these frames have none",
+            remedy="leave it out.",
         )
     if options.poses_by_order and options.poses is None and not read.has_poses:
         raise UsageError(
-            "scan.poses_by_order pairs a trajectory with the frames, and there is none; name one with "
-            "scan.poses=FILE."
+            SCAN_OPTION_UNUSED,
+            "scan.poses_by_order pairs a trajectory with the frames, and there is none",
+            remedy="name one with scan.poses=FILE.",
         )
 
 
@@ -159,7 +185,7 @@ def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
     """Raise InputError if a scan lacks what a mesh needs; poses only if it has to be `posed`."""
     lacking = [what for what in scan.missing if posed or not what.startswith("poses:")]
     if lacking:
-        raise InputError("; and ".join(f"no {what}" for what in lacking) + ".", folder)
+        raise InputError(CODE_UNKNOWN, "; and ".join(f"no {what}" for what in lacking) + ".", folder)
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:
@@ -172,7 +198,7 @@ def recognise(folder: Path) -> tuple[Layout, str]:
     """
     found = matching(folder)
     if found is None:
-        raise InputError(_unknown(folder), folder)
+        raise InputError(CODE_UNKNOWN, _unknown(folder), folder)
     return found
 
 
@@ -189,7 +215,12 @@ def matching(folder: Path) -> tuple[Layout, str] | None:
         return next((one, folder.name) for one in LAYOUTS if folder.suffix.lower() in one.suffixes)
     found = _first_match(DISTINCT, folder)
     if found is None and (known := refused(folder)) is not None:
-        raise InputError(f"{_refusal(known)} If it is another layout, name it with scan.layout=NAME.", folder)
+        raise InputError(
+            SCAN_LAYOUT_UNKNOWN,
+            "{refusal} If it is another layout, name it with scan.layout=NAME.",
+            folder,
+            refusal=_refusal(known),
+        )
     return found or _first_match(GENERIC, folder)
 
 
@@ -198,14 +229,16 @@ def _require_place(folder: Path, suffixes: Collection[str]) -> None:
     if folder.is_file() and folder.suffix.lower() in suffixes:
         return
     if folder.is_file() and (known := refused(folder)) is not None:
-        raise InputError(_refusal(known), folder)
+        raise InputError(CODE_UNKNOWN, _refusal(known), folder)
     if not folder.is_dir():
         problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
-        raise InputError(problem, folder)
+        raise InputError(CODE_UNKNOWN, problem, folder)
     try:
         next(folder.iterdir(), None)
     except OSError as error:
-        raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
+        raise InputError(
+            SCAN_LAYOUT_UNKNOWN, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
+        ) from error
 
 
 def _refusal(known: Refused) -> str:
@@ -249,7 +282,11 @@ def _selected(scan: Scan, options: ScanParams) -> Sequence[Frame]:
     chosen = scan.frames[options.first : end : options.every]
     if not chosen:
         raise UsageError(
-            f"first={options.first}, last={options.last} leaves no frame of the scan's {len(scan.frames)}."
+            SCAN_SELECTION_EMPTY,
+            "first={first}, last={last} leaves no frame of the scan's {frames_count}.",
+            first=options.first,
+            last=options.last,
+            frames_count=len(scan.frames),
         )
     most = options.max_frames
     if most is None or len(chosen) <= most or scan.is_views or not scan.has_poses:
@@ -264,7 +301,12 @@ def _split(scan: Scan, every: int | None) -> Scan:
     kept = [frame for number, frame in enumerate(scan.frames) if number % every != every // 2]
     held_out = tuple(scan.frames[every // 2 :: every])
     if not held_out:
-        raise UsageError(f"hold_out={every} keeps none of the scan's {len(scan.frames)} frames apart.")
+        raise UsageError(
+            SCAN_SELECTION_EMPTY,
+            "hold_out={every} keeps none of the scan's {frames_count} frames apart.",
+            every=every,
+            frames_count=len(scan.frames),
+        )
     return replace(scan, frames=kept, held_out=held_out)
 
 
@@ -326,7 +368,14 @@ def _without_lost(scan: Scan, folder: Path) -> Scan:
         reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
         inside = _scans_inside(folder) if folder.is_dir() else []
         other = f" Its folder {inside[0][0]}/ looks like a scan of its own." if inside else ""
-        raise InputError(f"none of its {len(skipped)} frames can be used{reason}.{other}", folder)
+        raise InputError(
+            SCAN_TOO_MANY_FRAMES_SKIPPED,
+            "none of its {skipped_count} frames can be used{reason}.{other}",
+            folder,
+            skipped_count=len(skipped),
+            reason=reason,
+            other=other,
+        )
     return replace(scan, frames=frames, skipped=skipped)
 
 
@@ -338,9 +387,16 @@ def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
     left, right = common_size(lefts), common_size(rights)
     if left != right:
         raise InputError(
-            f"left images are {left[0]}×{left[1]} and right images {right[0]}×{right[1]}; "
-            "both cameras of a pair must give one size.",
+            CAMERA_CALIBRATION_MISMATCH,
+            (
+                "left images are {left}×{left_2} and right images {right}×{right_2}; both "
+                "cameras of a pair must give one size."
+            ),
             folder,
+            left=left[0],
+            left_2=left[1],
+            right=right[0],
+            right_2=right[1],
         )
 
 

@@ -24,6 +24,7 @@ from stages.scans.arrays import (
     check_intrinsics,
     check_pose,
 )
+from stages.scans.codes import USAGE_FRAME_INVALID
 from stages.scans.thumbnail import thumbnail
 from stages.scans.world import Scale, WorldUp
 
@@ -205,14 +206,19 @@ class Frame:
         pose, depth = self.world_from_camera, self.depth
         if pose is not None and not (isinstance(pose, np.ndarray) and pose.shape == (4, 4)):
             raise InputError(
+                USAGE_FRAME_INVALID,
                 "world_from_camera must be a (4, 4) array; Frame.from_arrays takes other forms.",
                 f"frame {self.name}",
             )
         if isinstance(depth, np.ndarray) and not np.issubdtype(depth.dtype, np.floating):
             raise InputError(
-                f"a depth array must be floats in metres, not {depth.dtype}; Frame.from_arrays takes "
-                "integers with depth_scale.",
+                USAGE_FRAME_INVALID,
+                (
+                    "a depth array must be floats in metres, not {depth_dtype}; "
+                    "Frame.from_arrays takes integers with depth_scale."
+                ),
                 f"frame {self.name}",
+                depth_dtype=depth.dtype,
             )
 
     @classmethod
@@ -260,13 +266,14 @@ class Frame:
         """
         where = f"frame {name}" if name else "frame"
         if color is None and depth is None:
-            raise InputError("a frame needs a colour image or a depth image.", where)
+            raise InputError(USAGE_FRAME_INVALID, "a frame needs a colour image or a depth image.", where)
         colors = None if color is None else check_color(color, where)
         depths = None if depth is None else check_depth(depth, depth_scale, where)
         reference = depths if depths is not None else colors
         assert reference is not None
         if intrinsics is None:
             raise InputError(
+                USAGE_FRAME_INVALID,
                 "intrinsics are missing: a (3, 3) camera matrix, a Camera, or fx, fy, cx, cy in pixels.",
                 where,
             )
@@ -277,14 +284,23 @@ class Frame:
                 color_camera = _create_camera(color_intrinsics, colors, where)
             elif abs(colors.shape[0] * camera.width / (colors.shape[1] * camera.height) - 1) > _SAME_SHAPE:
                 raise InputError(
-                    f"the colour image of {colors.shape[1]} × {colors.shape[0]} px and the depth image of "
-                    f"{camera.width} × {camera.height} px differ in shape. Give color_intrinsics, and "
-                    "color_from_depth if the cameras are apart.",
+                    USAGE_FRAME_INVALID,
+                    (
+                        "the colour image of {colors_shape} × {colors_shape_2} px and the depth "
+                        "image of {camera_width} × {camera_height} px differ in shape."
+                    ),
                     where,
+                    remedy="Give color_intrinsics, and color_from_depth if the cameras are apart.",
+                    colors_shape=colors.shape[1],
+                    colors_shape_2=colors.shape[0],
+                    camera_width=camera.width,
+                    camera_height=camera.height,
                 )
         rights = None if right is None else check_color(right, where)
         if rights is not None and (colors is None or rights.shape[:2] != colors.shape[:2]):
-            raise InputError("the right image needs a left image, color, of the same size.", where)
+            raise InputError(
+                USAGE_FRAME_INVALID, "the right image needs a left image, color, of the same size.", where
+            )
         return cls(
             name=name,
             camera=camera,
@@ -403,20 +419,27 @@ class Scan:
             for number, frame in enumerate(frames)
         ]
         if not numbered:
-            raise InputError("a scan needs at least one frame.", "scan")
+            raise InputError(USAGE_FRAME_INVALID, "a scan needs at least one frame.", "scan")
         kinds = [(frame.depth is not None, frame.right is not None) for frame in numbered]
         for frame, kind in zip(numbered, kinds, strict=True):
             if kind != kinds[0]:
                 raise InputError(
-                    f"it has {_describe_kind(kind)}, but frame {numbered[0].name} has "
-                    f"{_describe_kind(kinds[0])}.",
+                    USAGE_FRAME_INVALID,
+                    "it has {describe_kind}, but frame {numbered_name} has {describe_kind_2}.",
                     f"frame {frame.name}",
+                    describe_kind=_describe_kind(kind),
+                    numbered_name=numbered[0].name,
+                    describe_kind_2=_describe_kind(kinds[0]),
                 )
         has_depth, has_right = kinds[0]
         if has_right and not has_depth and rig is None:
-            raise InputError("stereo pairs need rig, a StereoRig with both cameras.", "scan")
+            raise InputError(
+                USAGE_FRAME_INVALID, "stereo pairs need rig, a StereoRig with both cameras.", "scan"
+            )
         if not (has_depth or has_right) and not any(f.world_from_camera is not None for f in numbered):
-            raise InputError("single images need poses: give world_from_camera to each frame.", "scan")
+            raise InputError(
+                USAGE_FRAME_INVALID, "single images need poses: give world_from_camera to each frame.", "scan"
+            )
         return cls(
             layout="arrays",
             frames=numbered,
@@ -494,9 +517,16 @@ def _create_camera(
         return Camera(width, height, *check_intrinsics(intrinsics, (width, height), where))
     if (intrinsics.width, intrinsics.height) != (width, height):
         raise InputError(
-            f"the camera is for images of {intrinsics.width} × {intrinsics.height} px, but the image has "
-            f"{width} × {height} px.",
+            USAGE_FRAME_INVALID,
+            (
+                "the camera is for images of {intrinsics_width} × {intrinsics_height} px, "
+                "but the image has {width} × {height} px."
+            ),
             where,
+            intrinsics_width=intrinsics.width,
+            intrinsics_height=intrinsics.height,
+            width=width,
+            height=height,
         )
     check_intrinsics((intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy), (width, height), where)
     return replace(intrinsics, distortion=check_distortion(intrinsics.distortion, where))
@@ -514,6 +544,6 @@ def _check_up(up: ArrayLike) -> WorldUp:
     vector = np.asarray(up, np.float64).reshape(-1)
     length = float(np.linalg.norm(vector))
     if vector.shape != (3,) or not (np.isfinite(length) and length > 0):
-        raise InputError("up must be a direction of three numbers.", "scan")
+        raise InputError(USAGE_FRAME_INVALID, "up must be a direction of three numbers.", "scan")
     x, y, z = (vector / length).tolist()
     return WorldUp((x, y, z), "given")

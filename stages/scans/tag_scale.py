@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCALE_NOT_METRIC
 from stages.scans.images import read_photo
 from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
@@ -78,19 +79,25 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
     """
     posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
     if not posed:
-        raise InputError("tags are looked for in photos with poses, and there are none.", folder)
+        raise InputError(
+            SCALE_NOT_METRIC, "tags are looked for in photos with poses, and there are none.", folder
+        )
     chosen = _spread(posed, _MOST_PHOTOS)
     views = [view for view in _looked_at(chosen, family) if view is not None]
     seen = sorted({number for view in views for number in view.tags})
     if not seen:
-        raise InputError(_none_found(chosen, family), folder)
+        raise InputError(CODE_UNKNOWN, _none_found(chosen, family), folder)
     tags = [tag for number in seen if (tag := _placed(number, views)) is not None]
     if not tags:
         named = ", ".join(map(str, seen[:8])) + (" …" if len(seen) > 8 else "")
         raise InputError(
-            f"tags are seen in its photos ({named}), but none in two from different places whose poses agree "
-            "where it is.",
+            SCALE_NOT_METRIC,
+            (
+                "tags are seen in its photos ({named}), but none in two from different "
+                "places whose poses agree where it is."
+            ),
             folder,
+            named=named,
         )
     tags, warnings = _agreeing(tags, edge, folder)
     factors = np.array([edge / tag.edges.mean() for tag in tags])
@@ -242,16 +249,25 @@ def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> tuple[list[_Ta
     if not square:
         edges = tags[0].edges
         raise InputError(
-            f"by the poses, edges of tag {tags[0].number} are {edges.min():.4g} to {edges.max():.4g} units "
-            "long: that is no square, and tells no scale.",
+            SCALE_NOT_METRIC,
+            (
+                "by the poses, edges of tag {number} are {min:.4g} to {max:.4g} units long: "
+                "that is no square, and tells no scale."
+            ),
             folder,
+            number=tags[0].number,
+            min=edges.min(),
+            max=edges.max(),
         )
     sizes = np.array([tag.edges.mean() for tag in square])
     same = np.abs(sizes / np.median(sizes) - 1) <= _DISAGREE
     if len(square) > 1 and np.count_nonzero(same) <= len(square) / 2:
         told = ", ".join(f"tag {tag.number} {edge / tag.edges.mean():.4g}" for tag in square[:8])
         raise InputError(
-            f"the tags do not agree how many metres a unit is: {told}. Are they of one size?", folder
+            SCALE_NOT_METRIC,
+            "the tags do not agree how many metres a unit is: {told}. Are they of one size?",
+            folder,
+            told=told,
         )
     kept = [tag for tag, is_same in zip(square, same, strict=True) if is_same]
     others = [tag.number for tag in tags if tag not in kept]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import opened
 from stages.files.room import require_room
@@ -47,7 +48,13 @@ class Video:
             for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_COUNT)
         )
         if not 0 < self.width * self.height <= MAX_PIXELS:
-            raise InputError(f"the video claims to be {self.width}×{self.height}; it is damaged.", path)
+            raise InputError(
+                RECORDING_DAMAGED,
+                "the video claims to be {width}×{height}; it is damaged.",
+                path,
+                width=self.width,
+                height=self.height,
+            )
         self.frames = max(count, 0)
         self._kept: OrderedDict[int, ColorImage] = OrderedDict()
         self._most = max(2, _KEPT_BYTES // (3 * self.width * self.height))
@@ -92,7 +99,11 @@ class Video:
         """Return what to raise, unless it was memory that ended."""
         require_room(_PICTURES * 3 * self.width * self.height)
         return InputError(
-            f"frame {number} is not there: the video ends or is damaged after {self._end} frames.", self.path
+            RECORDING_DAMAGED,
+            "frame {number} is not there: the video ends or is damaged after {end} frames.",
+            self.path,
+            number=number,
+            end=self._end,
         )
 
     def _open(self) -> None:
@@ -102,14 +113,24 @@ class Video:
             with opened(self.path) as file:
                 start = file.read(8)
         except OSError as error:
-            raise InputError(f"the video cannot be opened ({error.strerror}).", self.path) from error
+            raise InputError(
+                RECORDING_DAMAGED,
+                "the video cannot be opened ({strerror}).",
+                self.path,
+                strerror=error.strerror,
+            ) from error
         if start[4:] not in _STARTS:
-            raise InputError("this is no MP4 or QuickTime video, or its start is damaged.", self.path)
+            raise InputError(
+                RECORDING_DAMAGED, "this is no MP4 or QuickTime video, or its start is damaged.", self.path
+            )
         self._capture: Any = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         self._next = 0
         if not self._capture.isOpened():
             require_room()
             raise InputError(
-                "the video does not open; it is damaged or was cut short. Copy it again.", self.path
+                RECORDING_DAMAGED,
+                "the video does not open; it is damaged or was cut short.",
+                self.path,
+                remedy="Copy it again.",
             )
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)

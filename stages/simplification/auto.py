@@ -7,6 +7,7 @@ from typing import Any
 
 from stages.diagnostics.errors import UsageError
 from stages.params import described
+from stages.simplification.codes import USAGE_METHOD_MISMATCH
 from stages.simplification.methods import METHODS, Method, Need
 from stages.simplification.params import AUTO, SimplifyParams
 
@@ -39,7 +40,9 @@ def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, An
             return method
     # The parameter that fewest methods have says best what was meant.
     name = min(given, key=lambda name: len(_knowing(name)))
-    raise UsageError(f"{name} is for {_why_not(_knowing(name)[0], params, given)}")
+    raise UsageError(
+        CODE_UNKNOWN, "{name} is for {why_not}", name=name, why_not=_why_not(_knowing(name)[0], params, given)
+    )
 
 
 def has_no_goal(params: SimplifyParams) -> bool:
@@ -60,7 +63,13 @@ def require_taken(
     }.items():
         if wanted and not getattr(method.takes, name):
             others = _listed([other.name for other in METHODS if getattr(other.takes, name)], "and")
-            raise UsageError(f"{name} has no meaning for method {method.name}; it is for {others}.")
+            raise UsageError(
+                USAGE_METHOD_MISMATCH,
+                "{name} has no meaning for method {method_name}; it is for {others}.",
+                name=name,
+                method_name=method.name,
+                others=others,
+            )
 
 
 def _given(params: SimplifyParams) -> list[str]:
@@ -85,11 +94,28 @@ def _knowing(name: str) -> list[Method[Any, Any]]:
 def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Collection[str]) -> None:
     foreign, need = _foreign(method, given), _lacking(method, params)
     if foreign is not None:
-        raise UsageError(f"{foreign} has no meaning for method {method.name}; leave one of them out.")
+        raise UsageError(
+            USAGE_METHOD_MISMATCH,
+            "{foreign} has no meaning for method {method_name}",
+            remedy="leave one of them out.",
+            foreign=foreign,
+            method_name=method.name,
+        )
     if need is not None:
-        raise UsageError(f"method {method.name} needs {need.what}; {need.advice}.")
+        raise UsageError(
+            CODE_UNKNOWN,
+            "method {method_name} needs {what}; {advice}.",
+            method_name=method.name,
+            what=need.what,
+            advice=need.advice,
+        )
     if _has_no_count(method, params):
-        raise UsageError(f"method {method.name} goes as far as its bounds; leave out triangles and ratio.")
+        raise UsageError(
+            USAGE_METHOD_MISMATCH,
+            "method {method_name} goes as far as its bounds",
+            remedy="leave out triangles and ratio.",
+            method_name=method.name,
+        )
 
 
 def _why_not(method: Method[Any, Any], params: SimplifyParams, given: Collection[str]) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import StageError
 from stages.simplification.result import Simplified
+from stages.surface.codes import FUSE_TOO_LARGE
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Part
 
@@ -60,7 +61,11 @@ def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
     near = np.asarray(((mesh.vertices < low) | (mesh.vertices > high)).any(axis=1), np.bool_)
     is_strip = np.asarray(near[mesh.triangles].all(axis=1))
     if (mesh.triangles[~is_strip] >= part.own).any():
-        raise StageError("pieces of the mesh meet farther inside than their voxels tell; fuse again.")
+        raise StageError(
+            FUSE_TOO_LARGE,
+            "pieces of the mesh meet farther inside than their voxels tell",
+            remedy="fuse again.",
+        )
     all_of_it = Cut(mesh, part.numbers, np.zeros(len(near), np.bool_))
     inside, strip = cuts_of(all_of_it, [np.flatnonzero(~is_strip), np.flatnonzero(is_strip)])
     return inside, strip
@@ -142,7 +147,9 @@ def numbers_of(cut: Cut, light: Simplified[Any]) -> Numbers:
     source = light.vertex_source
     stayed = cut.is_of_both[source]
     if not np.array_equal(light.mesh.vertices[stayed], cut.mesh.vertices[source[stayed]]):
-        raise StageError("a vertex that was to stay has moved, which is a defect of this program.")
+        raise StageError(
+            FUSE_TOO_LARGE, "a vertex that was to stay has moved, which is a defect of this program."
+        )
     return np.where(stayed, cut.numbers[source], -1)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import UsageError
 from stages.printing import by_fields
+from stages.simplification.codes import SIMPLIFY_COMPONENTS_REMOVED
 from stages.surface.edges import Ids
 from stages.surface.holes import fill_holes
 from stages.surface.mesh import Mesh
@@ -93,7 +94,9 @@ def drop_small(mesh: Mesh, size: float, lock: NDArray[np.bool_]) -> Remainder:
     is_small, components = find_small_components(mesh, size, lock)
     if len(is_small) and is_small.all():
         raise UsageError(
-            f"drop_below is {size:g} m, and every connected component is smaller: nothing would be left."
+            SIMPLIFY_COMPONENTS_REMOVED,
+            "drop_below is {size:g} m, and every connected component is smaller: nothing would be left.",
+            size=size,
         )
     component_area = float(areas(mesh.vertices, mesh.triangles[is_small]).sum())
     kept = Traced.start(mesh).keep(~is_small).compact()

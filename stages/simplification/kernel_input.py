@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.diagnostics.errors import UsageError
 from stages.progress import Progress
+from stages.simplification.codes import USAGE_METHOD_MISMATCH
 from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
@@ -62,7 +63,11 @@ def kernel_input(mesh: Mesh) -> KernelInput:
 def require_colors(mesh: Mesh, max_color: float | None) -> None:
     """Raise UsageError for a bound on the colours of a mesh that has none."""
     if max_color is not None and mesh.colors is None:
-        raise UsageError("max_color is given, but the mesh has no vertex colours; leave it out.")
+        raise UsageError(
+            USAGE_METHOD_MISMATCH,
+            "max_color is given, but the mesh has no vertex colours",
+            remedy="leave it out.",
+        )
 
 
 @dataclass(frozen=True, eq=False)

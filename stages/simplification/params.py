@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields, make_dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.params import check, described, hints_of, param
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.shared_params import HOW_FAR
+from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -88,9 +90,13 @@ class _Goal:
     def __post_init__(self) -> None:
         check(self)
         if self.keep_uv and self.bake:
-            raise UsageError("keep_uv and bake are both given; give one of them.")
+            raise UsageError(
+                SIMPLIFY_IMAGES_NOT_BAKED, "keep_uv and bake are both given", remedy="give one of them."
+            )
         if self.triangles is not None and self.ratio is not None:
-            raise UsageError("triangles and ratio are both given; give one of them.")
+            raise UsageError(
+                USAGE_VALUE_INVALID, "triangles and ratio are both given", remedy="give one of them."
+            )
         # What a method's own class refuses is refused now, before any work.
         for method in METHODS:
             method.own(self)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.diagnostics.errors import UsageError
+from stages.simplification.codes import USAGE_REGION_INVALID
 from stages.surface.mesh import Mesh
 
 _FORMS = '"sphere x y z radius ..." or "box x y z x y z ...", with an importance, "lock" or both at the end'
@@ -23,9 +24,16 @@ class _Region:
 
     def _check_effect(self) -> None:
         if self.importance is None and not self.lock:
-            raise UsageError(f"{self} has no effect; give it an importance, or lock it.")
+            raise UsageError(
+                USAGE_REGION_INVALID,
+                "{self} has no effect",
+                remedy="give it an importance, or lock it.",
+                self=self,
+            )
         if self.importance is not None and not (0 < self.importance < math.inf):
-            raise UsageError(f"{self}: an importance must be above 0 and finite.")
+            raise UsageError(
+                USAGE_REGION_INVALID, "{self}: an importance must be above 0 and finite.", self=self
+            )
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,9 @@ class Sphere(_Region):
     def __post_init__(self) -> None:
         _check_point(self, self.center)
         if not 0 < self.radius < math.inf:
-            raise UsageError(f"{self}: the radius must be above 0 and finite.")
+            raise UsageError(
+                USAGE_REGION_INVALID, "{self}: the radius must be above 0 and finite.", self=self
+            )
         self._check_effect()
 
     def __str__(self) -> str:
@@ -76,7 +86,11 @@ class Box(_Region):
         _check_point(self, self.low)
         _check_point(self, self.high)
         if not all(low <= high for low, high in zip(self.low, self.high, strict=True)):
-            raise UsageError(f"{self}: the first corner must be the lowest one, the second the highest.")
+            raise UsageError(
+                USAGE_REGION_INVALID,
+                "{self}: the first corner must be the lowest one, the second the highest.",
+                self=self,
+            )
         self._check_effect()
 
     def __str__(self) -> str:
@@ -93,7 +107,12 @@ Region = Sphere | Box
 
 def _check_point(region: Region, point: Sequence[float]) -> None:
     if len(point) != 3 or not all(map(math.isfinite, point)):
-        raise UsageError(f"{type(region).__name__} at {point!r}: a place is three finite numbers, in metres.")
+        raise UsageError(
+            USAGE_REGION_INVALID,
+            "{region_name} at {point!r}: a place is three finite numbers, in metres.",
+            region_name=type(region).__name__,
+            point=point,
+        )
 
 
 def _words(point: Sequence[float]) -> str:
@@ -110,7 +129,9 @@ def parse_region(text: str) -> Region:
     """
 
     def refuse(why: str) -> NoReturn:
-        raise UsageError(f"region {text!r}: {why}; write {_FORMS}.")
+        raise UsageError(
+            CODE_UNKNOWN, "region {text!r}: {why}", remedy="write {forms}.", text=text, why=why, forms=_FORMS
+        )
 
     shape, *words = text.replace(",", " ").split() or [""]
     sizes = {"sphere": 4, "box": 6}
@@ -158,7 +179,11 @@ def resolve_control(
     for region in regions:
         inside = region.holds(mesh.vertices)
         if not inside.any():
-            raise UsageError(f"{region} holds no vertex of the mesh; places are in metres.")
+            raise UsageError(
+                USAGE_REGION_INVALID,
+                "{region} holds no vertex of the mesh; places are in metres.",
+                region=region,
+            )
         if region.lock:
             locked |= inside
         if region.importance is not None:
@@ -171,17 +196,25 @@ def _locked(lock: NDArray[Any], count: int) -> NDArray[np.bool_]:
     if lock.dtype == bool:
         if lock.shape != (count,):
             raise UsageError(
-                f"lock has shape {lock.shape}; one value for each of {count} vertices is expected."
+                USAGE_REGION_INVALID,
+                "lock has shape {lock_shape}; one value for each of {count} vertices is expected.",
+                lock_shape=lock.shape,
+                count=count,
             )
         return np.array(lock, bool)
     locked = np.zeros(count, bool)
     if lock.size == 0:
         return locked
     if lock.ndim != 1 or lock.dtype.kind not in "iu":
-        raise UsageError("lock must be one bool a vertex, or a list of vertex indices.")
+        raise UsageError(USAGE_REGION_INVALID, "lock must be one bool a vertex, or a list of vertex indices.")
     if lock.min() < 0 or lock.max() >= count:
         wrong = next(int(v) for v in lock if not 0 <= v < count)
-        raise UsageError(f"lock names vertex {wrong}, but there are only {count}.")
+        raise UsageError(
+            USAGE_REGION_INVALID,
+            "lock names vertex {wrong}, but there are only {count}.",
+            wrong=wrong,
+            count=count,
+        )
     locked[lock] = True
     return locked
 
@@ -189,12 +222,21 @@ def _locked(lock: NDArray[Any], count: int) -> NDArray[np.bool_]:
 def _factors(importance: NDArray[Any], count: int) -> NDArray[np.float64]:
     if importance.shape != (count,) or importance.dtype.kind not in "iuf":
         raise UsageError(
-            f"importance has shape {importance.shape} and type {importance.dtype}; "
-            f"one number for each of {count} vertices is expected."
+            USAGE_REGION_INVALID,
+            (
+                "importance has shape {importance_shape} and type {importance_dtype}; one "
+                "number for each of {count} vertices is expected."
+            ),
+            importance_shape=importance.shape,
+            importance_dtype=importance.dtype,
+            count=count,
         )
     bad = np.flatnonzero(~((importance > 0) & np.isfinite(importance)))
     if len(bad):
         raise UsageError(
-            f"importance of vertex {bad[0]} is {importance[bad[0]]}; it must be above 0 and finite."
+            USAGE_REGION_INVALID,
+            "importance of vertex {bad} is {importance}; it must be above 0 and finite.",
+            bad=bad[0],
+            importance=importance[bad[0]],
         )
     return importance.astype(np.float64)

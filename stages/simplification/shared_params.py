@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, TypedDict
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 
 # Heading of the help for whatever says how far a method goes.
@@ -45,4 +46,9 @@ def require_finite(params: Any, *names: str) -> None:
     """Raise UsageError for the first of these parameters that is infinite."""
     for name in names:
         if getattr(params, name) == math.inf:
-            raise UsageError(f"{name} is infinite; leave it out, and give triangles or ratio instead.")
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "{name} is infinite",
+                remedy="leave it out, and give triangles or ratio instead.",
+                name=name,
+            )

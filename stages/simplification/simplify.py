@@ -13,6 +13,7 @@ from stages.diagnostics.errors import MeshError
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.simplification.auto import chosen, has_no_goal, require_taken
+from stages.simplification.codes import SIMPLIFY_COORDINATES_UNWEIGHABLE
 from stages.simplification.corner_attributes import is_in_pieces
 from stages.simplification.dropping import drop_small
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
@@ -217,11 +218,16 @@ def simplify(
     except _kernels.InvalidMeshError as error:
         if method.takes.texture:
             raise MeshError(
-                f"{error}: its texture coordinates or normals are too large or too small to be weighed "
-                "against its shape; make a new texture, or leave them out.",
+                SIMPLIFY_COORDINATES_UNWEIGHABLE,
+                (
+                    "{error}: its texture coordinates or normals are too large or too small to "
+                    "be weighed against its shape"
+                ),
                 "mesh",
+                remedy="make a new texture, or leave them out.",
+                error=error,
             ) from error
-        raise MeshError(f"{error}.", "mesh") from error
+        raise MeshError(CODE_UNKNOWN, "{error}.", "mesh", error=error) from error
 
     def at_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
         return progress(found.collapses, found.collapses)

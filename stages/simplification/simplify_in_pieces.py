@@ -37,6 +37,7 @@ from stages.simplification.simplify import simplify
 from stages.simplification.strips import Strips
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import MOST_AT_ONCE, Pieces
+from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
 
 # Of meshes that are too large to be simplified at once: part of their key alone.
 RESULT_VERSION = 1
@@ -134,7 +135,9 @@ def simplify_in_pieces(
     """
     if params.bake:
         raise UsageError(
-            "bake is for meshes that are simplified in one piece; leave it out, and enable the stage bake."
+            SIMPLIFY_IMAGES_NOT_BAKED,
+            "bake is for meshes that are simplified in one piece",
+            remedy="leave it out, and enable the stage bake.",
         )
     pieces = Pieces(path)
     total = pieces.triangle_count

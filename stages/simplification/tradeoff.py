@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from stages.comparing.measurable import measurable
 from stages.comparing.needles import WithNeedles
 from stages.comparing.sampling import sampled
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, rows_table, table
@@ -231,7 +232,11 @@ def _wanted(before: int, params: TradeoffParams, counts: Sequence[int]) -> list[
     """Return numbers of triangles, from most to fewest."""
     if len(counts):
         if min(counts) < 1:
-            raise UsageError(f"counts has {min(counts)}; a number of triangles must be at least 1.")
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "counts has {counts}; a number of triangles must be at least 1.",
+                counts=min(counts),
+            )
         return sorted({min(count, before) for count in counts}, reverse=True)
     least = max(round(params.least * before), 1)
     return sorted({round(count) for count in np.geomspace(before, least, params.steps)}, reverse=True)

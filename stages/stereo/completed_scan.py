@@ -13,11 +13,13 @@ from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
 from stages.params import resolve
 from stages.progress import Progress, silent
+from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.images import read_color, read_depth, read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Scan, SkippedFrame, pinhole
 from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import completed, network_of
+from stages.stereo.codes import DEPTH_NETWORK_NO_EFFECT
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
 from stages.stereo.networks.network import Network
@@ -62,7 +64,9 @@ def completed_scan(
     if network is None or network.is_stereo:
         what = "" if network is None else f"; {network.file.name} is a network of pairs"
         raise UsageError(
-            f"the scan has depth, which only a network of single images (depth.model) fills in{what}."
+            DEPTH_NETWORK_NO_EFFECT,
+            "the scan has depth, which only a network of single images (depth.model) fills in{what}.",
+            what=what,
         )
     finest = max([_COARSEST, *(frame.depth_scale for frame in scan.frames)])
     farthest = params.max_depth or _STEPS / finest
@@ -79,9 +83,16 @@ def completed_scan(
             skipped += 1
             if skipped > params.max_skipped * len(scan.frames):
                 raise InputError(
-                    f"{skipped} of the scan's {len(scan.frames)} frames cannot be used, more than the share "
-                    f"of {params.max_skipped:g} that max_skipped allows; the last of them: {result.reason}",
+                    SCAN_TOO_MANY_FRAMES_SKIPPED,
+                    (
+                        "{skipped} of the scan's {frames_count} frames cannot be used, more than the "
+                        "share of {max_skipped:g} that max_skipped allows; the last of them: {reason}"
+                    ),
                     scan.folder,
+                    skipped=skipped,
+                    frames_count=len(scan.frames),
+                    max_skipped=params.max_skipped,
+                    reason=result.reason,
                 )
         progress(done, len(scan.frames))
         yield frame, result

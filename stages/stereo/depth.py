@@ -16,10 +16,12 @@ from stages.diagnostics.errors import InputError, UsageError
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans import images
+from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
 from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import completed, network_disparity, network_of, warnings_of
+from stages.stereo.codes import DEPTH_ALREADY_MEASURED, DEPTH_IMAGES_UNUSABLE, DEPTH_RANGE_EMPTY
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.disparity import stereo_disparity, volume_bytes
@@ -118,7 +120,11 @@ def depth_scan(
     """
     params = resolve(DepthParams, params, changes)
     if scan.rig is None:
-        raise InputError("the scan has no stereo pairs; its depth maps need no matching.", scan.folder)
+        raise InputError(
+            DEPTH_ALREADY_MEASURED,
+            "the scan has no stereo pairs; its depth maps need no matching.",
+            scan.folder,
+        )
     stage = PairStage(
         rectified_rig(scan.rig),
         params,
@@ -138,9 +144,16 @@ def depth_scan(
             skipped += 1
             if skipped > params.max_skipped * total:
                 raise InputError(
-                    f"{skipped} of the scan's {total} pairs cannot be used, more than the share of "
-                    f"{params.max_skipped:g} that max_skipped allows; the last of them: {result.reason}",
+                    SCAN_TOO_MANY_FRAMES_SKIPPED,
+                    (
+                        "{skipped} of the scan's {total} pairs cannot be used, more than the share "
+                        "of {max_skipped:g} that max_skipped allows; the last of them: {reason}"
+                    ),
                     scan.folder,
+                    skipped=skipped,
+                    total=total,
+                    max_skipped=params.max_skipped,
+                    reason=result.reason,
                 )
         progress(done, total)
         yield frame, result
@@ -156,14 +169,19 @@ def _first_warnings(stage: PairStage, scan: Scan) -> tuple[str, ...]:
         try:
             return stage.warnings(*pair)
         except InputError as error:
-            raise InputError(str(error), scan.folder) from error
+            raise InputError(CODE_UNKNOWN, str(error), scan.folder) from error
     return ()
 
 
 def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
     left, right = images.read_color(frame), images.read_right(frame)
     if left is None or right is None:
-        raise InputError(f"frame {frame.name} has no {'left' if left is None else 'right'} image.")
+        raise InputError(
+            DEPTH_IMAGES_UNUSABLE,
+            "frame {frame_name} has no {wording} image.",
+            frame_name=frame.name,
+            wording="left" if left is None else "right",
+        )
     files = [source if isinstance(source, Path) else None for source in (frame.color, frame.right)]
     return stage.rectified(left, right, (files[0], files[1]))
 
@@ -373,8 +391,14 @@ def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, wi
     limit = min(width - 1, LARGEST_DISPARITY)
     if lowest > limit or highest < lowest:
         raise UsageError(
-            f"max_depth is {params.max_depth:g} m, nearer than the rig's pairs can be matched "
-            f"({rig.focal_baseline / (min(highest, limit) + offset):.3g} m); give a larger one."
+            DEPTH_RANGE_EMPTY,
+            (
+                "max_depth is {max_depth:g} m, nearer than the rig's pairs can be matched "
+                "({focal_baseline:.3g} m)"
+            ),
+            remedy="give a larger one.",
+            max_depth=params.max_depth,
+            focal_baseline=rig.focal_baseline / (min(highest, limit) + offset),
         )
     return SearchRange.covering(lowest, min(highest, limit))
 

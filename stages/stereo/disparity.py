@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.room import require_room
 from stages.printing import by_figures, table
@@ -120,14 +121,29 @@ def stereo_disparity(
 
     first, second = (_colored(image, name) for image, name in ((left, "left"), (right, "right")))
     if first.shape != second.shape:
-        raise InputError(f"left and right are of different sizes: {_size(first)} and {_size(second)}.")
+        raise InputError(
+            USAGE_ARGUMENT_INVALID,
+            "left and right are of different sizes: {size} and {size_2}.",
+            size=_size(first),
+            size_2=_size(second),
+        )
     if not 0 <= max_disparity - min_disparity < _WIDEST:
         raise UsageError(
-            f"max_disparity is {max_disparity} px; it must be from min_disparity, {min_disparity}, to "
-            f"{min_disparity + _WIDEST - 1} px."
+            USAGE_ARGUMENT_INVALID,
+            (
+                "max_disparity is {max_disparity} px; it must be from min_disparity, "
+                "{min_disparity}, to {min_disparity_2} px."
+            ),
+            max_disparity=max_disparity,
+            min_disparity=min_disparity,
+            min_disparity_2=min_disparity + _WIDEST - 1,
         )
     if not 0 <= min_confidence <= 1:
-        raise UsageError(f"min_confidence is {min_confidence:g}; it must be from 0 to 1.")
+        raise UsageError(
+            USAGE_ARGUMENT_INVALID,
+            "min_confidence is {min_confidence:g}; it must be from 0 to 1.",
+            min_confidence=min_confidence,
+        )
     count = -(-(max_disparity - min_disparity + 1) // _LANES) * _LANES
     require_room(volume_bytes(first.shape[1], first.shape[0], count))
     found, of_right, _, margin, _ = _kernels.match_pair(
@@ -196,7 +212,11 @@ def _facing(disparity: Map, of_right: Map) -> Map:
 def _colored(image: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
     if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or image.shape[2:] == (3,)):
         raise InputError(
-            f"the {name} image is {image.shape} {image.dtype}; (h, w, 3) or (h, w) uint8 is expected."
+            USAGE_ARGUMENT_INVALID,
+            "the {name} image is {image_shape} {image_dtype}; (h, w, 3) or (h, w) uint8 is expected.",
+            name=name,
+            image_shape=image.shape,
+            image_dtype=image.dtype,
         )
     colored = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
     return np.ascontiguousarray(colored)

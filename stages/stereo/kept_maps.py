@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import MACHINE_DISK_FAILED
 from stages.diagnostics.errors import StageError
 from stages.files.numpy_files import mapped
 from stages.scans.scan import DepthImage
@@ -32,8 +33,11 @@ class KeptMaps:
             np.save(self._folder / f"confidence{at}.npy", confidence, allow_pickle=False)
         except OSError as error:
             raise StageError(
-                f"the depth maps of the views cannot be kept in {self._folder} ({error.strerror or error}); "
-                "make room there, or name another folder in TMPDIR."
+                MACHINE_DISK_FAILED,
+                "the depth maps of the views cannot be kept in {folder} ({detail})",
+                remedy="make room there, or name another folder in TMPDIR.",
+                folder=self._folder,
+                detail=error.strerror or error,
             ) from error
 
     def depth(self, at: int) -> DepthImage:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import MACHINE_OUT_OF_MEMORY
 from stages.diagnostics.errors import StageError
 
 Grey = NDArray[np.uint8]
@@ -109,8 +110,15 @@ class Matcher:
             disparity = sgbm.compute(*pair)
         except cv2.error as error:
             raise StageError(
-                f"a pair of {image.shape[1]}×{image.shape[0]} with {count} disparities could not be matched "
-                f"({error.err or error}); matcher=3way needs the least memory."
+                MACHINE_OUT_OF_MEMORY,
+                (
+                    "a pair of {image_shape}×{image_shape_2} with {count} disparities could not "
+                    "be matched ({detail}); matcher=3way needs the least memory."
+                ),
+                image_shape=image.shape[1],
+                image_shape_2=image.shape[0],
+                count=count,
+                detail=error.err or error,
             ) from error
         return np.ascontiguousarray(disparity[:, left : left + image.shape[1]])
 

@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH
 from stages.scans.scan import Camera
+from stages.stereo.codes import DEPTH_PAIR_SWAPPED
 
 # Fewer matched corners say nothing.
 _ENOUGH = 40
@@ -32,20 +35,33 @@ def require_pair(
         grey = image.ndim == 2
         if image.dtype != np.uint8 or not (grey or (image.ndim == 3 and image.shape[2] == 3)):
             raise InputError(
-                f"the {side} image must be (h, w) or (h, w, 3) uint8, not {image.shape} {image.dtype}.", file
+                USAGE_ARGUMENT_INVALID,
+                "the {side} image must be (h, w) or (h, w, 3) uint8, not {image_shape} {image_dtype}.",
+                file,
+                side=side,
+                image_shape=image.shape,
+                image_dtype=image.dtype,
             )
     if left.shape[:2] != right.shape[:2]:
         other = f" ({files[0]})" if files[0] is not None else ""
         raise InputError(
-            f"the right image is {_size(right)}, but the left one{other} is {_size(left)}; "
-            "give both images of a pair in one size.",
+            CAMERA_CALIBRATION_MISMATCH,
+            "the right image is {size}, but the left one{other} is {size_2}",
             files[1],
+            remedy="give both images of a pair in one size.",
+            size=_size(right),
+            other=other,
+            size_2=_size(left),
         )
     if left.shape[:2] != (camera.height, camera.width):
         raise InputError(
-            f"the image is {_size(left)}, but its camera is calibrated for {camera.width}×{camera.height}. "
-            "Give images of the calibrated size, or the calibration of this size.",
+            CAMERA_CALIBRATION_MISMATCH,
+            "the image is {size}, but its camera is calibrated for {camera_width}×{camera_height}.",
             files[0],
+            remedy="Give images of the calibrated size, or the calibration of this size.",
+            size=_size(left),
+            camera_width=camera.width,
+            camera_height=camera.height,
         )
 
 
@@ -66,8 +82,12 @@ def pair_warnings(
     disparity = shift[:, 0] + principal_offset
     if np.median(disparity) < -1:
         raise InputError(
-            f"left and right images seem swapped: {np.mean(disparity < 0):.0%} of the corners found in both "
-            "lie farther right in the right image. Exchange the images."
+            DEPTH_PAIR_SWAPPED,
+            (
+                "left and right images seem swapped: {mean:.0%} of the corners found in both "
+                "lie farther right in the right image. Exchange the images."
+            ),
+            mean=np.mean(disparity < 0),
         )
     rows = float(np.median(shift[:, 1]))
     if abs(rows) > _ROW_TOLERANCE:

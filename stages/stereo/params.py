@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TypedDict
 
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.stereo.matching import LARGEST_DISPARITY
@@ -268,15 +269,25 @@ class DepthParams:
     def __post_init__(self) -> None:
         check(self)
         if self.block_size % 2 == 0:
-            raise UsageError(f"block_size is {self.block_size}; it must be odd.")
+            raise UsageError(
+                USAGE_VALUE_INVALID, "block_size is {block_size}; it must be odd.", block_size=self.block_size
+            )
         if self.min_depth is not None and self.max_depth is not None and self.min_depth >= self.max_depth:
             raise UsageError(
-                f"min_depth is {self.min_depth:g} m; it must be below max_depth, {self.max_depth:g} m."
+                USAGE_VALUE_INVALID,
+                "min_depth is {min_depth:g} m; it must be below max_depth, {max_depth:g} m.",
+                min_depth=self.min_depth,
+                max_depth=self.max_depth,
             )
         if self.matcher == CENSUS:
             self.require_default(_OF_OTHERS, f"matcher {CENSUS}")
         if self.penalties[0] >= self.penalties[1]:
-            raise UsageError(f"p1 is {self.penalties[0]}; it must be below p2, {self.penalties[1]}.")
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "p1 is {penalties}; it must be below p2, {penalties_2}.",
+                penalties=self.penalties[0],
+                penalties_2=self.penalties[1],
+            )
 
     def is_own(self, pairs: int, volume: int) -> bool:
         """Return whether our own matcher measures so many pairs, whose volumes take so many bytes."""
@@ -292,7 +303,13 @@ class DepthParams:
     def require_default(self, names: Sequence[str], where: str) -> None:
         """Raise UsageError for a parameter that was set and would do nothing."""
         if idle := self.idle(names):
-            raise UsageError(f"{', '.join(idle)} has no effect with {where}; leave it out.")
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT,
+                "{idle} has no effect with {place}",
+                remedy="leave it out.",
+                idle=", ".join(idle),
+                place=where,
+            )
 
     @property
     def penalties(self) -> tuple[int, int]:

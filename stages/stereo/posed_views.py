@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.frames.projection import project, unproject
+from stages.scans.codes import POSE_INVALID, POSE_MISSING
 from stages.scans.scan import Camera, Frame, Pose, Scan, pinhole
 
 # No scan is that far from its origin.
@@ -96,9 +97,19 @@ def _view(frame: Frame, folder: Path | None) -> PosedView:
     pose, camera = frame.world_from_camera, frame.camera
     if pose is None or not np.isfinite(pose).all() or not camera.is_calibrated:
         lacking = "camera" if not camera.is_calibrated else "pose"
-        raise InputError(f"frame {frame.name} has no {lacking}; views need both.", folder)
+        raise InputError(
+            POSE_MISSING,
+            "frame {frame_name} has no {lacking}; views need both.",
+            folder,
+            frame_name=frame.name,
+            lacking=lacking,
+        )
     if np.abs(pose).max() > _FARTHEST_M:
         raise InputError(
-            f"frame {frame.name} stands {np.abs(pose).max():g} m off; its pose is wrong.", folder
+            POSE_INVALID,
+            "frame {frame_name} stands {max:g} m off; its pose is wrong.",
+            folder,
+            frame_name=frame.name,
+            max=np.abs(pose).max(),
         )
     return PosedView(pinhole(camera), np.asarray(pose, np.float64), 0.0, math.inf)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
 from stages.scans.scan import Camera, StereoRig
 
 # The lengths of distortion OpenCV knows: k1 k2 p1 p2, + k3, + k4–k6, + thin prism, + tilt.
@@ -73,11 +74,22 @@ def rectified_rig(rig: StereoRig) -> RectifiedRig:
     left, right = rig.left, rig.right
     if (left.width, left.height) != (right.width, right.height):
         raise InputError(
-            f"the left camera is calibrated for {left.width}×{left.height}, the right one for "
-            f"{right.width}×{right.height}; a pair needs one size."
+            CAMERA_CALIBRATION_MISMATCH,
+            (
+                "the left camera is calibrated for {left_width}×{left_height}, the right one "
+                "for {right_width}×{right_height}; a pair needs one size."
+            ),
+            left_width=left.width,
+            left_height=left.height,
+            right_width=right.width,
+            right_height=right.height,
         )
     if not np.isfinite(rig.right_from_left).all() or rig.baseline == 0:
-        raise InputError("the rig's two cameras stand at the same place; give the baseline in metres.")
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "the rig's two cameras stand at the same place",
+            remedy="give the baseline in metres.",
+        )
     return _as_it_is(rig) if rig.rectified else _turned(rig)
 
 
@@ -87,8 +99,14 @@ def _as_it_is(rig: StereoRig) -> RectifiedRig:
         a, b = getattr(left, name), getattr(right, name)
         if abs(a - b) > tolerance:
             raise InputError(
-                f"the pair is said to be rectified, but {name} is {a:g} on the left and {b:g} on the right; "
-                "correct the calibration or mark it as not rectified."
+                CAMERA_CALIBRATION_INVALID,
+                (
+                    "the pair is said to be rectified, but {name} is {a:g} on the left and {b:g} "
+                    "on the right; correct the calibration or mark it as not rectified."
+                ),
+                name=name,
+                a=a,
+                b=b,
             )
     baseline = -float(rig.right_from_left[0, 3])
     _require_left_is_left(baseline)
@@ -103,14 +121,26 @@ def _turned(rig: StereoRig) -> RectifiedRig:
     for side, camera in (("left", left), ("right", right)):
         if camera.fisheye != left.fisheye:
             raise InputError(
-                "one camera of the pair is a fisheye and the other is not; both must be of a kind."
+                CAMERA_CALIBRATION_INVALID,
+                "one camera of the pair is a fisheye and the other is not; both must be of a kind.",
             )
         if camera.fisheye and len(camera.distortion) != _FISHEYE_LENGTH:
-            raise InputError(f"the {side} camera is a fisheye, which has {_FISHEYE_LENGTH} coefficients.")
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID,
+                "the {side} camera is a fisheye, which has {fisheye_length} coefficients.",
+                side=side,
+                fisheye_length=_FISHEYE_LENGTH,
+            )
         if len(camera.distortion) not in _DISTORTION_LENGTHS:
             raise InputError(
-                f"the {side} camera has {len(camera.distortion)} distortion coefficients; "
-                f"OpenCV's model has {', '.join(map(str, _DISTORTION_LENGTHS))}."
+                CAMERA_CALIBRATION_INVALID,
+                (
+                    "the {side} camera has {distortion_count} distortion coefficients; OpenCV's "
+                    "model has {map}."
+                ),
+                side=side,
+                distortion_count=len(camera.distortion),
+                map=", ".join(map(str, _DISTORTION_LENGTHS)),
             )
     distortion = [np.array(camera.distortion or (0.0,) * 4, np.float64) for camera in (left, right)]
     # The rotations do not depend on the lens; where a fisheye's pixels come to lie is decided below.
@@ -130,8 +160,9 @@ def _turned(rig: StereoRig) -> RectifiedRig:
     )[:4]
     if p_right[1, 3] != 0:
         raise InputError(
-            "the cameras stand one above the other; only cameras side by side can be matched. "
-            "Turn images and calibration by 90 degrees."
+            CAMERA_CALIBRATION_INVALID,
+            "the cameras stand one above the other; only cameras side by side can be matched.",
+            remedy="Turn images and calibration by 90 degrees.",
         )
     baseline = -float(p_right[0, 3] / p_right[0, 0])
     _require_left_is_left(baseline)
@@ -161,6 +192,11 @@ def _camera(size: tuple[int, int], projection: NDArray[Any]) -> Camera:
 def _require_left_is_left(baseline: float) -> None:
     if baseline <= 0:
         raise InputError(
-            "the calibration puts the right camera left of the left one: the two are swapped, or the "
-            "rotation and translation take right-camera points to the left camera; give their inverse."
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "the calibration puts the right camera left of the left one: the two are "
+                "swapped, or the rotation and translation take right-camera points to the "
+                "left camera"
+            ),
+            remedy="give their inverse.",
         )

@@ -10,6 +10,7 @@ import numpy as np
 from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color, require_size
 from stages.scans.scan import ColorImage, Frame, Packed, scaled
+from stages.stereo.codes import DEPTH_IMAGES_UNUSABLE
 
 
 def reduced(frame: Frame, longest: int) -> Frame:
@@ -28,7 +29,7 @@ def reduced(frame: Frame, longest: int) -> Frame:
 
         color = read_color(frame)
         if color is None:
-            raise InputError(f"frame {frame.name} has no image.")
+            raise InputError(DEPTH_IMAGES_UNUSABLE, "frame {frame_name} has no image.", frame_name=frame.name)
         require_size(color, camera, frame.color, frame.name)
         return np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
 

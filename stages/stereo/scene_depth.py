@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import DEPTH_RANGE_UNKNOWN
 from stages.scans.depth_range import Range
 from stages.scans.scan import Scan
+from stages.stereo.codes import DEPTH_RANGE_EMPTY
 from stages.stereo.posed_views import PosedView
 
 # A stated box is tight, and poses are off by a little: it is widened by this share of its diagonal.
@@ -64,8 +66,11 @@ def ranged_views(
         least, most = min_depth or near, max_depth or far
         if least >= most:
             raise InputError(
-                f"depth from {least:.3g} m to {most:.3g} m is no range; correct min_depth or max_depth.",
+                DEPTH_RANGE_EMPTY,
+                "depth from {least:.3g} m to {most:.3g} m is no range; correct min_depth or max_depth.",
                 scan.folder,
+                least=least,
+                most=most,
             )
         result.append(replace(view, near=least, far=most))
     return result
@@ -79,10 +84,16 @@ def _filled(scan: Scan, views: Sequence[PosedView], ranges: Sequence[Range | Non
     box = estimated_box(views)
     if box is None:
         raise InputError(
-            "no points are recognised from view to view where the poses say, and the views look past each "
-            "other, so that nothing tells where the scene is; check the poses, or give the range of depth "
-            "with depth.min_depth and depth.max_depth (metres).",
+            DEPTH_RANGE_UNKNOWN,
+            (
+                "no points are recognised from view to view where the poses say, and the "
+                "views look past each other, so that nothing tells where the scene is"
+            ),
             scan.folder,
+            remedy=(
+                "check the poses, or give the range of depth with depth.min_depth and "
+                "depth.max_depth (metres)."
+            ),
         )
     return [_range_of_box(view, box) for view in views]
 

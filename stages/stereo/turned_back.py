@@ -14,6 +14,7 @@ from stages.scans.images import read_color, read_mask
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Packed, Scan
 from stages.scans.threads import threads_to_use
+from stages.stereo.codes import DEPTH_IMAGES_UNUSABLE
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.turned import Corners, corners, turned
@@ -62,7 +63,7 @@ def _upside_down(
     def load() -> NDArray[np.uint8]:
         image = read(frame)
         if image is None:
-            raise InputError(f"frame {frame.name} has no image.")
+            raise InputError(DEPTH_IMAGES_UNUSABLE, "frame {frame_name} has no image.", frame_name=frame.name)
         return np.ascontiguousarray(image[::-1, ::-1])
 
     if isinstance(source, np.ndarray):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.scans.images import read_pinhole
 from stages.scans.scan import ColorImage, Frame
+from stages.stereo.codes import DEPTH_IMAGES_UNUSABLE
 from stages.stereo.posed_views import PosedView
 
 
@@ -38,7 +39,7 @@ def color_of(frame: Frame) -> ColorImage:
     """
     color = read_pinhole(frame)
     if color is None:
-        raise InputError(f"frame {frame.name} has no image.")
+        raise InputError(DEPTH_IMAGES_UNUSABLE, "frame {frame_name} has no image.", frame_name=frame.name)
     return color
 
 

@@ -17,6 +17,7 @@ from stages.diagnostics.errors import InputError
 from stages.frames.features import Keypoints, detect_keypoints
 from stages.params import resolve
 from stages.progress import Progress, silent
+from stages.scans.codes import POSE_JUMPS, SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.depth_range import Range, range_of_points
 from stages.scans.images import read_seen
 from stages.scans.prefetch import read_ahead
@@ -24,6 +25,7 @@ from stages.scans.scan import ColorImage, DepthImage, Frame, Pose, Scan, Skipped
 from stages.scans.threads import threads_to_use
 from stages.stereo.agreement import agreeing_views
 from stages.stereo.by_network import completed, network_of
+from stages.stereo.codes import DEPTH_VIEW_WITHOUT_PARTNER
 from stages.stereo.coverage import Counts, with_warning
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.hull_fill import filled_in
@@ -234,6 +236,7 @@ def _require_enough(scan: Scan, params: DepthParams) -> None:
     if count < needed:
         alone = "one view alone has no depth" if count == 1 else f"of {count} views no depth is agreed with"
         raise InputError(
+            DEPTH_VIEW_WITHOUT_PARTNER,
             f"{alone}: each place must be measured from {needed} views. Give more views"
             + (", or lower depth.agreeing_views." if count > 1 else "."),
             scan.folder,
@@ -309,9 +312,15 @@ def _doubts(usual: float, scan: Scan, params: DepthParams) -> tuple[str, ...]:
     )
     if usual > params.max_pose_error:
         raise InputError(
-            f"{said}. Give others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy; "
-            f"depth.max_pose_error, {params.max_pose_error:g} px, says how much is borne.",
+            POSE_JUMPS,
+            "{said}.",
             scan.folder,
+            remedy=(
+                "Give others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy; "
+                "depth.max_pose_error, {max_pose_error:g} px, says how much is borne."
+            ),
+            said=said,
+            max_pose_error=params.max_pose_error,
         )
     return (
         f"{said} well, and depth will have holes and errors; scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy "
@@ -369,7 +378,16 @@ def _require_share(skipped: Sequence[SkippedFrame], total: int, share: float, sc
     if len(skipped) > share * total:
         last = skipped[-1]
         raise InputError(
-            f"{len(skipped)} of the scan's {total} views cannot be used, more than the share of {share:g} "
-            f"that max_skipped allows; the last of them, {last.name}: {last.reason}",
+            SCAN_TOO_MANY_FRAMES_SKIPPED,
+            (
+                "{skipped_count} of the scan's {total} views cannot be used, more than the "
+                "share of {share:g} that max_skipped allows; the last of them, {last_name}: "
+                "{reason}"
+            ),
             scan.folder,
+            skipped_count=len(skipped),
+            total=total,
+            share=share,
+            last_name=last.name,
+            reason=last.reason,
         )

@@ -12,6 +12,8 @@ from pathlib import Path
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.opening import require_regular, said_of
 from stages.files.own_process import DiedError, asked
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from stages.surface.codes import COMPARE_POINT_CLOUD, MESH_FILE_DAMAGED, USAGE_EXTENSION_UNKNOWN
 from stages.surface.formats.cloud_parts import collected
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh, validated
@@ -46,18 +48,26 @@ def read_cloud(path: Path | str) -> Mesh:
     suffix = path.suffix.lower()
     if suffix not in CLOUD_EXTENSIONS:
         known = ", ".join(CLOUD_EXTENSIONS)
-        raise InputError(f"is of no format of clouds, {path.suffix!r}; known are {known}.", path)
+        raise InputError(
+            USAGE_EXTENSION_UNKNOWN,
+            "is of no format of clouds, {path_suffix!r}; known are {known}.",
+            path,
+            path_suffix=path.suffix,
+            known=known,
+        )
     try:
         require_regular(path)
     except OSError as error:
-        raise InputError(f"cannot be read: {said_of(error)}.", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "cannot be read: {said_of}.", path, said_of=said_of(error)
+        ) from error
     if suffix == ".ply":
         mesh = read_ply(path)
         cloud = Mesh(mesh.vertices, mesh.triangles[:0], mesh.colors, mesh.normals, notes=mesh.notes)
     else:
         cloud = validated(_read_elsewhere(path).with_(up=(0.0, 0.0, 1.0)), str(path))
     if len(cloud.vertices) == 0:
-        raise InputError("holds no points.", path)
+        raise InputError(COMPARE_POINT_CLOUD, "holds no points.", path)
     return cloud
 
 
@@ -75,10 +85,16 @@ def read_mesh_or_cloud(path: Path | str) -> Mesh:
         return read_cloud(path)
     if suffix not in EXTENSIONS:
         known = ", ".join((*EXTENSIONS, *_READERS))
-        raise InputError(f"is of an unknown format {path.suffix!r}; known are {known}.", path)
+        raise InputError(
+            MESH_FILE_DAMAGED,
+            "is of an unknown format {path_suffix!r}; known are {known}.",
+            path,
+            path_suffix=path.suffix,
+            known=known,
+        )
     mesh = read_whatever_it_holds(path)
     if len(mesh.vertices) == 0:
-        raise InputError("holds no vertices.", path)
+        raise InputError(MESH_FILE_DAMAGED, "holds no vertices.", path)
     return mesh
 
 
@@ -86,13 +102,24 @@ def _read_elsewhere(path: Path) -> Mesh:
     suffix = path.suffix.lower()
     missing = [name for name in _READERS[suffix] if find_spec(name) is None]
     if missing:
-        raise UsageError(f"{path}: {suffix} is read by {' and '.join(missing)}; install scanloom[clouds].")
+        raise UsageError(
+            COMPARE_POINT_CLOUD,
+            "{path}: {suffix} is read by {missing}",
+            remedy="install scanloom[clouds].",
+            path=path,
+            suffix=suffix,
+            missing=" and ".join(missing),
+        )
     seconds = _SECONDS + _SECONDS_A_BYTE * path.stat().st_size
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         try:
             told = asked("stages.surface.formats.cloud_process", [str(path), folder], seconds)
         except DiedError as error:
             raise InputError(
-                f"cannot be read as {suffix[1:].upper()}: it is damaged or cut short; get a whole copy.", path
+                COMPARE_POINT_CLOUD,
+                "cannot be read as {suffix}: it is damaged or cut short",
+                path,
+                remedy="get a whole copy.",
+                suffix=suffix[1:].upper(),
             ) from error
         return collected(Path(folder), told)

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import MeshError
 from stages.surface.color import sampled, tinted
 from stages.surface.conversion_losses import ConversionWarning
@@ -63,9 +64,13 @@ def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
         if cls.__name__ == "Trimesh" and module.startswith("trimesh."):
             return from_trimesh(other, where)
     raise MeshError(
-        f"is a {type(data).__name__}; a Mesh, an Open3D or trimesh triangle mesh, or a pair of arrays "
-        "(vertices, triangles) is expected.",
+        USAGE_ARGUMENT_INVALID,
+        (
+            "is a {data_name}; a Mesh, an Open3D or trimesh triangle mesh, or a pair of "
+            "arrays (vertices, triangles) is expected."
+        ),
         where,
+        data_name=type(data).__name__,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import MeshError
+from stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_FILE_DAMAGED
 
 # Largest number of the formats that hold single precision alone: glTF, STL, USD.
 LARGEST_SINGLE = float(np.finfo(np.float32).max)
@@ -43,7 +44,23 @@ def require_finite(arrays: Iterable[Named], where: Path | str, remedy: str, limi
         row = array[bad[0]]
         values = row.tolist()
         if not np.isfinite(row).all():
-            raise MeshError(f"{name} {bad[0]} is {values}, not finite ({len(bad):,} such); {remedy}", where)
+            raise MeshError(
+                MESH_FILE_DAMAGED,
+                "{name} {bad} is {values}, not finite ({bad_count:,} such); {remedy_value}",
+                where,
+                name=name,
+                bad=bad[0],
+                values=values,
+                bad_count=len(bad),
+                remedy_value=remedy,
+            )
         raise MeshError(
-            f"{name} {bad[0]} is {values}, beyond single precision ({len(bad):,} such); {remedy}", where
+            MESH_COORDINATES_TOO_LARGE,
+            "{name} {bad} is {values}, beyond single precision ({bad_count:,} such); {remedy_value}",
+            where,
+            name=name,
+            bad=bad[0],
+            values=values,
+            bad_count=len(bad),
+            remedy_value=remedy,
         )

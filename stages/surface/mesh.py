@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_png
 from stages.printing import counted, extent_in_words, line, table
+from stages.surface.codes import MESH_FILE_DAMAGED
 from stages.surface.finite import LARGEST_SINGLE, require_finite
 from stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
 from stages.surface.thumbnail import thumbnail
@@ -226,7 +228,12 @@ def _direction(up: Any, where: str) -> tuple[float, float, float]:
     is_vector = array.shape == (3,) and array.dtype.kind in "iuf"
     length = float(np.linalg.norm(array)) if is_vector else 0.0
     if not 0 < length < np.inf:
-        raise MeshError(f"up is {up}; three numbers, not all of them 0, are expected.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "up is {up}; three numbers, not all of them 0, are expected.",
+            where,
+            up=up,
+        )
     if abs(length - 1) > _UNIT:
         array = array / length
     x, y, z = array.tolist()
@@ -236,9 +243,20 @@ def _direction(up: Any, where: str) -> tuple[float, float, float]:
 def _part_ids(data: Any, triangle_count: int, part_count: int, where: str) -> NDArray[np.int32]:
     array = np.asarray(data)
     if array.shape != (triangle_count,) or array.dtype.kind not in "iu":
-        raise MeshError(f"there are {array.size} part indices for {triangle_count} triangles.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "there are {array_size} part indices for {triangle_count} triangles.",
+            where,
+            array_size=array.size,
+            triangle_count=triangle_count,
+        )
     if ((array < -1) | (array >= part_count)).any():
-        raise MeshError(f"a part index is beyond the {part_count} part names.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "a part index is beyond the {part_count} part names.",
+            where,
+            part_count=part_count,
+        )
     return np.ascontiguousarray(array, np.int32)
 
 
@@ -246,11 +264,30 @@ def _array(data: Any, dtype: Any, columns: tuple[int, ...], name: str, where: st
     array = np.asarray(data)
     if array.ndim != 1 + len(columns) or array.shape[1:] != columns:
         wanted = "n × " + " × ".join(map(str, columns))
-        raise MeshError(f"{name} have shape {array.shape}; {wanted} is expected.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "{name} have shape {array_shape}; {wanted} is expected.",
+            where,
+            name=name,
+            array_shape=array.shape,
+            wanted=wanted,
+        )
     if dtype is np.uint8 and array.dtype != np.uint8:
-        raise MeshError(f"{name} are {array.dtype}; 8-bit values (uint8) are expected.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "{name} are {array_dtype}; 8-bit values (uint8) are expected.",
+            where,
+            name=name,
+            array_dtype=array.dtype,
+        )
     if array.dtype.kind not in "iuf":
-        raise MeshError(f"{name} are {array.dtype}; numbers are expected.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "{name} are {array_dtype}; numbers are expected.",
+            where,
+            name=name,
+            array_dtype=array.dtype,
+        )
     return np.ascontiguousarray(array, dtype=dtype)
 
 
@@ -259,20 +296,45 @@ def _indices(data: Any, vertex_count: int, where: str) -> Triangles:
     if array.size == 0:
         return np.zeros((0, 3), np.int32)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise MeshError(f"triangles have shape {array.shape}; m × 3 is expected.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "triangles have shape {array_shape}; m × 3 is expected.",
+            where,
+            array_shape=array.shape,
+        )
     if array.dtype.kind not in "iu":
-        raise MeshError(f"triangles are {array.dtype}; whole numbers are expected.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "triangles are {array_dtype}; whole numbers are expected.",
+            where,
+            array_dtype=array.dtype,
+        )
     if array.min() < 0 or array.max() >= vertex_count:
         bad = np.flatnonzero(((array < 0) | (array >= vertex_count)).any(axis=1))
         row = array[bad[0]].tolist()
         raise MeshError(
-            f"triangle {bad[0]} uses vertices {row}, but there are only {vertex_count} "
-            f"({len(bad)} such triangles); the file is damaged or cut short.",
+            MESH_FILE_DAMAGED,
+            (
+                "triangle {bad} uses vertices {row}, but there are only {vertex_count} "
+                "({bad_count} such triangles); the file is damaged or cut short."
+            ),
             where,
+            bad=bad[0],
+            row=row,
+            vertex_count=vertex_count,
+            bad_count=len(bad),
         )
     return np.ascontiguousarray(array, dtype=np.int32)
 
 
 def _require_count(array: NDArray[Any], count: int, name: str, where: str, of: str = "vertices") -> None:
     if len(array) != count:
-        raise MeshError(f"there are {len(array)} {name} for {count} {of}.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "there are {array_count} {name} for {count} {of}.",
+            where,
+            array_count=len(array),
+            name=name,
+            count=count,
+            of=of,
+        )

@@ -18,8 +18,11 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError, UsageError, is_lack_of_memory
 from stages.files.blas_buffers import require_buffers
+from stages.files.codes import FILE_PATH_INVALID
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from stages.surface.codes import MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED, USAGE_EXTENSION_UNKNOWN
 from stages.surface.convert import as_mesh, to_trimesh
 from stages.surface.formats.gltf import read_gltf
 from stages.surface.formats.gltf_writer import write_gltf
@@ -48,9 +51,14 @@ def read_mesh(path: Path | str) -> Mesh:
     path = Path(path)
     mesh = read_whatever_it_holds(path)
     if len(mesh.vertices) == 0:
-        raise InputError("holds no vertices.", path)
+        raise InputError(MESH_FILE_DAMAGED, "holds no vertices.", path)
     if len(mesh.triangles) == 0:
-        raise InputError(f"holds {len(mesh.vertices):,} vertices but no triangles; a mesh is expected.", path)
+        raise InputError(
+            MESH_FILE_DAMAGED,
+            "holds {vertices_count:,} vertices but no triangles; a mesh is expected.",
+            path,
+            vertices_count=len(mesh.vertices),
+        )
     return mesh
 
 
@@ -59,9 +67,17 @@ def read_whatever_it_holds(path: Path) -> Mesh:
     require_buffers(1)
     extension = path.suffix.lower()
     if extension not in EXTENSIONS:
-        raise InputError(f"is of an unknown format {path.suffix!r}; known are {', '.join(EXTENSIONS)}.", path)
+        raise InputError(
+            MESH_FILE_DAMAGED,
+            "is of an unknown format {path_suffix!r}; known are {extensions}.",
+            path,
+            path_suffix=path.suffix,
+            extensions=", ".join(EXTENSIONS),
+        )
     if not path.is_file():
-        raise InputError("does not exist." if not path.exists() else "is not a file.", path)
+        raise InputError(
+            FILE_PATH_INVALID, "does not exist." if not path.exists() else "is not a file.", path
+        )
     if extension == ".ply":
         return read_ply(path)
     if extension == ".obj":
@@ -97,7 +113,13 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     path = Path(path)
     extension = path.suffix.lower()
     if extension not in EXTENSIONS:
-        raise UsageError(f"{path}: meshes are written as {', '.join(EXTENSIONS)}, not as {path.suffix!r}.")
+        raise UsageError(
+            USAGE_EXTENSION_UNKNOWN,
+            "{path}: meshes are written as {extensions}, not as {path_suffix!r}.",
+            path=path,
+            extensions=", ".join(EXTENSIONS),
+            path_suffix=path.suffix,
+        )
     if path.is_symlink():
         # What belongs beside the file, images and materials, belongs beside that which the link leads to.
         path = path.resolve()
@@ -149,11 +171,18 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     try:
         data = content_of(path)
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+        ) from error
     if extension == ".stl":
         _require_whole_stl(data, path)
     elif data[:64].split(b"\n")[0].split()[:2] == [b"OFF", b"BINARY"]:
-        raise InputError("is OFF in its binary form, which is not read; write it as text, or as PLY.", path)
+        raise InputError(
+            MESH_COMPRESSION_UNKNOWN,
+            "is OFF in its binary form, which is not read",
+            path,
+            remedy="write it as text, or as PLY.",
+        )
     import trimesh
 
     try:
@@ -164,9 +193,11 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         if is_lack_of_memory(error):
             raise
         raise InputError(
-            f"cannot be read as {extension[1:].upper()}: it is empty, damaged or cut short; "
-            "get a whole copy of it.",
+            MESH_FILE_DAMAGED,
+            "cannot be read as {extension}: it is empty, damaged or cut short",
             path,
+            remedy="get a whole copy of it.",
+            extension=extension[1:].upper(),
         ) from error
     meshes = [as_mesh(part, str(path)) for part in parts if isinstance(part, trimesh.Trimesh)]
     if extension == ".stl":
@@ -230,5 +261,9 @@ def _require_whole_stl(data: bytes, path: Path) -> None:
     held = (len(data) - 84) // 50
     if len(start) == 84 and not start.lstrip().startswith(b"solid") and count > held:
         raise InputError(
-            f"promises {count:,} triangles but holds {held:,}; it is damaged or cut short.", path
+            MESH_FILE_DAMAGED,
+            "promises {count:,} triangles but holds {held:,}; it is damaged or cut short.",
+            path,
+            count=count,
+            held=held,
         )

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import decoded_image, encoded_png, kind_of, promised_size
 from stages.printing import counted, line
+from stages.surface.codes import MESH_COMPANION_MISSING, MESH_FILE_DAMAGED
 
 Pixels = NDArray[np.uint8]
 
@@ -52,7 +54,11 @@ class Image:
             return self.given
         pixels = None if self.encoded is None else decoded_image(self.encoded)
         if pixels is None:
-            raise MeshError(f"the texture image {self.name or 'without a name'} cannot be decoded.")
+            raise MeshError(
+                MESH_COMPANION_MISSING,
+                "the texture image {detail} cannot be decoded.",
+                detail=self.name or "without a name",
+            )
         return pixels
 
     @cached_property
@@ -180,26 +186,45 @@ def validated_texture(texture: Texture, triangle_count: int, where: str) -> Text
     uvs, material_ids = np.asarray(texture.uvs), np.asarray(texture.material_ids)
     if uvs.ndim != 3 or uvs.shape[1:] != (3, 2) or uvs.dtype.kind not in "iuf":
         raise MeshError(
-            f"texture coordinates are {uvs.dtype} of shape {uvs.shape}; numbers of shape m × 3 × 2 are "
-            "expected.",
+            USAGE_ARGUMENT_INVALID,
+            (
+                "texture coordinates are {uvs_dtype} of shape {uvs_shape}; numbers of shape "
+                "m × 3 × 2 are expected."
+            ),
             where,
+            uvs_dtype=uvs.dtype,
+            uvs_shape=uvs.shape,
         )
     if len(uvs) != triangle_count or material_ids.shape != (triangle_count,):
         raise MeshError(
-            f"there are {len(uvs)} × 3 texture coordinates and {material_ids.size} material indices "
-            f"for {triangle_count} triangles.",
+            USAGE_ARGUMENT_INVALID,
+            (
+                "there are {uvs_count} × 3 texture coordinates and {material_ids_size} "
+                "material indices for {triangle_count} triangles."
+            ),
             where,
+            uvs_count=len(uvs),
+            material_ids_size=material_ids.size,
+            triangle_count=triangle_count,
         )
     if not np.isfinite(uvs).all():
         bad = int(np.flatnonzero(~np.isfinite(uvs).all(axis=(1, 2)))[0])
         raise MeshError(
-            f"texture coordinates of triangle {bad} are {uvs[bad].tolist()}, not finite; "
-            "set those of such a triangle to 0 for none.",
+            MESH_FILE_DAMAGED,
+            "texture coordinates of triangle {bad} are {uvs}, not finite",
             where,
+            remedy="set those of such a triangle to 0 for none.",
+            bad=bad,
+            uvs=uvs[bad].tolist(),
         )
     count = len(texture.materials)
     if ((material_ids < -1) | (material_ids >= count)).any():
-        raise MeshError(f"a material index is beyond the {count} texture materials.", where)
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "a material index is beyond the {count} texture materials.",
+            where,
+            count=count,
+        )
     return replace(
         texture,
         uvs=np.ascontiguousarray(uvs, np.float64),

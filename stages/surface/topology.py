@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import MeshError
 from stages.printing import by_figures, table
+from stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NO_SURFACE
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
 from stages.surface.mesh import Mesh, Triangles, Vertices
@@ -160,17 +161,32 @@ def require_measurable(mesh: Mesh, where: str) -> None:
         (beyond,) = np.nonzero((np.abs(mesh.texture.uvs) > _FARTHEST_UV).any(axis=(1, 2)))
         if len(beyond):
             raise MeshError(
-                f"texture coordinates of triangle {beyond[0]} are beyond ±{_FARTHEST_UV:g} ({len(beyond):,} "
-                "such); make a new texture, or leave it out.",
+                MESH_COORDINATES_TOO_LARGE,
+                (
+                    "texture coordinates of triangle {beyond} are beyond ±{farthest_uv:g} "
+                    "({beyond_count:,} such)"
+                ),
                 where,
+                remedy="make a new texture, or leave it out.",
+                beyond=beyond[0],
+                farthest_uv=_FARTHEST_UV,
+                beyond_count=len(beyond),
             )
     (beyond,) = np.nonzero((np.abs(mesh.vertices) > _FARTHEST).any(axis=1))
     if len(beyond):
         place = ", ".join(f"{value:g}" for value in mesh.vertices[beyond[0]])
         raise MeshError(
-            f"vertex {beyond[0]} is at ({place}), beyond ±{_FARTHEST:g} m ({len(beyond):,} such): its "
-            "coordinates are too large; take it out, or scale the mesh.",
+            MESH_COORDINATES_TOO_LARGE,
+            (
+                "vertex {beyond} is at ({place}), beyond ±{farthest:g} m ({beyond_count:,} "
+                "such): its coordinates are too large"
+            ),
             where,
+            remedy="take it out, or scale the mesh.",
+            beyond=beyond[0],
+            place=place,
+            farthest=_FARTHEST,
+            beyond_count=len(beyond),
         )
 
 
@@ -183,20 +199,31 @@ def require_area(mesh: Mesh, where: str) -> None:
         If it has no triangles, no area, or an area beyond floating point; `where` starts the message.
     """
     if len(mesh.triangles) == 0:
-        raise MeshError("it has no triangles; there is no surface.", where)
+        raise MeshError(MESH_NO_SURFACE, "it has no triangles; there is no surface.", where)
     require_measurable(mesh, where)
     with np.errstate(over="ignore", invalid="ignore"):
         total = areas(mesh.vertices, mesh.triangles).sum()
     if total == 0:
-        raise MeshError("all its triangles have zero area; there is no surface.", where)
+        raise MeshError(MESH_NO_SURFACE, "all its triangles have zero area; there is no surface.", where)
     if not np.isfinite(total):
-        raise MeshError("its coordinates are too large; is their unit really metres?", where)
+        raise MeshError(
+            MESH_COORDINATES_TOO_LARGE, "its coordinates are too large; is their unit really metres?", where
+        )
 
 
 def _refuse(where: str, what: str, offenders: NDArray[Any]) -> None:
     first = ", ".join("–".join(map(str, np.atleast_1d(row))) for row in offenders[:3])
     more = ", …" if len(offenders) > 3 else ""
-    raise MeshError(f"has {len(offenders):,} {what} ({first}{more}); clean it first.", where)
+    raise MeshError(
+        MESH_NO_SURFACE,
+        "has {offenders_count:,} {what} ({first}{more})",
+        where,
+        remedy="clean it first.",
+        offenders_count=len(offenders),
+        what=what,
+        first=first,
+        more=more,
+    )
 
 
 def repeats_vertex(triangles: Triangles | Ids) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.surface.mesh import Mesh
 
@@ -68,10 +69,17 @@ def direction_of(up: str) -> Floats | None:
     try:
         direction = np.array([float(word) for word in up.split()])
     except ValueError:
-        raise UsageError(f"up is {up!r}; it must be one of {', '.join((*_AXES, 'none'))}.") from None
+        raise UsageError(
+            USAGE_VALUE_INVALID,
+            "up is {up!r}; it must be one of {names}.",
+            up=up,
+            names=", ".join((*_AXES, "none")),
+        ) from None
     length = float(np.linalg.norm(direction))
     if len(direction) != 3 or not 0 < length < math.inf:
-        raise UsageError(f"up is {up!r}; a direction is three numbers, not all of them 0.")
+        raise UsageError(
+            USAGE_VALUE_INVALID, "up is {up!r}; a direction is three numbers, not all of them 0.", up=up
+        )
     return direction / length
 
 

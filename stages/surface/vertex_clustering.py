@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.picturing.codes import REPORT_INCOMPLETE
+from stages.surface.codes import FUSE_TOO_LARGE
 from stages.surface.formats.ply_format import CORNERS, LENGTH, Rows, rows_of_triangles
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats
@@ -95,7 +97,7 @@ def _box(vertices: Rows) -> tuple[Floats, float]:
         return np.zeros(3), 0.0
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     if not np.isfinite([low, high]).all():
-        raise InputError("a vertex is not finite; the file is damaged.", vertices.path)
+        raise InputError(REPORT_INCOMPLETE, "a vertex is not finite; the file is damaged.", vertices.path)
     return low, float((high - low).max())
 
 
@@ -138,9 +140,11 @@ def _triangles(faces: Rows, of: NDArray[np.int32], path: Path) -> NDArray[np.int
     for rows in faces.some(_AT_ONCE):
         corners = rows[CORNERS]
         if (rows[LENGTH] != 3).any():
-            raise InputError("it has faces that are no triangles.", path)
+            raise InputError(REPORT_INCOMPLETE, "it has faces that are no triangles.", path)
         if corners.min() < 0 or corners.max() >= len(of):
-            raise InputError("the file is damaged: a triangle names a vertex that is not there.", path)
+            raise InputError(
+                FUSE_TOO_LARGE, "the file is damaged: a triangle names a vertex that is not there.", path
+            )
         a, b, c = (of[corners[:, i]].astype(np.int64) for i in range(3))
         is_one = (a != b) & (b != c) & (c != a)
         a, b, c = a[is_one], b[is_one], c[is_one]

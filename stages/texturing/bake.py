@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.comparing.compare import ColorError, CompareParams, compare_surfaces
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
@@ -28,6 +29,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import areas, require_area
+from stages.texturing.codes import TEXTURE_ATLAS_TOO_SMALL, TEXTURE_BAKE_LEFT_OUT
 from stages.texturing.detail import SAMPLES_PER_DETAIL, detail_of
 from stages.texturing.facing import FacingColors
 from stages.texturing.pages import Pages, fitted
@@ -102,10 +104,17 @@ class BakeParams:
     def __post_init__(self) -> None:
         check(self)
         if self.max_size & (self.max_size - 1):
-            raise UsageError(f"max_size is {self.max_size} texels; it must be a power of two.")
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "max_size is {max_size} texels; it must be a power of two.",
+                max_size=self.max_size,
+            )
         if _SIDES_OF_PADDING * (self.padding or 0) > self.max_size:
             raise UsageError(
-                f"padding is {self.padding} texels; an image of {self.max_size} has no room beside it."
+                TEXTURE_ATLAS_TOO_SMALL,
+                "padding is {padding} texels; an image of {max_size} has no room beside it.",
+                padding=self.padding,
+                max_size=self.max_size,
             )
 
 
@@ -225,7 +234,11 @@ def bake(
     require_area(given, "light mesh")
     require_area(reference, "original")
     if not has_color(reference):
-        raise MeshError("has neither vertex colours nor a texture; there is nothing to bake.", "original")
+        raise MeshError(
+            TEXTURE_BAKE_LEFT_OUT,
+            "has neither vertex colours nor a texture; there is nothing to bake.",
+            "original",
+        )
     stretch = _stretch(given, reference)
     most = params.max_texels * 1e6 * _FILLED
     finest = max(params.texel_size or 0.0, math.sqrt(_area(given) / most))

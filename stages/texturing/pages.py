@@ -16,6 +16,7 @@ from stages.progress import Progress, silent
 from stages.surface.mesh import Mesh
 from stages.surface.texture import signed_areas
 from stages.surface.topology import areas
+from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED, TEXTURE_ATLAS_TOO_SMALL
 
 # Of an image, that charts fill in the mean; used to choose its size.
 _FILLED = 0.62
@@ -197,7 +198,12 @@ def in_one(mesh: Mesh, texel_size: float, *, max_side: int) -> Pages:
             density /= _GROWTH_OF_ONE
         else:
             side = _whole(side * _GROWTH_OF_ONE, max_side)
-    raise MeshError(f"falls into too many pieces for an image of {max_side} × {max_side} texels.", "mesh")
+    raise MeshError(
+        TEXTURE_ATLAS_TOO_SMALL,
+        "falls into too many pieces for an image of {max_side} × {max_side} texels.",
+        "mesh",
+        max_side=max_side,
+    )
 
 
 def lay_out_within(
@@ -241,7 +247,9 @@ def lay_out_within(
         else:
             # Of several images, the last one is only as high as it has to be.
             scale *= min(math.sqrt(min(most, side**2) / total), 0.97) if total > most else 1 / _GROWTH_OF_ONE
-    raise MeshError("falls into too many charts for an image of so few texels.", "mesh")
+    raise MeshError(
+        SIMPLIFY_IMAGES_NOT_BAKED, "falls into too many charts for an image of so few texels.", "mesh"
+    )
 
 
 def _whole(side: float, max_side: int) -> int:
@@ -305,7 +313,11 @@ def _pages(
         sizes += [(side, min(-(-height // _ROWS) * _ROWS, side)) for height in found.heights]
         found_charts += int(found.charts.max(initial=-1)) + 1
     if not sizes:
-        raise MeshError("all its triangles are needles; none can be laid out in an image.", "mesh")
+        raise MeshError(
+            TEXTURE_ATLAS_TOO_SMALL,
+            "all its triangles are needles; none can be laid out in an image.",
+            "mesh",
+        )
     images = pages.copy()
     _place_flat(mesh, corners, images)
     return Pages(corners, pages, charts, images, tuple(sizes), padding, density)

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.progress import Progress
+from stages.scans.codes import SCAN_FRAMES_SKIPPED
 from stages.scans.images import read_photo
 from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
 from stages.scans.sharpness import sharpness
+from stages.texturing.codes import TEXTURE_PHOTOS_UNUSABLE
 
 # Photos are kept in memory if all together have no more bytes; else they are read again when they are needed.
 _KEPT_BYTES = 250_000_000
@@ -60,14 +62,19 @@ def photo_of(frame: Frame) -> Photo:
         If it has none, or no pose, it cannot be read, or hardly anything but black and white is in it.
     """
     if frame.world_from_camera is None:
-        raise InputError("there is no camera pose.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no camera pose.", f"frame {frame.name}")
     image, camera, seen = read_photo(frame)
     black_or_white = _black_or_white(image)
     # Of what masks leave: a thing that is cut out of its photo may fill little of it.
     shown = black_or_white if seen is None else black_or_white[seen]
     cut_off = float(shown.mean()) if shown.size else 1.0
     if cut_off > _MOST_CUT_OFF:
-        raise InputError(f"{cut_off:.0%} of the photo is black or white.", f"frame {frame.name}")
+        raise InputError(
+            TEXTURE_PHOTOS_UNUSABLE,
+            "{cut_off:.0%} of the photo is black or white.",
+            f"frame {frame.name}",
+            cut_off=cut_off,
+        )
     pose = inverted(np.asarray(frame.world_from_camera, np.float64))
     if frame.color_camera is not None and frame.color_from_depth is not None:
         pose = np.asarray(frame.color_from_depth, np.float64) @ pose

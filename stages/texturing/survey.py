@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.comparing.codes import TEXTURE_PHOTOS_MISMATCH
 from stages.diagnostics.errors import InputError
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas
@@ -84,7 +85,9 @@ def survey(
     views, colors = points.samples()[:2]
     if (views < 0).all():
         raise InputError(
-            f"none of the {len(photos)} photos shows the mesh: do poses and mesh belong together?"
+            TEXTURE_PHOTOS_MISMATCH,
+            "none of the {photos_count} photos shows the mesh: do poses and mesh belong together?",
+            photos_count=len(photos),
         )
     flat = points.flat()
     straight, best = np.zeros((2, len(mesh.triangles)), np.float32)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.image_bytes import encoded_image
 from stages.params import check, param, resolve
@@ -33,6 +34,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import require_area
 from stages.surface.vertex_normals import vertex_normals
+from stages.texturing.codes import TEXTURE_PHOTOS_UNUSABLE
 from stages.texturing.exposure import Exposures
 from stages.texturing.filling import filled_up
 from stages.texturing.local_exposure import in_levels
@@ -119,7 +121,11 @@ class TextureParams:
     def __post_init__(self) -> None:
         check(self)
         if self.max_size & (self.max_size - 1):
-            raise UsageError(f"max_size is {self.max_size} texels; it must be a power of two.")
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "max_size is {max_size} texels; it must be a power of two.",
+                max_size=self.max_size,
+            )
 
 
 class TextureKeywords(TypedDict, total=False):
@@ -255,13 +261,23 @@ def texture(
     shown = list(frames.frames if isinstance(frames, Scan) else frames)
     colored = [frame for frame in shown if frame.color is not None]
     if not colored:
-        raise InputError(f"none of the {len(shown)} frames has a colour image.", where)
+        raise InputError(
+            TEXTURE_PHOTOS_UNUSABLE,
+            "none of the {shown_count} frames has a colour image.",
+            where,
+            shown_count=len(shown),
+        )
     far = _Far(progress, len(colored))
     photos = photos_of(colored, far.within(0.1))
     if not len(photos):
         first = photos.skipped[0]
         raise InputError(
-            f"none of the {len(colored)} photos can be used (frame {first.name}: {first.reason}).", where
+            TEXTURE_PHOTOS_UNUSABLE,
+            "none of the {colored_count} photos can be used (frame {first_name}: {reason}).",
+            where,
+            colored_count=len(colored),
+            first_name=first.name,
+            reason=first.reason,
         )
     normals = vertex_normals(given)
     drawn = drawn_mesh(given)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.inspecting.codes import COVERAGE_LIMITED
 from stages.inspecting.coverage.evidence import Evidence, Measured, measured_by
 from stages.inspecting.coverage.nearest import Remembered
 from stages.inspecting.coverage.probes import Probes, probes_of
@@ -96,11 +97,19 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
         progress(number + 1, len(frames))
     if not seen.frames:
         first = f" The first, {seen.skipped[0].name}: {seen.skipped[0].reason}" if seen.skipped else ""
-        raise InputError(f"none of the {len(frames)} frames has a camera pose and depth.{first}", where)
+        raise InputError(
+            COVERAGE_LIMITED,
+            "none of the {frames_count} frames has a camera pose and depth.{first}",
+            where,
+            frames_count=len(frames),
+            first=first,
+        )
     if not seen.evidence.frames.any():
         raise InputError(
-            f"none of the {len(seen.frames)} frames measured the mesh: do poses and mesh belong together?",
+            COVERAGE_LIMITED,
+            "none of the {frames_count} frames measured the mesh: do poses and mesh belong together?",
             where,
+            frames_count=len(seen.frames),
         )
     return seen
 

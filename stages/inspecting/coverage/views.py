@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.frames.rigid_pose import require_rigid_pose
+from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
+from stages.scans.codes import SCAN_FRAMES_SKIPPED
 from stages.scans.images import read_depth, read_seen
 from stages.scans.poses import inverted
 from stages.scans.scan import Camera, DepthImage, Frame, pinhole
@@ -101,9 +103,9 @@ def read_view(frame: Frame, origin: Floats) -> View:
     pose = require_rigid_pose(frame)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError("there is no depth map.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", f"frame {frame.name}")
     if not depth.any():
-        raise InputError("no pixel has a depth.", f"frame {frame.name}")
+        raise InputError(SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", f"frame {frame.name}")
     to_camera = inverted(pose)
     step = max(1, round(max(depth.shape) / _COARSE))
     coarse = _least(depth, step)

@@ -17,7 +17,9 @@ from urllib.parse import unquote
 
 from stages.diagnostics.errors import InputError, StageError
 from stages.files.opening import content_of
+from stages.picturing.codes import MACHINE_PORT_TAKEN
 from stages.picturing.page.files import INDEX
+from stages.scans.codes import SCAN_LAYOUT_UNKNOWN
 
 HOST = "127.0.0.1"
 # What is given, and as what; anything else is not found.
@@ -55,14 +57,16 @@ class FolderServer(ThreadingHTTPServer):
 
     def __init__(self, folder: Path, port: int = 0, more: Mapping[str, bytes] | None = None) -> None:
         if not folder.is_dir():
-            raise InputError("there is no such folder.", folder)
+            raise InputError(SCAN_LAYOUT_UNKNOWN, "there is no such folder.", folder)
         self.folder = folder.resolve()
         self.more = dict(more or {})
         try:
             super().__init__((HOST, port), _Handler)
         except (OSError, OverflowError) as error:
             said = getattr(error, "strerror", None) or str(error)
-            raise StageError(f"port {port} cannot be listened on: {said}.") from error
+            raise StageError(
+                MACHINE_PORT_TAKEN, "port {port} cannot be listened on: {said}.", port=port, said=said
+            ) from error
 
     @property
     def address(self) -> str:

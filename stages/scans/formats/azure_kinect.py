@@ -14,6 +14,7 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID
 from stages.scans.formats.table_values import number_row
 from stages.scans.poses import rigid
 from stages.scans.scan import Camera, Pose
@@ -53,12 +54,23 @@ def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dic
         name = _COLOR
         if height not in (high, round(width * 9 / 16)):
             raise InputError(
-                f"an Azure Kinect takes no images of {width}×{height}; are they cropped or turned?", path
+                CAMERA_CALIBRATION_INVALID,
+                "an Azure Kinect takes no images of {width}×{height}; are they cropped or turned?",
+                path,
+                width=width,
+                height=height,
             )
     intrinsics = _camera(values, name, path).get("Intrinsics")
     row = number_row(intrinsics.get("ModelParameters") if isinstance(intrinsics, dict) else None, name, path)
     if len(row) != _PARAMETERS:
-        raise InputError(f"{name} has {len(row)} ModelParameters; {_PARAMETERS} are expected.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "{name} has {row_count} ModelParameters; {parameters} are expected.",
+            path,
+            name=name,
+            row_count=len(row),
+            parameters=_PARAMETERS,
+        )
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = row
     return {
         "width": width,
@@ -86,10 +98,15 @@ def color_from_depth(path: Path, depth: Camera) -> Pose | None:
         return None
     place = _camera(values, _COLOR, path).get("Rt")
     if not isinstance(place, dict):
-        raise InputError(f"{_COLOR} has no Rt.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "{color} has no Rt.", path, color=_COLOR)
     turn, shift = (number_row(place.get(key), key, path) for key in ("Rotation", "Translation"))
     if (len(turn), len(shift)) != (9, 3):
-        raise InputError(f"the Rt of {_COLOR} is no rotation of 9 numbers and a translation of 3.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "the Rt of {color} is no rotation of 9 numbers and a translation of 3.",
+            path,
+            color=_COLOR,
+        )
     return rigid(np.column_stack([np.reshape(turn, (3, 3)), shift]), path, _COLOR)
 
 
@@ -99,5 +116,11 @@ def _camera(values: dict[str, Any], name: str, path: Path) -> dict[str, Any]:
     tables = [one for one in cameras if isinstance(one, dict)] if isinstance(cameras, list) else []
     found = next((one for one in tables if one.get("Location") == name), None)
     if found is None:
-        raise InputError(f"its {_DOCUMENT} holds no camera {name}.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "its {document} holds no camera {name}.",
+            path,
+            document=_DOCUMENT,
+            name=name,
+        )
     return found

@@ -19,6 +19,7 @@ from stages.files import documents
 from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
 from stages.scans.formats import azure_kinect, named_arrays, named_text, orb_slam, realsense, ros_text, zed
 from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size, with_rows_first
@@ -87,7 +88,9 @@ def read_depth_scale(path: Path) -> float | None:
         return None
     scale = number_of(value, "depth_scale", path)
     if scale <= 0:
-        raise InputError(f"depth_scale is {scale:g}; it must be positive.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "depth_scale is {scale:g}; it must be positive.", path, scale=scale
+        )
     if "cam_K" in values:
         # BOP's data sets say how many millimetres a unit is.
         return _MILLIMETRES / scale
@@ -106,23 +109,43 @@ def checked(camera: Camera, path: Path) -> Camera:
     if not all(
         math.isfinite(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
     ):
-        raise InputError("the camera holds a value that is not finite.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "the camera holds a value that is not finite.", path)
     if camera.fx <= 0 or camera.fy <= 0:
         raise InputError(
-            f"the focal lengths are {camera.fx:g} and {camera.fy:g} px; both must be positive.", path
+            CAMERA_CALIBRATION_INVALID,
+            "the focal lengths are {fx:g} and {fy:g} px; both must be positive.",
+            path,
+            fx=camera.fx,
+            fy=camera.fy,
         )
     if not all(_FOCAL_LENGTHS[0] <= value <= _FOCAL_LENGTHS[1] for value in (camera.fx, camera.fy)):
-        raise InputError(f"focal lengths of {camera.fx:g} and {camera.fy:g} px cannot be right.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "focal lengths of {fx:g} and {fy:g} px cannot be right.",
+            path,
+            fx=camera.fx,
+            fy=camera.fy,
+        )
     if max(map(abs, camera.distortion), default=0.0) > _LARGEST_DISTORTION:
         raise InputError(
-            f"a distortion coefficient of {max(camera.distortion, key=abs):g} cannot be right.", path
+            CAMERA_CALIBRATION_INVALID,
+            "a distortion coefficient of {distortion:g} cannot be right.",
+            path,
+            distortion=max(camera.distortion, key=abs),
         )
     width, height = camera.width, camera.height
     if not (-width <= camera.cx <= 2 * width and -height <= camera.cy <= 2 * height):
         raise InputError(
-            f"the principal point ({camera.cx:g}, {camera.cy:g}) is far outside the images of "
-            f"{width}×{height}; is the calibration for another size?",
+            CAMERA_CALIBRATION_MISMATCH,
+            (
+                "the principal point ({cx:g}, {cy:g}) is far outside the images of "
+                "{width}×{height}; is the calibration for another size?"
+            ),
             path,
+            cx=camera.cx,
+            cy=camera.cy,
+            width=width,
+            height=height,
         )
     return camera
 
@@ -144,9 +167,13 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
         return kalibr_camera(values, chain[0], width, height, path)
     if chain:
         raise InputError(
-            f"it holds the cameras {', '.join(chain[:8])}, and the one of these images is needed: leave only "
-            "that in a copy of the file.",
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "it holds the cameras {chain}, and the one of these images is needed: leave "
+                "only that in a copy of the file."
+            ),
             path,
+            chain=", ".join(chain[:8]),
         )
     values = realsense.as_table(_of_one_camera(values, width, height, path))
     size = stated_size(values, width, height, path)
@@ -161,7 +188,9 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
     """Return a camera's table: the one given, or one in it, for such images or, of several, of colour."""
     if is_of_adjust(values):
         raise InputError(
-            "it is what `adjust` found, which scan.adjusted takes; a calibration is expected.", path
+            CAMERA_CALIBRATION_INVALID,
+            "it is what `adjust` found, which scan.adjusted takes; a calibration is expected.",
+            path,
         )
     if _is_camera(values):
         return values
@@ -178,9 +207,13 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
     chosen = [name for name in fitting if _OF_COLOR.search(name)] if len(fitting) > 1 else fitting
     if len(chosen) != 1:
         raise InputError(
-            f"it holds the cameras {', '.join(list(inner)[:8])}, and the one of these images is needed: "
-            "leave only that in a copy of the file.",
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "it holds the cameras {inner}, and the one of these images is needed: leave "
+                "only that in a copy of the file."
+            ),
             path,
+            inner=", ".join(list(inner)[:8]),
         )
     tell(f"holds the cameras {', '.join(list(inner)[:8])}: {chosen[0]} is taken", path)
     return inner[chosen[0]]
@@ -215,7 +248,10 @@ def _without_model(
             return matrix_camera(matrix_in(values, key, path), distortion, width, height, path)
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:
         raise InputError(
-            f"no camera in it: neither a matrix (`camera_matrix`, `K`) nor {', '.join(missing)}.", path
+            CAMERA_CALIBRATION_INVALID,
+            "no camera in it: neither a matrix (`camera_matrix`, `K`) nor {missing}.",
+            path,
+            missing=", ".join(missing),
         )
     fx, fy, cx, cy = (number_of(values[key], key, path) for key in ("fx", "fy", "cx", "cy"))
     return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)
@@ -225,11 +261,22 @@ def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, pa
     """Read a camera of Kalibr's camchain: `intrinsics: [fu, fv, cu, cv]`, and its lens."""
     table = table_in(values, side, path)
     if table.get("camera_model", "pinhole") != "pinhole":
-        raise InputError(f"{side} is of camera_model {table['camera_model']}; pinhole is supported.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "{side} is of camera_model {table}; pinhole is supported.",
+            path,
+            side=side,
+            table=table["camera_model"],
+        )
     fisheye = is_fisheye(table.get("distortion_model"), path)
     row = number_row(table.get("intrinsics"), "intrinsics", path)
     if len(row) != 4:
-        raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.",
+            path,
+            side=side,
+        )
     bent = coefficients(table.get("distortion_coeffs"), path, fisheye=fisheye)
     camera = Camera(*stated_size(table, width, height, path), *row, distortion=bent, fisheye=fisheye)
     return for_images(checked(camera, path), width, height, path)
@@ -240,7 +287,12 @@ def matrix_camera(
 ) -> Camera:
     """Return the checked camera of a 3x3 matrix (or one that begins with it)."""
     if matrix.shape not in _CAMERA_SHAPES:
-        raise InputError(f"a camera matrix must be 3x3, not {matrix.shape}.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "a camera matrix must be 3x3, not {matrix_shape}.",
+            path,
+            matrix_shape=matrix.shape,
+        )
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)
 
@@ -251,16 +303,23 @@ def text_numbers(path: Path) -> list[float]:
         array = read_array(path, "the camera matrix")
         if array.dtype.kind not in "uif" or array.size > _MOST_NUMBERS:
             raise InputError(
-                f"a camera matrix of 3 rows of 3 numbers is expected; this is {array.shape} of type "
-                f"{array.dtype}.",
+                CAMERA_CALIBRATION_INVALID,
+                (
+                    "a camera matrix of 3 rows of 3 numbers is expected; this is {array_shape} "
+                    "of type {array_dtype}."
+                ),
                 path,
+                array_shape=array.shape,
+                array_dtype=array.dtype,
             )
         return [float(value) for value in array.ravel()]
     try:
         rows = [numbers_on(text) for _, text in documents.lines(path)]
         return [number for row in rows for number in row]
     except ValueError as error:
-        raise InputError("a camera matrix of 3 rows of 3 numbers is expected.", path) from error
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "a camera matrix of 3 rows of 3 numbers is expected.", path
+        ) from error
 
 
 def text_matrix(path: Path) -> NDArray[np.float64]:
@@ -275,7 +334,10 @@ def text_matrix(path: Path) -> NDArray[np.float64]:
         return np.array(values).reshape(3, 4)
     if len(values) not in (9, 16):
         raise InputError(
-            f"a camera matrix of 3 rows of 3 numbers is expected, not {len(values)} numbers.", path
+            CAMERA_CALIBRATION_INVALID,
+            "a camera matrix of 3 rows of 3 numbers is expected, not {values_count} numbers.",
+            path,
+            values_count=len(values),
         )
     side = math.isqrt(len(values))
     return np.array(values).reshape(side, side)
@@ -294,9 +356,13 @@ def is_fisheye(model: object, path: Path) -> bool:
     if model in _FISHEYE:
         return True
     raise InputError(
-        f"the lens model {str(model)[:40]} is not supported; radial-tangential and equidistant are. "
-        "Undistort the images first.",
+        CAMERA_CALIBRATION_INVALID,
+        (
+            "the lens model {model} is not supported; radial-tangential and equidistant "
+            "are. Undistort the images first."
+        ),
         path,
+        model=str(model)[:40],
     )
 
 
@@ -308,8 +374,18 @@ def coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[f
     row = number_row(value, "distortion", path)
     if fisheye:
         if len(row) != 4:
-            raise InputError(f"a fisheye camera has 4 distortion coefficients, not {len(row)}.", path)
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID,
+                "a fisheye camera has 4 distortion coefficients, not {row_count}.",
+                path,
+                row_count=len(row),
+            )
         return row
     if len(row) not in (0, 4, 5, 8, 12, 14):
-        raise InputError(f"distortion has {len(row)} coefficients; OpenCV knows 4, 5, 8, 12 or 14.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "distortion has {row_count} coefficients; OpenCV knows 4, 5, 8, 12 or 14.",
+            path,
+            row_count=len(row),
+        )
     return row if any(row) else ()

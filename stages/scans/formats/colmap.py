@@ -17,10 +17,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import MACHINE_BUSY
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.files.codes import (
+    FILE_DAMAGED,
+    FILE_DEPTH_FORMAT,
+    FILE_TEXT_INVALID,
+    FILE_UNREADABLE,
+    RECORDING_DAMAGED,
+)
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import content_of, opened
+from stages.scans.codes import CAMERA_LENS_UNKNOWN, FILE_COLMAP_INVALID
 from stages.scans.formats.calibration import checked
 from stages.scans.formats.fov_lens import fisheye_of_fov
 from stages.scans.poses import inverted, pose_from_quaternion
@@ -104,7 +113,9 @@ def read_model(folder: Path) -> list[View]:
     """
     end = next((end for end in _ENDS if all((folder / f"{stem}{end}").is_file() for stem in _STEMS)), None)
     if end is None:
-        raise InputError("a model's cameras and images (both .txt or both .bin) are needed.", folder)
+        raise InputError(
+            FILE_COLMAP_INVALID, "a model's cameras and images (both .txt or both .bin) are needed.", folder
+        )
     cameras_path, images_path = (folder / f"{stem}{end}" for stem in _STEMS)
     if end == ".bin":
         return list(_binary_views(images_path, dict(_binary_cameras(cameras_path))))
@@ -168,10 +179,19 @@ def depth_map_size(path: Path) -> tuple[int, int]:
             start = file.read(_DEPTH_HEADER_BYTES)
         size = path.stat().st_size
     except OSError as error:
-        raise InputError(f"the depth map cannot be read ({error.strerror}).", path) from error
+        raise InputError(
+            FILE_UNREADABLE, "the depth map cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
     width, height, offset = _depth_header(start, path)
     if size != offset + 4 * width * height:
-        raise InputError(f"the depth map is not as long as its {width}×{height} pixels; copy it again.", path)
+        raise InputError(
+            FILE_DAMAGED,
+            "the depth map is not as long as its {width}×{height} pixels",
+            path,
+            remedy="copy it again.",
+            width=width,
+            height=height,
+        )
     return width, height
 
 
@@ -187,10 +207,12 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     try:
         data = content_of(path)
     except OSError as error:
-        raise InputError(f"the depth map cannot be read ({error.strerror}).", path) from error
+        raise InputError(
+            FILE_UNREADABLE, "the depth map cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
     values = data[-4 * width * height :]
     if len(values) != 4 * width * height:
-        raise InputError("the depth map was cut short since it was opened.", path)
+        raise InputError(MACHINE_BUSY, "the depth map was cut short since it was opened.", path)
     return np.frombuffer(values, "<f4").reshape(height, width).astype(np.float32)
 
 
@@ -198,10 +220,19 @@ def _depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
     """Return width, height and where the values begin."""
     header = _DEPTH_HEADER.match(start)
     if header is None:
-        raise InputError("a COLMAP depth map (`width&height&channels&`, then values) is expected.", path)
+        raise InputError(
+            FILE_DEPTH_FORMAT, "a COLMAP depth map (`width&height&channels&`, then values) is expected.", path
+        )
     width, height, channels = (int(digits) for digits in header.groups())
     if channels != 1 or not 0 < width * height <= MAX_PIXELS:
-        raise InputError(f"its header is damaged: {width}×{height} pixels with {channels} values each.", path)
+        raise InputError(
+            FILE_DAMAGED,
+            "its header is damaged: {width}×{height} pixels with {channels} values each.",
+            path,
+            width=width,
+            height=height,
+            channels=channels,
+        )
     return width, height, header.end()
 
 
@@ -210,12 +241,25 @@ def _camera(
 ) -> Camera:
     if model.matrix is None:
         raise InputError(
-            f"camera {identity} is of the model {model.name}, which is not known here; undistort the "
-            "images with COLMAP's image_undistorter and give the folder it writes.",
+            CAMERA_LENS_UNKNOWN,
+            (
+                "camera {identity} is of the model {model_name}, which is not known here; "
+                "undistort the images with COLMAP's image_undistorter and give the folder it "
+                "writes."
+            ),
             path,
+            identity=identity,
+            model_name=model.name,
         )
     if not 0 < width * height <= MAX_PIXELS:
-        raise InputError(f"camera {identity} claims to have {width}×{height} pixels.", path)
+        raise InputError(
+            FILE_COLMAP_INVALID,
+            "camera {identity} claims to have {width}×{height} pixels.",
+            path,
+            identity=identity,
+            width=width,
+            height=height,
+        )
     fx, fy, cx, cy = (values[at] for at in model.matrix)
     bent = tuple(0.0 if at is None else values[at] for at in model.distortion)
     bent = bent if model.fisheye or any(bent) else ()
@@ -234,7 +278,9 @@ def _view(
     """Return an image of its quaternion w x y z and translation, both world-to-camera."""
     w, *rest = numbers
     if camera not in cameras:
-        raise InputError(f"image {name}: there is no camera {camera}.", path)
+        raise InputError(
+            FILE_COLMAP_INVALID, "image {name}: there is no camera {camera}.", path, name=name, camera=camera
+        )
     documents.require_inside(name, path, "an image")
     pose = pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
     return View(identity, name, cameras[camera], None if pose is None else inverted(pose))
@@ -247,15 +293,30 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
         model = next((one for one in _MODELS if one.name in words[1:2]), None)
         if model is None:
             raise InputError(
-                f"line {number} names no camera model of COLMAP (as `id MODEL width height …`).", path
+                FILE_TEXT_INVALID,
+                "line {number} names no camera model of COLMAP (as `id MODEL width height …`).",
+                path,
+                number=number,
             )
         try:
             identity, width, height = int(words[0]), int(words[2]), int(words[3])
             values = [float(word) for word in words[4:]]
         except (ValueError, IndexError) as error:
-            raise InputError(f"line {number} is not `id MODEL width height parameters…`.", path) from error
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number} is not `id MODEL width height parameters…`.",
+                path,
+                number=number,
+            ) from error
         if len(values) != model.count:
-            raise InputError(f"line {number}: {model.name} has {model.count} parameters.", path)
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number}: {model_name} has {model_count} parameters.",
+                path,
+                number=number,
+                model_name=model.name,
+                model_count=model.count,
+            )
         yield identity, _camera(model, width, height, values, identity, path)
 
 
@@ -275,7 +336,12 @@ def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
             identity, camera, name = int(words[0]), int(words[8]), words[9]
             numbers = [float(word) for word in words[1:8]]
         except (ValueError, IndexError) as error:
-            raise InputError(f"line {number} is not `id qw qx qy qz tx ty tz camera name`.", path) from error
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number} is not `id qw qx qy qz tx ty tz camera name`.",
+                path,
+                number=number,
+            ) from error
         after_image = True
         yield _view(identity, name, numbers, camera, cameras, path)
 
@@ -292,7 +358,13 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
     for _ in range(count):
         (identity, number, width, height), at = _unpacked("<IiQQ", data, at, path)
         if not 0 <= number < len(_MODELS):
-            raise InputError(f"camera {identity} is of model {number}, which is not known.", path)
+            raise InputError(
+                CAMERA_LENS_UNKNOWN,
+                "camera {identity} is of model {number}, which is not known.",
+                path,
+                identity=identity,
+                number=number,
+            )
         model = _MODELS[number]
         values, at = _unpacked(f"<{model.count}d", data, at, path)
         yield identity, _camera(model, width, height, values, identity, path)
@@ -305,15 +377,21 @@ def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
         (identity, *numbers, camera), at = _unpacked("<I7dI", data, at, path)
         end = data.find(b"\0", at, at + _LONGEST_NAME)
         if end < 0:
-            raise InputError("the file is cut short or damaged: the name of an image has no end.", path)
+            raise InputError(
+                FILE_DAMAGED, "the file is cut short or damaged: the name of an image has no end.", path
+            )
         try:
             name = data[at:end].decode()
         except UnicodeDecodeError as error:
-            raise InputError("the file is damaged: the name of an image is no text.", path) from error
+            raise InputError(
+                FILE_DAMAGED, "the file is damaged: the name of an image is no text.", path
+            ) from error
         (points,), at = _unpacked("<Q", data, end + 1, path)
         at += _POINT_BYTES * points
         if at > len(data):
-            raise InputError(f"the file is cut short or damaged: image {name} lacks points.", path)
+            raise InputError(
+                FILE_DAMAGED, "the file is cut short or damaged: image {name} lacks points.", path, name=name
+            )
         yield _view(identity, name, numbers, camera, cameras, path)
 
 
@@ -327,7 +405,12 @@ def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int
         except (ValueError, OverflowError):
             point, images = (), np.zeros(0, np.int64)
         if len(words) < 8 or len(words) % 2 or not point:
-            raise InputError(f"line {number} is not `id x y z r g b error (image place)…`.", path)
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number} is not `id x y z r g b error (image place)…`.",
+                path,
+                number=number,
+            )
         yield point, images
 
 
@@ -338,7 +421,7 @@ def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.i
         (_, x, y, z, *_, seen), at = _unpacked(_POINT, data, at, path)
         end = at + _SEEN_BYTES * seen
         if end > len(data):
-            raise InputError("the file is cut short or damaged; copy it again.", path)
+            raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")
         yield (x, y, z), np.frombuffer(data[at:end], "<u4")[::2].astype(np.int64)
         at = end
 
@@ -349,12 +432,14 @@ def _mapped(path: Path) -> mmap.mmap | bytes:
         with opened(path) as file:
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if path.stat().st_size else b""
     except OSError as error:
-        raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
+        raise InputError(
+            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
 
 
 def _unpacked(form: str, data: mmap.mmap | bytes, at: int, path: Path) -> tuple[tuple[Any, ...], int]:
     """Return the values at an offset and the offset after them."""
     end = at + struct.calcsize(form)
     if end > len(data):
-        raise InputError("the file is cut short or damaged; copy it again.", path)
+        raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")
     return struct.unpack_from(form, data, at), end

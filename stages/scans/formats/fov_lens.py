@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_LENS_UNKNOWN
 from stages.scans.scan import Camera
 
 # Radians; below the first the lens bends nothing, beyond the second no lens sees.
@@ -41,7 +42,12 @@ def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
     if abs(omega) < _NARROWEST:
         return camera
     if not 0 < omega < _WIDEST:
-        raise InputError(f"a FOV lens of omega {omega:g} cannot be right; it is an angle in radians.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "a FOV lens of omega {omega:g} cannot be right; it is an angle in radians.",
+            path,
+            omega=omega,
+        )
     scale = 2 * math.tan(omega / 2) / omega
     fx, fy = camera.fx * scale, camera.fy * scale
     aside = max(camera.cx, camera.width - camera.cx) / fx, max(camera.cy, camera.height - camera.cy) / fy
@@ -52,8 +58,14 @@ def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
     error = max(fx, fy) * float(np.abs(angles + powers @ coefficients - beside).max())
     if not error < _TOLERANCE:
         raise InputError(
-            f"the FOV lens (omega {omega:g}) is {error:.2g} px off from what can be read; undistort the "
-            "images with COLMAP's image_undistorter and give the folder it writes.",
+            CAMERA_LENS_UNKNOWN,
+            (
+                "the FOV lens (omega {omega:g}) is {error:.2g} px off from what can be read; "
+                "undistort the images with COLMAP's image_undistorter and give the folder it "
+                "writes."
+            ),
             path,
+            omega=omega,
+            error=error,
         )
     return replace(camera, fx=fx, fy=fy, distortion=tuple(map(float, coefficients)), fisheye=True)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_TABLE_DAMAGED
 from stages.scans.formats import trajectories
 from stages.scans.poses import inverted, rigid
 from stages.scans.scan import Pose
@@ -75,12 +76,12 @@ def read_headed_text(path: Path) -> HeadedText:
     for number, heading, matrix in _blocks(path):
         where = f"the matrix below line {number}"
         if matrix.shape not in _SHAPES:
-            raise InputError(f"{where} is not 3x3, 3x4 or 4x4.", path)
+            raise InputError(SCAN_TABLE_DAMAGED, "{place} is not 3x3, 3x4 or 4x4.", path, place=where)
         frame, direction = _FRAME.search(heading), _pose_direction(heading)
         if frame is not None and direction:
             pose = rigid(_four_rows(matrix, where, path), path, where)
             if frame[0] in poses:
-                raise InputError(f"there are two poses of {frame[0]}.", path)
+                raise InputError(SCAN_TABLE_DAMAGED, "there are two poses of {frame}.", path, frame=frame[0])
             is_inverse = direction == "world-to-camera"
             poses[frame[0]] = inverted(pose) if is_inverse and pose is not None else pose
         elif _DEPTH_TO_COLOR.search(heading):
@@ -100,7 +101,7 @@ def _pose_direction(heading: str) -> str:
 
 def _four_rows(matrix: NDArray[np.float64], where: str, path: Path) -> NDArray[np.float64]:
     if matrix.shape[1] != 4:
-        raise InputError(f"{where} is not a pose of 4 columns.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "{place} is not a pose of 4 columns.", path, place=where)
     return matrix
 
 
@@ -113,9 +114,16 @@ def _blocks(path: Path) -> list[tuple[int, str, NDArray[np.float64]]]:
             blocks.append((number, " ".join(text.lstrip("# \t").split()), []))
         elif text:
             if not blocks:
-                raise InputError(f"line {number} stands below no heading (`# …`).", path)
+                raise InputError(
+                    SCAN_TABLE_DAMAGED, "line {number} stands below no heading (`# …`).", path, number=number
+                )
             blocks[-1][2].append(trajectories.numbers_of(text, number, path))
     for number, _, rows in blocks:
         if len({len(row) for row in rows}) > 1:
-            raise InputError(f"the rows below line {number} are of different lengths.", path)
+            raise InputError(
+                SCAN_TABLE_DAMAGED,
+                "the rows below line {number} are of different lengths.",
+                path,
+                number=number,
+            )
     return [(number, heading, np.array(rows, np.float64)) for number, heading, rows in blocks if rows]

@@ -9,6 +9,7 @@ from typing import Any
 
 from stages.diagnostics.errors import InputError
 from stages.files.telling import tell
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH
 from stages.scans.formats.table_values import number_of, number_row
 from stages.scans.scan import Camera, scaled
 
@@ -44,7 +45,12 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
         return width, height
     if len(size) != 2 or not all(1 <= side <= LARGEST_SIDE for side in size):
         shown = "×".join(f"{side:g}" for side in size[:4])
-        raise InputError(f"the size of its images, {shown}, cannot be right.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_MISMATCH,
+            "the size of its images, {shown}, cannot be right.",
+            path,
+            shown=shown,
+        )
     return round(size[0]), round(size[1])
 
 
@@ -63,9 +69,17 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
         return camera
     if not is_of_shape((camera.width, camera.height), (width, height)):
         raise InputError(
-            f"it is for images of {camera.width}×{camera.height}, but these are {width}×{height}, which is "
-            "another shape: they are cropped or turned. Give the calibration of these images.",
+            CAMERA_CALIBRATION_MISMATCH,
+            (
+                "it is for images of {camera_width}×{camera_height}, but these are "
+                "{width}×{height}, which is another shape: they are cropped or turned."
+            ),
             path,
+            remedy="Give the calibration of these images.",
+            camera_width=camera.width,
+            camera_height=camera.height,
+            width=width,
+            height=height,
         )
     tell(
         f"is for images of {camera.width}×{camera.height}: its camera is scaled to these of {width}×{height}",

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files.telling import tell
+from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID, CAMERA_PAIR_UNCALIBRATED
 from stages.scans.formats import orb_slam, zed
 from stages.scans.formats.calibration import (
     MATRIX_AND_BASELINE,
@@ -124,11 +125,19 @@ def read_rig(
     looks_rectified = _looks_rectified(left, right, right_from_left)
     rectified = values.get("rectified", looks_rectified)
     if not isinstance(rectified, (bool, int)):
-        raise InputError(f"rectified is {rectified!r}; it must be true or false.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "rectified is {rectified!r}; it must be true or false.",
+            path,
+            rectified=rectified,
+        )
     if right_from_left[0, 3] >= 0:
         raise InputError(
-            "the second camera is not right of the first: T maps left-camera points to the right "
-            "camera, so its x must be negative. Are the two cameras swapped?",
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "the second camera is not right of the first: T maps left-camera points to "
+                "the right camera, so its x must be negative. Are the two cameras swapped?"
+            ),
             path,
         )
     rig = StereoRig(left, right, right_from_left, bool(rectified))
@@ -187,7 +196,9 @@ def _ros(
     key = _first_key(right, _PROJECTIONS)
     projection = matrix_in(right, key or "", path)
     if projection.shape != (3, 4) or projection[0, 0] == 0:
-        raise InputError(f"{key} of the right camera is not a 3x4 projection.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "{key} of the right camera is not a 3x4 projection.", path, key=key
+        )
     right_from_left = np.eye(4)
     right_from_left[:3, :3] = turns[1].T @ turns[0]
     right_from_left[:3, 3] = turns[1].T @ (projection[0, 3] / projection[0, 0], 0, 0)
@@ -198,7 +209,7 @@ def _rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
     key = _first_key(table, ("rectification_matrix", "R", "r"))
     turn = np.eye(3) if key is None else matrix_in(table, key, path)
     if turn.shape != (3, 3):
-        raise InputError(f"{key} must be 3x3.", path)
+        raise InputError(CODE_UNKNOWN, "{key} must be 3x3.", path, key=key)
     return turn
 
 
@@ -235,11 +246,15 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
     """Read the projection matrices of rectified images: the baseline is -P2[0,3] / P2[0,0]."""
     left, right = (matrix_in(values, key, path) for key in ("P1", "P2"))
     if left.shape != (3, 4) or right.shape != (3, 4):
-        raise InputError("P1 and P2 must be 3x4.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "P1 and P2 must be 3x4.", path)
     if left[0, 0] == 1:
         raise InputError(
-            "P1 is not filled in, as where calibration ended before rectification. The cameras' own matrices "
-            "are needed beside R and T: name the file of both, or put intrinsics.yml beside extrinsics.yml.",
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "P1 is not filled in, as where calibration ended before rectification. The "
+                "cameras' own matrices are needed beside R and T: name the file of both, or "
+                "put intrinsics.yml beside extrinsics.yml."
+            ),
             path,
         )
     size = stated_size(values, width, height, path)
@@ -256,7 +271,7 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     if "left_from_right" in values:
         given = matrix_in(values, "left_from_right", path)
         if given.shape != (4, 4):
-            raise InputError("the relation of the cameras must be 4x4.", path)
+            raise InputError(CAMERA_CALIBRATION_INVALID, "the relation of the cameras must be 4x4.", path)
         return inverted(_finite_pose(given, "the relation of the cameras", path))
     matrix = np.eye(4)
     rotation = _named(values, _ROTATION)
@@ -268,19 +283,29 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
 
             turn = np.asarray(cv2.Rodrigues(turn.reshape(3))[0], np.float64)
         if turn.shape != (3, 3):
-            raise InputError(f"{rotation} must be 3x3 (or 3 numbers, a rotation vector).", path)
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID,
+                "{rotation} must be 3x3 (or 3 numbers, a rotation vector).",
+                path,
+                rotation=rotation,
+            )
         matrix[:3, :3] = turn
     if translation is not None:
         shift = matrix_in(values, translation, path)
         if shift.size != 3:
-            raise InputError(f"{translation} must be 3 numbers.", path)
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID, "{translation} must be 3 numbers.", path, translation=translation
+            )
         matrix[:3, 3] = shift.ravel()
     elif "baseline" in values:
         matrix[0, 3] = -abs(number_of(values["baseline"], "baseline", path))
     elif required:
         raise InputError(
-            "how the cameras stand to each other is missing: R and T, or a baseline "
-            "(or set scan.baseline=METRES).",
+            CAMERA_PAIR_UNCALIBRATED,
+            (
+                "how the cameras stand to each other is missing: R and T, or a baseline (or "
+                "set scan.baseline=METRES)."
+            ),
             path,
         )
     return _finite_pose(matrix, "R, T", path)
@@ -290,7 +315,11 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, l
     """Return the extrinsics in metres; calibration boards are often measured in millimetres."""
     length = float(np.linalg.norm(right_from_left[:3, 3]))
     if length == 0:
-        raise InputError("the two cameras stand at the same place (baseline 0); no depth can be had.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "the two cameras stand at the same place (baseline 0); no depth can be had.",
+            path,
+        )
     warnings = []
     if unit is None:
         unit = "mm" if length > _WIDEST_METRES else "m"
@@ -307,7 +336,9 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, l
             )
     scale = {"m": 1.0, "cm": 0.01, "mm": 0.001}.get(str(unit))
     if scale is None:
-        raise InputError(f"unit is {unit!r}; it must be m, cm or mm.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "unit is {unit!r}; it must be m, cm or mm.", path, unit=unit
+        )
     metric = right_from_left.copy()
     metric[:3, 3] *= scale
     return metric, warnings
@@ -330,7 +361,7 @@ def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool
 def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
     pose = rigid(matrix, path, name)
     if pose is None:
-        raise InputError(f"{name} is not finite.", path)
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "{name} is not finite.", path, name=name)
     return pose
 
 

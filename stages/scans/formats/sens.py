@@ -15,10 +15,13 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import MACHINE_BUSY
 from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.images import decode_color
 from stages.files.opening import opened
+from stages.scans.codes import RECORDING_WRONG_KIND
 from stages.scans.scan import ColorImage
 
 _FORMAT_VERSION = 4
@@ -100,7 +103,9 @@ def read_sens(path: Path) -> Sens:
         with opened(path) as file:
             return _read(file, path.stat().st_size, path)
     except OSError as error:
-        raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
+        raise InputError(
+            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
 
 
 def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
@@ -116,7 +121,13 @@ def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
         return decode_color(data, f"{sens.path}: {name}")
     width, height = sens.color_size
     if len(data) != 3 * width * height:
-        raise InputError(f"the image does not hold {width}×{height} pixels.", f"{sens.path}: {name}")
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the image does not hold {width}×{height} pixels.",
+            f"{sens.path}: {name}",
+            width=width,
+            height=height,
+        )
     return np.frombuffer(data, np.uint8).reshape(height, width, 3)
 
 
@@ -137,10 +148,16 @@ def read_depth(sens: Sens, blob: Blob, name: str) -> NDArray[np.uint16]:
             data = zlib.decompressobj().decompress(data, size + 1)
         except zlib.error as error:
             raise InputError(
-                "the depth map does not decompress; it is damaged.", f"{sens.path}: {name}"
+                RECORDING_DAMAGED, "the depth map does not decompress; it is damaged.", f"{sens.path}: {name}"
             ) from error
     if len(data) != size:
-        raise InputError(f"the depth map does not hold {width}×{height} pixels.", f"{sens.path}: {name}")
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the depth map does not hold {width}×{height} pixels.",
+            f"{sens.path}: {name}",
+            width=width,
+            height=height,
+        )
     return np.frombuffer(data, "<u2").reshape(height, width).astype(np.uint16)
 
 
@@ -148,10 +165,19 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     version, name_size = struct.unpack("<IQ", _exactly(file, 12, path))
     if version != _FORMAT_VERSION:
         raise InputError(
-            f"version {_FORMAT_VERSION} of the format is expected, and this states {version}.", path
+            RECORDING_WRONG_KIND,
+            "version {format_version} of the format is expected, and this states {version}.",
+            path,
+            format_version=_FORMAT_VERSION,
+            version=version,
         )
     if name_size > _LONGEST_NAME:
-        raise InputError(f"its header is damaged: a sensor name of {name_size} bytes.", path)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "its header is damaged: a sensor name of {name_size} bytes.",
+            path,
+            name_size=name_size,
+        )
     _exactly(file, name_size, path)
     color_matrix, color_extrinsic, depth_matrix, depth_extrinsic = (
         _matrix(_exactly(file, _MATRIX.size, path)) for _ in range(4)
@@ -159,23 +185,48 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     settings = _SETTINGS.unpack(_exactly(file, _SETTINGS.size, path))
     color_coder, depth_coder, color_width, color_height, width, height, scale, promised = settings
     if color_coder not in (_RAW_COLOR, _PNG_COLOR, _JPEG_COLOR):
-        raise InputError(f"colour is compressed in way {color_coder}; raw, PNG and JPEG are known.", path)
+        raise InputError(
+            RECORDING_WRONG_KIND,
+            "colour is compressed in way {color_coder}; raw, PNG and JPEG are known.",
+            path,
+            color_coder=color_coder,
+        )
     if depth_coder not in (_RAW_DEPTH, _ZLIB_DEPTH):
-        raise InputError(f"depth is compressed in way {depth_coder}; raw and zlib are known.", path)
+        raise InputError(
+            RECORDING_WRONG_KIND,
+            "depth is compressed in way {depth_coder}; raw and zlib are known.",
+            path,
+            depth_coder=depth_coder,
+        )
     if color_width * color_height > MAX_PIXELS or not 0 < width * height <= MAX_PIXELS:
         raise InputError(
-            f"its header is damaged: colour of {color_width}×{color_height} and depth of {width}×{height} "
-            "pixels.",
+            RECORDING_DAMAGED,
+            (
+                "its header is damaged: colour of {color_width}×{color_height} and depth of "
+                "{width}×{height} pixels."
+            ),
             path,
+            color_width=color_width,
+            color_height=color_height,
+            width=width,
+            height=height,
         )
     if not _SCALES[0] <= scale <= _SCALES[1]:
-        raise InputError(f"its header is damaged: {scale:g} depth units a metre.", path)
+        raise InputError(
+            RECORDING_DAMAGED, "its header is damaged: {scale:g} depth units a metre.", path, scale=scale
+        )
     limits = [
         _LARGEST_PIXEL * pixels + _LARGEST_OVERHEAD for pixels in (color_width * color_height, width * height)
     ]
     frames = _frames(file, file_size, promised, limits)
     if not frames:
-        raise InputError(f"of {promised} frames it promises, not one is whole; copy it again.", path)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "of {promised} frames it promises, not one is whole",
+            path,
+            remedy="copy it again.",
+            promised=promised,
+        )
     return Sens(
         path=path,
         color_matrix=color_matrix,
@@ -217,7 +268,7 @@ def _matrix(data: bytes) -> NDArray[np.float64]:
 def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
     data = file.read(size)
     if len(data) < size:
-        raise InputError("the file ends within its header; copy it again.", path)
+        raise InputError(RECORDING_DAMAGED, "the file ends within its header", path, remedy="copy it again.")
     return data
 
 
@@ -227,7 +278,12 @@ def _bytes(path: Path, blob: Blob, name: str) -> bytes:
             file.seek(blob.start)
             data = file.read(blob.size)
     except OSError as error:
-        raise InputError(f"the image cannot be read ({error.strerror}).", f"{path}: {name}") from error
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the image cannot be read ({strerror}).",
+            f"{path}: {name}",
+            strerror=error.strerror,
+        ) from error
     if len(data) < blob.size:
-        raise InputError("the file was cut short since it was opened.", f"{path}: {name}")
+        raise InputError(MACHINE_BUSY, "the file was cut short since it was opened.", f"{path}: {name}")
     return data

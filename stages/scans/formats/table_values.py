@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_TABLE_DAMAGED
 
 # What calibrations call the matrix of a camera.
 MATRICES = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")
@@ -27,7 +28,9 @@ def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float6
         shape = shape or {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(array.size, array.shape)
         return array.reshape(shape)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{key} is not a matrix of numbers.", path) from error
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "{key} is not a matrix of numbers.", path, key=key
+        ) from error
 
 
 def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
@@ -44,7 +47,13 @@ def number_of(value: object, key: str, path: Path) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise InputError(f"{key} is {str(value)[:40]!r}; a number is expected.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "{key} is {value!r}; a number is expected.",
+            path,
+            key=key,
+            value=str(value)[:40],
+        )
     return number
 
 
@@ -52,5 +61,7 @@ def table_in(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
     """Return a table in another; raises InputError if the value is none."""
     table = values[key]
     if not isinstance(table, dict):
-        raise InputError(f"{key} must be a table of names and values.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "{key} must be a table of names and values.", path, key=key
+        )
     return table

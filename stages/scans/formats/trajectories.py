@@ -20,6 +20,7 @@ from stages.files import documents
 from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
 from stages.files.telling import tell
+from stages.scans.codes import POSE_TRAJECTORY_UNREADABLE
 from stages.scans.poses import LARGEST_VALUE, inverted, matrix_of, pose_from_quaternion, rigid
 from stages.scans.scan import Pose
 
@@ -74,7 +75,7 @@ def read_trajectory(path: Path) -> Trajectory:
         return read_stack(path)
     first = next(_number_lines(path), None)
     if first is None:
-        raise InputError("the trajectory file holds no poses.", path)
+        raise InputError(POSE_TRAJECTORY_UNREADABLE, "the trajectory file holds no poses.", path)
     count = len(first[1])
     if count == 3:
         return read_log(path)
@@ -87,9 +88,14 @@ def read_trajectory(path: Path) -> Trajectory:
     if count == 4:
         return Trajectory([read_pose(path)])
     raise InputError(
-        f"line {first[0]} holds {count} numbers. Expected are 12 or 16 (a matrix), "
-        "8 (t tx ty tz qx qy qz qw), 7 (the same without t) or 3 (a .log header).",
+        POSE_TRAJECTORY_UNREADABLE,
+        (
+            "line {first} holds {count} numbers. Expected are 12 or 16 (a matrix), 8 (t "
+            "tx ty tz qx qy qz qw), 7 (the same without t) or 3 (a .log header)."
+        ),
         path,
+        first=first[0],
+        count=count,
     )
 
 
@@ -97,7 +103,12 @@ def read_pose(path: Path) -> Pose | None:
     """Read one pose from a file with a 4x4 (or 3x4) matrix in rows; None when it marks lost tracking."""
     values = [value for _, row in _number_lines(path) for value in row]
     if len(values) not in (12, 16):
-        raise InputError(f"a pose of 4 rows of 4 numbers is expected; it holds {len(values)} numbers.", path)
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE,
+            "a pose of 4 rows of 4 numbers is expected; it holds {values_count} numbers.",
+            path,
+            values_count=len(values),
+        )
     return rigid(np.reshape(values, (-1, 4)), path)
 
 
@@ -106,7 +117,13 @@ def read_matrices(path: Path) -> Trajectory:
     poses = []
     for number, row in _number_lines(path):
         if len(row) not in (12, 16):
-            raise InputError(f"line {number} holds {len(row)} numbers; a pose needs 12 or 16.", path)
+            raise InputError(
+                POSE_TRAJECTORY_UNREADABLE,
+                "line {number} holds {row_count} numbers; a pose needs 12 or 16.",
+                path,
+                number=number,
+                row_count=len(row),
+            )
         poses.append(rigid(np.reshape(row, (-1, 4)), path, f"line {number}"))
     return Trajectory(poses)
 
@@ -117,9 +134,14 @@ def read_stack(path: Path) -> Trajectory:
     is_stack = array.ndim > 1 and array.dtype.kind == "f" and array.shape[1:] in _STACKED
     if not is_stack or not 0 < len(array) <= _MOST_POSES:
         raise InputError(
-            f"poses are expected, (n, 3, 4) or (n, 4, 4) numbers; this is {array.shape} of type "
-            f"{array.dtype}.",
+            POSE_TRAJECTORY_UNREADABLE,
+            (
+                "poses are expected, (n, 3, 4) or (n, 4, 4) numbers; this is {array_shape} "
+                "of type {array_dtype}."
+            ),
             path,
+            array_shape=array.shape,
+            array_dtype=array.dtype,
         )
     matrices = np.asarray(array, np.float64).reshape(len(array), -1, 4)
     return Trajectory([rigid(matrix, path, f"pose {i}") for i, matrix in enumerate(matrices)])
@@ -139,7 +161,11 @@ def read_tum(path: Path) -> Trajectory:
     for number, row in (*first, *_number_lines(path)):
         if len(row) != 8:
             raise InputError(
-                f"line {number} holds {len(row)} numbers; 8 (t tx ty tz qx qy qz qw) are expected.", path
+                POSE_TRAJECTORY_UNREADABLE,
+                "line {number} holds {row_count} numbers; 8 (t tx ty tz qx qy qz qw) are expected.",
+                path,
+                number=number,
+                row_count=len(row),
             )
         times.append(nanoseconds(row[0], path, number))
         poses.append(pose_from_quaternion(row[1:4], row[4:8], path, f"line {number}"))
@@ -166,7 +192,10 @@ def read_log(path: Path) -> Trajectory:
         rows = [row for _, row in content[at + 1 : at + 5]]
         if len(header) != 3 or len(rows) != 4 or any(len(row) != 4 for row in rows):
             raise InputError(
-                f"the entry at line {number} is not a header of 3 numbers and 4 rows of 4 numbers.", path
+                POSE_TRAJECTORY_UNREADABLE,
+                "the entry at line {number} is not a header of 3 numbers and 4 rows of 4 numbers.",
+                path,
+                number=number,
             )
         poses.append(rigid(np.array(rows), path, f"entry at line {number}"))
     return Trajectory(poses)
@@ -177,9 +206,20 @@ def read_stacked(path: Path) -> Trajectory:
     rows = list(_number_lines(path))
     for number, row in rows:
         if len(row) != 4:
-            raise InputError(f"line {number} holds {len(row)} numbers; rows of 4 are expected.", path)
+            raise InputError(
+                POSE_TRAJECTORY_UNREADABLE,
+                "line {number} holds {row_count} numbers; rows of 4 are expected.",
+                path,
+                number=number,
+                row_count=len(row),
+            )
     if not rows or len(rows) % 3:
-        raise InputError(f"it holds {len(rows)} rows of numbers; a pose needs 3.", path)
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE,
+            "it holds {rows_count} rows of numbers; a pose needs 3.",
+            path,
+            rows_count=len(rows),
+        )
     poses = [
         rigid(np.array([row for _, row in rows[at : at + 3]]), path, f"pose at line {rows[at][0]}")
         for at in range(0, len(rows), 3)
@@ -205,7 +245,11 @@ def read_json(path: Path) -> Trajectory:
         if isinstance(entries, dict) and entries and all(isinstance(one, list) for one in entries.values()):
             names, entries = tuple(entries), list(entries.values())
         if not isinstance(entries, list):
-            raise InputError("it holds none of `parameters`, `nodes` or `poses`, so no trajectory.", path)
+            raise InputError(
+                POSE_TRAJECTORY_UNREADABLE,
+                "it holds none of `parameters`, `nodes` or `poses`, so no trajectory.",
+                path,
+            )
         matrices = [matrix_of(entry, path, f"pose {i}") for i, entry in enumerate(entries)]
         return Trajectory(
             [rigid(matrix, path, f"pose {i}") for i, matrix in enumerate(matrices)], names=names
@@ -227,9 +271,19 @@ def read_euroc(path: Path) -> Trajectory:
             # An int: a float64 cannot hold nanoseconds since 1970 exactly.
             time, row = int(fields[0]), [float(value) for value in fields[1:8]]
         except ValueError as error:
-            raise InputError(f"line {number} is not `ns, px, py, pz, qw, qx, qy, qz, …`.", path) from error
+            raise InputError(
+                POSE_TRAJECTORY_UNREADABLE,
+                "line {number} is not `ns, px, py, pz, qw, qx, qy, qz, …`.",
+                path,
+                number=number,
+            ) from error
         if len(row) != 7 or abs(time) >= 1 << 62:
-            raise InputError(f"line {number} is not `ns, px, py, pz, qw, qx, qy, qz, …`.", path)
+            raise InputError(
+                POSE_TRAJECTORY_UNREADABLE,
+                "line {number} is not `ns, px, py, pz, qw, qx, qy, qz, …`.",
+                path,
+                number=number,
+            )
         times.append(time)
         poses.append(pose_from_quaternion(row[:3], [*row[4:], row[3]], path, f"line {number}"))
     return Trajectory(poses, np.array(times, np.int64))
@@ -244,7 +298,11 @@ def read_traj(path: Path) -> Trajectory:
     for number, row in _number_lines(path):
         if len(row) != 7:
             raise InputError(
-                f"line {number} holds {len(row)} numbers; 7 (t rx ry rz tx ty tz) are expected.", path
+                POSE_TRAJECTORY_UNREADABLE,
+                "line {number} holds {row_count} numbers; 7 (t rx ry rz tx ty tz) are expected.",
+                path,
+                number=number,
+                row_count=len(row),
             )
         times.append(nanoseconds(row[0], path, number))
         values = np.array(row[1:])
@@ -252,13 +310,19 @@ def read_traj(path: Path) -> Trajectory:
             poses.append(None)
             continue
         if np.abs(values).max() > LARGEST_VALUE:
-            raise InputError(f"line {number}: a value of {np.abs(values).max():g} cannot be right.", path)
+            raise InputError(
+                POSE_TRAJECTORY_UNREADABLE,
+                "line {number}: a value of {max:g} cannot be right.",
+                path,
+                number=number,
+                max=np.abs(values).max(),
+            )
         camera_from_world = np.eye(4)
         camera_from_world[:3, :3] = Rotation.from_rotvec(values[:3]).as_matrix()
         camera_from_world[:3, 3] = values[3:]
         poses.append(inverted(camera_from_world))
     if not poses:
-        raise InputError("the trajectory file holds no poses.", path)
+        raise InputError(POSE_TRAJECTORY_UNREADABLE, "the trajectory file holds no poses.", path)
     return Trajectory(poses, np.array(times, np.int64))
 
 
@@ -268,7 +332,11 @@ def read_translation_first(path: Path) -> Trajectory:
     for number, row in _number_lines(path):
         if len(row) != 7:
             raise InputError(
-                f"line {number} holds {len(row)} numbers; 7 (tx ty tz qx qy qz qw) are expected.", path
+                POSE_TRAJECTORY_UNREADABLE,
+                "line {number} holds {row_count} numbers; 7 (tx ty tz qx qy qz qw) are expected.",
+                path,
+                number=number,
+                row_count=len(row),
             )
         poses.append(pose_from_quaternion(row[:3], row[3:], path, f"line {number}"))
     return Trajectory(poses)
@@ -334,9 +402,11 @@ def match(trajectory: Trajectory, names: Sequence[str], path: Path) -> list[Pose
     most = max(found, key=lambda poses: sum(pose is not None for pose in poses))
     if all(pose is None for pose in most):
         raise InputError(
-            f"it holds poses of {trajectory.names[0]!r} and so on, and none of a frame of the scan, such as "
-            f"{names[0]!r}.",
+            POSE_TRAJECTORY_UNREADABLE,
+            "it holds poses of {names!r} and so on, and none of a frame of the scan, such as {names_2!r}.",
             path,
+            names=trajectory.names[0],
+            names_2=names[0],
         )
     return most
 
@@ -366,9 +436,13 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
         tell(f"holds {len(values)} {what} for {len(names)} frames: each has that of its name's number", path)
         return [values[number] for number in last]
     raise InputError(
-        f"it holds {len(values)} {what}, but the scan has {len(names)} frames. "
-        "Give one for each frame, or remove the frames without.",
+        POSE_TRAJECTORY_UNREADABLE,
+        "it holds {values_count} {what}, but the scan has {names_count} frames.",
         path,
+        remedy="Give one for each frame, or remove the frames without.",
+        values_count=len(values),
+        what=what,
+        names_count=len(names),
     )
 
 
@@ -383,7 +457,13 @@ def read_times(path: Path, names: Sequence[str]) -> list[int | None]:
 def nanoseconds(seconds: float, path: Path, line: int) -> int:
     """Return seconds as whole nanoseconds."""
     if not abs(seconds) < 1 << 32:
-        raise InputError(f"line {line}: the time {seconds:g} s cannot be right.", path)
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE,
+            "line {line}: the time {seconds:g} s cannot be right.",
+            path,
+            line=line,
+            seconds=seconds,
+        )
     return round(seconds * 1e9)
 
 
@@ -398,7 +478,13 @@ def stamp(word: str, path: Path, line: int) -> int:
     try:
         seconds = float(word if "." in word else word.replace(",", "."))
     except ValueError as error:
-        raise InputError(f"line {line}: {word[:40]!r} is no time in seconds.", path) from error
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE,
+            "line {line}: {word!r} is no time in seconds.",
+            path,
+            line=line,
+            word=word[:40],
+        ) from error
     return nanoseconds(seconds, path, line)
 
 
@@ -419,4 +505,9 @@ def numbers_of(text: str, number: int, path: Path) -> list[float]:
     try:
         return numbers_on(text)
     except ValueError as error:
-        raise InputError(f"line {number} holds something that is not a number.", path) from error
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE,
+            "line {number} holds something that is not a number.",
+            path,
+            number=number,
+        ) from error

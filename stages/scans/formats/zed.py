@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, CAMERA_PAIR_UNCALIBRATED
 from stages.scans.formats.image_size import is_of_shape
 from stages.scans.formats.table_values import number_of
 
@@ -70,7 +71,12 @@ def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict
     mode = _mode(values, width, height, path)
     stereo = values.get(_STEREO)
     if not isinstance(stereo, dict):
-        raise InputError(f"[{_STEREO}], how the cameras stand to each other, is missing.", path)
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED,
+            "[{stereo}], how the cameras stand to each other, is missing.",
+            path,
+            stereo=_STEREO,
+        )
     turn = [_stated(stereo, (f"{name}_{mode}", name), path) for name in ("rx", "cv", "rz")]
     aside = [_stated(stereo, (f"{name}_{mode}", name), path, 0.0) for name in ("ty", "tz")]
     # The maker's own programs align rows with this turn and this line between the cameras.
@@ -92,7 +98,14 @@ def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
     found = next((mode for mode in there if _SIZES[mode] == (width, height)), shaped[0] if shaped else None)
     if found is None:
         sizes = ", ".join(f"{_SIZES[mode][0]}×{_SIZES[mode][1]}" for mode in there) or "no known size"
-        raise InputError(f"it is for images of {sizes}, but these are {width}×{height}.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_MISMATCH,
+            "it is for images of {sizes}, but these are {width}×{height}.",
+            path,
+            sizes=sizes,
+            width=width,
+            height=height,
+        )
     return found
 
 
@@ -100,7 +113,7 @@ def _camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[st
     name = f"{side}_CAM_{mode}"
     table = values.get(name)
     if not isinstance(table, dict):
-        raise InputError(f"[{name}] is missing.", path)
+        raise InputError(CODE_UNKNOWN, "[{name}] is missing.", path, name=name)
     fx, fy, cx, cy, *bent = (
         _stated(table, (key,), path, 0.0 if key[0] in "kp" else None) for key in _NUMBERS
     )
@@ -115,6 +128,6 @@ def _stated(
     name = next((name.lower() for name in names if name.lower() in table), None)
     if name is None:
         if otherwise is None:
-            raise InputError(f"{names[0]} is missing.", path)
+            raise InputError(CODE_UNKNOWN, "{names} is missing.", path, names=names[0])
         return otherwise
     return number_of(table[name], name, path)

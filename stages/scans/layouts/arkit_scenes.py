@@ -16,6 +16,7 @@ from pathlib import Path
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, SCAN_FILES_MISSING
 from stages.scans.formats import calibration
 from stages.scans.reading.files import IMAGES, common_size, has
 from stages.scans.reading.layout import Layout
@@ -51,7 +52,9 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     depths = _by_time(folder / "lowres_depth", IMAGES)
     if not depths:
-        raise InputError("no images named like 41069021_305.377.png in lowres_depth/.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "no images named like 41069021_305.377.png in lowres_depth/.", folder
+        )
     colors = _by_time(folder / "lowres_wide", IMAGES)
     cameras = _by_time(folder / "lowres_wide_intrinsics", (".pincam",))
     confidences = _by_time(folder / "confidence", IMAGES)
@@ -123,9 +126,17 @@ def _camera(path: Path, size: tuple[int, int]) -> Camera:
         width, height, *matrix = (float(word) for word in documents.read_text(path).split())
         fx, fy, cx, cy = matrix
     except ValueError as error:
-        raise InputError("it is not `width height fx fy cx cy`.", path) from error
+        raise InputError(
+            CAMERA_CALIBRATION_MISMATCH, "it is not `width height fx fy cx cy`.", path
+        ) from error
     if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
-        raise InputError(f"it is for images of {width:g}×{height:g} pixels, which cannot be right.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_MISMATCH,
+            "it is for images of {width:g}×{height:g} pixels, which cannot be right.",
+            path,
+            width=width,
+            height=height,
+        )
     camera = calibration.checked(Camera(int(width), int(height), fx, fy, cx, cy), path)
     return scaled(camera, *size)
 

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import common_size, images, pair
 from stages.scans.reading.layout import Layout
@@ -53,7 +54,11 @@ def _trajectory(folder: Path) -> Path | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     streams = _streams(folder)
     if streams is None:
-        raise InputError("images named like 00000.jpg (colour) and 00000.png (depth) are needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "images named like 00000.jpg (colour) and 00000.png (depth) are needed.",
+            folder,
+        )
     depths, colors = images(streams[0], (".png",)), images(streams[1], (".jpg",))
     pairs, skipped = pair(depths, colors, "depth (.png)", "colour (.jpg)", folder)
     names = [depth.stem for depth, _ in pairs]

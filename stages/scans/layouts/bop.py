@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_FILES_MISSING
 from stages.scans.formats import calibration, trajectories
 from stages.scans.formats.table_values import number_of, number_row
 from stages.scans.poses import inverted, rigid
@@ -47,10 +48,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     depths = _by_number(folder / "depth", DEPTHS)
     streams = depths or colors
     if not streams:
-        raise InputError("no images named like 000010.png in rgb/, gray/ or depth/.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "no images named like 000010.png in rgb/, gray/ or depth/.", folder
+        )
     used = sorted(number for number in streams if number in tables)
     if not used:
-        raise InputError("it has no entry for any of the images.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "it has no entry for any of the images.", path)
     size = common_size([streams[number] for number in used])
     stated = stated_camera(options, folder, *size)
     given = options.file("poses", folder)
@@ -98,11 +101,18 @@ def _tables(path: Path) -> dict[int, Table]:
     """Return what the file has for each image, by number."""
     document = documents.read_json(path)
     if not isinstance(document, dict) or not document:
-        raise InputError("it is no table of cameras by the numbers of images.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "it is no table of cameras by the numbers of images.", path
+        )
     tables: dict[int, Table] = {}
     for key, table in document.items():
         if not (key.isascii() and key.isdigit() and len(key) < 10 and isinstance(table, dict)):
-            raise InputError(f"{str(key)[:40]!r} is not the number of an image with its camera.", path)
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID,
+                "{key!r} is not the number of an image with its camera.",
+                path,
+                key=str(key)[:40],
+            )
         tables[int(key)] = table
     return tables
 
@@ -121,14 +131,18 @@ def _camera(table: Table, size: tuple[int, int], path: Path) -> Camera:
 def _depth_scale(table: Table, path: Path) -> float:
     scale = number_of(table.get("depth_scale", 1.0), "depth_scale", path)
     if scale <= 0:
-        raise InputError(f"depth_scale is {scale:g}; it must be positive.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "depth_scale is {scale:g}; it must be positive.", path, scale=scale
+        )
     return scale
 
 
 def _values(table: Table, key: str, count: int, path: Path) -> NDArray[np.float64]:
     values = number_row(table.get(key), key, path)
     if len(values) != count:
-        raise InputError(f"{key} is not a list of {count} numbers.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "{key} is not a list of {count} numbers.", path, key=key, count=count
+        )
     return np.array(values)
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, headed_text, trajectories
 from stages.scans.formats.headed_text import HeadedText
 from stages.scans.reading.beside import small_documents
@@ -77,16 +78,20 @@ def _is_headed(path: Path) -> bool:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     path = _text_file(folder)
     if path is None:
-        raise InputError("a text of cameras and poses below headings (cam.info.txt) is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "a text of cameras and poses below headings (cam.info.txt) is needed.", folder
+        )
     text = headed_text.read_headed_text(path)
     if not text.poses:
-        raise InputError("it has no heading with the pose of a frame.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "it has no heading with the pose of a frame.", path)
     found = _frames(folder, text)
     if not found:
         raise InputError(
-            f"there is no depth map of any of its {len(text.poses)} frames, such as "
-            f"{next(iter(text.poses), 'frame-000000')}.depth.png.",
+            SCAN_FILES_MISSING,
+            "there is no depth map of any of its {poses_count} frames, such as {next}.depth.png.",
             path,
+            poses_count=len(text.poses),
+            next=next(iter(text.poses), "frame-000000"),
         )
     lacking = [SkippedFrame(name, "it has no depth map") for name in text.poses if name not in found]
     given = options.file("poses", folder)

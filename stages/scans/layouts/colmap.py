@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import image_size
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_FRAMES_SKIPPED
 from stages.scans.formats import colmap, trajectories
 from stages.scans.formats.colmap import View
 from stages.scans.reading.files import numbers
@@ -76,7 +78,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     places = [one for one in _workspaces(folder) if _models(one)]
     if not places:
         raise InputError(
-            "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.", folder
+            SCAN_FILES_MISSING,
+            "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.",
+            folder,
         )
     workspace, said = _workspace(folder, places)
     model, warnings = _largest(_models(workspace))
@@ -99,7 +103,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 frames.append(single_view(name, camera, images / view.name, pose, points=found))
                 continue
             if depth is None:
-                raise InputError("it has no depth map.")
+                raise InputError(SCAN_FRAMES_SKIPPED, "it has no depth map.")
             frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
             skipped.append(SkippedFrame(name, str(error)))
@@ -188,9 +192,16 @@ def _frame(
     width, height = colmap.depth_map_size(depth)
     if not math.isclose(width / full.width, height / full.height, rel_tol=_LARGEST_STRETCH):
         raise InputError(
-            f"the depth map is {width}×{height}, which is not the shape of its camera's "
-            f"{full.width}×{full.height}.",
+            FILE_DEPTH_FORMAT,
+            (
+                "the depth map is {width}×{height}, which is not the shape of its camera's "
+                "{full_width}×{full_height}."
+            ),
             depth,
+            width=width,
+            height=height,
+            full_width=full.width,
+            full_height=full.height,
         )
     return Frame(
         name=name,

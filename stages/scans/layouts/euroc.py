@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_stored
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_LENS_UNKNOWN, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, rig_calibration
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import number_row
@@ -103,10 +105,12 @@ def _stream(camera: Path) -> dict[int, Path]:
     for number, text in documents.lines(path):
         time, _, name = text.partition(",")
         if not time.strip().isdigit() or not name.strip() or int(time) >= 1 << 62:
-            raise InputError(f"line {number} is not `nanoseconds,file`.", path)
+            raise InputError(
+                SCAN_TABLE_DAMAGED, "line {number} is not `nanoseconds,file`.", path, number=number
+            )
         found[int(time)] = camera / "data" / documents.require_inside(name.strip(), path, f"line {number}")
     if not found:
-        raise InputError("it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
     return found
 
 
@@ -123,7 +127,12 @@ def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
         except ValueError:
             values = []
         if len(values) < 6 or not 0 <= time < 1 << 62:
-            raise InputError(f"line {number} is not nanoseconds, three rates and three accelerations.", path)
+            raise InputError(
+                SCAN_TABLE_DAMAGED,
+                "line {number} is not nanoseconds, three rates and three accelerations.",
+                path,
+                number=number,
+            )
         times.append(time)
         readings.append(values[3:])
     turn = None
@@ -164,7 +173,7 @@ def _narrowed(path: Path) -> Packed:
 def _high_bytes(path: Path) -> NDArray[np.uint8]:
     image = read_stored(path)
     if image.ndim != 2 or image.dtype != np.uint16:
-        raise InputError("a grey image of 16 bits is expected, as the others are.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "a grey image of 16 bits is expected, as the others are.", path)
     return (image >> 8).astype(np.uint8)
 
 
@@ -182,7 +191,12 @@ def _chained(
 
 def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingParams, path: Path) -> Camera:
     if document.get("camera_model", "pinhole") != "pinhole":
-        raise InputError(f"camera_model {document['camera_model']} is not supported; pinhole is.", path)
+        raise InputError(
+            CAMERA_LENS_UNKNOWN,
+            "camera_model {document} is not supported; pinhole is.",
+            path,
+            document=document["camera_model"],
+        )
     fisheye = calibration.is_fisheye(document.get("distortion_model"), path)
     fx, fy, cx, cy = _four(document, "intrinsics", path)
     distortion = _four(document, "distortion_coefficients", path)
@@ -196,7 +210,7 @@ def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingPar
 def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
     row = number_row(document.get(key), key, path)
     if len(row) != 4:
-        raise InputError(f"{key} must be 4 numbers.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "{key} must be 4 numbers.", path, key=key)
     return row
 
 
@@ -206,7 +220,7 @@ def _mounting(document: dict[str, Any], path: Path) -> Pose:
     data = matrix.get("data") if isinstance(matrix, dict) else matrix
     pose = rigid(matrix_of(data, path, "T_BS"), path, "T_BS")
     if pose is None:
-        raise InputError("T_BS is not finite.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "T_BS is not finite.", path)
     return pose
 
 

@@ -23,6 +23,7 @@ from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import read_raw_depth
 from stages.files.noting import only_looking
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import divided, matrix_of, rigid
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, inside, numbers
@@ -85,7 +86,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if found is None and (damaged := _named_in(folder)) is not None:
         documents.read_json(damaged)
     if found is None:
-        raise InputError("a JSON list of frames with kcam and rt_cam is needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "a JSON list of frames with kcam and rt_cam is needed.", folder)
     path, entries = found
     images = [_images(folder, entry, number, path) for number, entry in enumerate(entries)]
     size = common_size([depth for _, depth in images])
@@ -137,7 +138,12 @@ def _images(folder: Path, entry: dict[str, Any], number: int, path: Path) -> tup
             None,
         )
     if depth is None:
-        raise InputError(f"frame {number} names no depth map, and there is none of its number.", path)
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "frame {number} names no depth map, and there is none of its number.",
+            path,
+            number=number,
+        )
     return color, depth
 
 
@@ -160,14 +166,27 @@ class _Meaning:
 def _meaning(info: dict[str, Any], options: ReadingParams, path: Path) -> _Meaning:
     step = info.get("depth_scale", 0.001)
     if not _is_number(step) or not 1e-9 < step < 1e9:
-        raise InputError(f"depth_scale is {str(step)[:40]}; it must be a positive number.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "depth_scale is {step}; it must be a positive number.",
+            path,
+            step=str(step)[:40],
+        )
     bias, most = info.get("depth_bias", 0.0), info.get("depth_max")
     if not _is_number(bias) or abs(bias) > _FARTHEST_BIAS_M:
         raise InputError(
-            f"depth_bias is {str(bias)[:40]}; metres that are added to depth are expected.", path
+            SCAN_TABLE_DAMAGED,
+            "depth_bias is {bias}; metres that are added to depth are expected.",
+            path,
+            bias=str(bias)[:40],
         )
     if most is not None and (not _is_number(most) or not most > 0):
-        raise InputError(f"depth_max is {str(most)[:40]}; it must be a positive number.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "depth_max is {most}; it must be a positive number.",
+            path,
+            most=str(most)[:40],
+        )
     # The file says metres a unit.
     return _Meaning(options.depth_scale or 1 / step, float(bias), None if most is None else float(most))
 

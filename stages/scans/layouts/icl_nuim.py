@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.formats.trajectories import Trajectory
 from stages.scans.reading.associations import read_associations
@@ -68,7 +69,13 @@ def _pose_file(folder: Path) -> Path | None:
     found = sorted(folder.glob(_POSES))
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
-        raise InputError(f"there are several trajectories ({names}); name one with scan.poses=FILE.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "there are several trajectories ({names})",
+            folder,
+            remedy="name one with scan.poses=FILE.",
+            names=names,
+        )
     return found[0] if found else None
 
 

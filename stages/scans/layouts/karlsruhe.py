@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import common_size, first_existing, images, pair
 from stages.scans.reading.layout import Layout
@@ -81,7 +82,7 @@ def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:
         except ValueError:
             row = np.empty(0)
         if row.size != 12 or not np.isfinite(row).all():
-            raise InputError(f"P{side}_roi is not 12 numbers.", calib)
+            raise InputError(CAMERA_CALIBRATION_INVALID, "P{side}_roi is not 12 numbers.", calib, side=side)
         found[side] = row.reshape(3, 4)
     return found
 

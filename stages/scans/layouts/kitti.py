@@ -15,6 +15,7 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_TRAJECTORY_UNREADABLE
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import about_order, common_size, first_existing, has, images, pair
 from stages.scans.reading.kitti_oxts import unit_poses
@@ -76,7 +77,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         (None, None, 0),
     )
     if left is None or right is None:
-        raise InputError("it states no two projection matrices for a pair of image folders.", calib or folder)
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED,
+            "it states no two projection matrices for a pair of image folders.",
+            calib or folder,
+        )
     pairs, skipped = pair(images(folder / left), images(folder / right), f"{left}/", f"{right}/", folder)
     names = [one.stem for one, _ in pairs]
     size = common_size([one for one, _ in pairs])
@@ -114,7 +119,9 @@ def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
     projections = read_projections(calib)
     alone = _alone(folder, projections)
     if alone is None:
-        raise InputError("it states no projection matrix for a folder of images.", calib)
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED, "it states no projection matrix for a folder of images.", calib
+        )
     place, number = alone
     colors = images(folder / place)
     names = [color.stem for color in colors]
@@ -170,7 +177,9 @@ def _nanoseconds(text: str, number: int, path: Path) -> int:
         moment = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=timezone.utc)
         return int(moment.timestamp()) * 10**9 + int(fraction[:9].ljust(9, "0"))
     except ValueError as error:
-        raise InputError(f"line {number} is no date and time.", path) from error
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE, "line {number} is no date and time.", path, number=number
+        ) from error
 
 
 def _pose_file(folder: Path) -> Path | None:

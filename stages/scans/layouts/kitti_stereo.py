@@ -12,6 +12,7 @@ from pathlib import Path
 from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
 from stages.files.noting import note
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import has, images, pair
 from stages.scans.reading.layout import Layout
@@ -40,7 +41,11 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     found = next((names for names in _CAMERAS if has(folder, *names[:2])), None)
     if found is None:
-        raise InputError("two folders image_2/ and image_3/ (or image_0/, image_1/) are needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "two folders image_2/ and image_3/ (or image_0/, image_1/) are needed.",
+            folder,
+        )
     left, right, at = found
     lefts, rights = (
         [path for path in images(folder / name) if _NAME.fullmatch(path.stem)] for name in (left, right)
@@ -50,9 +55,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     scenes = sorted({one.stem[:6] for one, _ in pairs[options.first : end : options.every]})
     if len(scenes) != 1:
         raise InputError(
-            f"it holds {len(scenes)} scenes of one or two pairs each; choose one, such as "
-            f"{pairs[0][0].stem} with scan.first=0 and scan.last=0.",
+            SCAN_FILES_MISSING,
+            "it holds {scenes_count} scenes of one or two pairs each",
             folder,
+            remedy="choose one, such as {pairs_stem} with scan.first=0 and scan.last=0.",
+            scenes_count=len(scenes),
+            pairs_stem=pairs[0][0].stem,
         )
     (scene,) = scenes
     calib = options.file("calibration", folder) or next(
@@ -60,14 +68,24 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     )
     if calib is None:
         raise InputError(
-            f"calib_cam_to_cam/{scene}.txt is missing; name one with scan.calibration=FILE.", folder
+            CAMERA_PAIR_UNCALIBRATED,
+            "calib_cam_to_cam/{scene}.txt is missing",
+            folder,
+            remedy="name one with scan.calibration=FILE.",
+            scene=scene,
         )
     # Those of scenes that are not chosen are no files that nobody knew of.
     for one, _ in pairs:
         note(calib.with_name(f"{one.stem[:6]}.txt"))
     projections = read_projections(calib)
     if not {at, at + 1} <= projections.keys():
-        raise InputError(f"it states no projection matrices {at} and {at + 1}.", calib)
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED,
+            "it states no projection matrices {at} and {at_2}.",
+            calib,
+            at=at,
+            at_2=at + 1,
+        )
     size = image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))
     stated = rectified_size(calib, size)
     rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib, stated)

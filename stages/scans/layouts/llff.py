@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_array, read_stored
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import rigid
 from stages.scans.reading.files import images, numbers
@@ -49,7 +51,7 @@ def _image_folder(folder: Path) -> Path | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     place = _image_folder(folder)
     if place is None:
-        raise InputError("a folder images/ with the photos is needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "a folder images/ with the photos is needed.", folder)
     path = folder / _FILE
     rows = _rows(path)
     # In the order of their names as text, which is that of the rows.
@@ -82,7 +84,12 @@ def _rows(path: Path) -> list[NDArray[np.float64]]:
     table = read_array(path, "the table of poses")
     if table.ndim != 2 or table.shape[1] != _COLUMNS or len(table) > _MOST_VIEWS or table.dtype.kind != "f":
         raise InputError(
-            f"rows of {_COLUMNS} numbers are expected; this is {table.shape} of type {table.dtype}.", path
+            SCAN_TABLE_DAMAGED,
+            "rows of {columns} numbers are expected; this is {table_shape} of type {table_dtype}.",
+            path,
+            columns=_COLUMNS,
+            table_shape=table.shape,
+            table_dtype=table.dtype,
         )
     return list(np.array(table, np.float64))
 
@@ -95,7 +102,13 @@ def _pose(row: NDArray[np.float64], path: Path, where: str) -> Pose | None:
 def _camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path: Path) -> Camera:
     height, width, focal = row[4:15:5].tolist()
     if not all(1 <= side < 1 << 16 and side == int(side) for side in (width, height)):
-        raise InputError(f"it is for images of {width:g}×{height:g} pixels, which cannot be right.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_MISMATCH,
+            "it is for images of {width:g}×{height:g} pixels, which cannot be right.",
+            path,
+            width=width,
+            height=height,
+        )
     size = int(width), int(height)
     camera = Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
     return stated_camera(options, folder, *size) or calibration.checked(camera, path)
@@ -118,7 +131,7 @@ def _mask(folder: Path, color: Path) -> Packed | None:
 def _shown(path: Path) -> NDArray[np.uint8]:
     mask = read_stored(path)
     if mask.dtype != np.uint8:
-        raise InputError("a mask of 8 bits a channel is expected.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "a mask of 8 bits a channel is expected.", path)
     grey = mask if mask.ndim == 2 else mask[:, :, :3].max(axis=2)
     return np.asarray(np.where(grey >= _SHOWN, 255, 0), np.uint8)
 

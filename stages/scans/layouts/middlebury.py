@@ -11,6 +11,7 @@ import numpy as np
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import image_size
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID
 from stages.scans.formats import trajectories
 from stages.scans.formats.calibration import checked
 from stages.scans.formats.image_size import for_images, stated_size
@@ -43,14 +44,23 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> tuple[St
         disparities = int(values["ndisp"]) if "ndisp" in values else None
     except (KeyError, ValueError) as error:
         raise InputError(
-            f"cam0, cam1 and baseline are needed; {error} is missing or no number.", calib
+            CAMERA_CALIBRATION_INVALID,
+            "cam0, cam1 and baseline are needed; {error} is missing or no number.",
+            calib,
+            error=error,
         ) from error
     # Smaller images of a pair often lie beside the calibration of the large ones.
     left, smaller = for_images(left, *size, calib), size[0] / stated[0]
     doffs *= smaller
     disparities = None if disparities is None else math.ceil(disparities * smaller)
     if not (0 < baseline < 1e5 and abs(doffs) < size[0]):
-        raise InputError(f"baseline={baseline:g} mm or doffs={doffs:g} px cannot be right.", calib)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "baseline={baseline:g} mm or doffs={doffs:g} px cannot be right.",
+            calib,
+            baseline=baseline,
+            doffs=doffs,
+        )
     warnings = []
     if baseline < 5:
         warnings.append(f"calib.txt states a baseline of {baseline:g}, taken as metres (Middlebury's are mm)")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import trajectories
 from stages.scans.formats.calibration import matrix_camera
 from stages.scans.poses import inverted, rigid
@@ -51,7 +52,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 def _par_file(folder: Path) -> Path:
     found = sorted(folder.glob("*_par.txt"))
     if len(found) != 1:
-        raise InputError(f"one camera file NAME_par.txt is needed; there are {len(found)}.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "one camera file NAME_par.txt is needed; there are {found_count}.",
+            folder,
+            found_count=len(found),
+        )
     return found[0]
 
 
@@ -65,26 +71,49 @@ def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
             stated = int(name[:9])
             continue
         if Path(name).name != name:
-            raise InputError(f"line {number}: {name!r} is not the name of an image beside the file.", par)
+            raise InputError(
+                SCAN_TABLE_DAMAGED,
+                "line {number}: {name!r} is not the name of an image beside the file.",
+                par,
+                number=number,
+                name=name,
+            )
         try:
             values = np.array([float(word) for word in words])
         except ValueError:
             values = np.empty(0)
         if values.size != _NUMBERS:
             raise InputError(
-                f"line {number} ({name}) is not a name and {_NUMBERS} numbers (K, R and t).", par
+                SCAN_TABLE_DAMAGED,
+                "line {number} ({name}) is not a name and {numbers} numbers (K, R and t).",
+                par,
+                number=number,
+                name=name,
+                numbers=_NUMBERS,
             )
         rows.append((name, values))
     if not rows:
-        raise InputError("it lists no images.", par)
+        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", par)
     if stated is not None and stated != len(rows):
-        raise InputError(f"it promises {stated} images and lists {len(rows)}; copy it again.", par)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "it promises {stated} images and lists {rows_count}",
+            par,
+            remedy="copy it again.",
+            stated=stated,
+            rows_count=len(rows),
+        )
     return rows
 
 
 def _camera(matrix: NDArray[np.float64], size: tuple[int, int], par: Path, name: str) -> Camera:
     if np.isfinite(matrix).all() and abs(matrix[0, 1]) > _SKEW_TOLERANCE:
-        raise InputError(f"the camera of {name} is sheared (k12 is not 0), which no camera here can be.", par)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "the camera of {name} is sheared (k12 is not 0), which no camera here can be.",
+            par,
+            name=name,
+        )
     return matrix_camera(matrix, (), *size, par)
 
 

@@ -20,6 +20,12 @@ from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import has_alpha, read_alpha
 from stages.files.telling import tell
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_LENS_UNKNOWN,
+    SCAN_FILES_MISSING,
+    SCAN_TABLE_DAMAGED,
+)
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import divided, from_opengl, inverted, matrix_of, rigid
 from stages.scans.reading.files import IMAGES, common_size, numbers
@@ -66,11 +72,11 @@ def _list_of_views(folder: Path) -> Path | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     path = _list_of_views(folder)
     if path is None:
-        raise InputError("there is no transforms.json.", folder)
+        raise InputError(SCAN_FILES_MISSING, "there is no transforms.json.", folder)
     document = documents.read_json(path)
     entries = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(document, dict) or not isinstance(entries, list) or not entries:
-        raise InputError("it holds no list of frames.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "it holds no list of frames.", path)
     entries = _in_order(entries, path)
     _require_unmixed(document, entries, path)
     used = [entry for entry in entries if _depth_path(entry) is not None] or entries
@@ -185,7 +191,12 @@ def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
             or not isinstance(entry.get("file_path"), str)
             or not entry["file_path"]
         ):
-            raise InputError(f"frame {position} is not a table with a file_path.", path)
+            raise InputError(
+                SCAN_TABLE_DAMAGED,
+                "frame {position} is not a table with a file_path.",
+                path,
+                position=position,
+            )
     return sorted(entries, key=lambda entry: (numbers(_name(entry)), entry["file_path"]))
 
 
@@ -214,9 +225,14 @@ def _require_unmixed(document: dict[str, Any], entries: Sequence[dict[str, Any]]
             where = "for the whole file" if key in document else "by other frames"
             lacking = "and also" if key in document else "but not"
             raise InputError(
-                f"{key} is given by frame {_name(having[0])} {lacking} {where}. "
-                "Give it once for the whole file, or in every frame.",
+                SCAN_TABLE_DAMAGED,
+                "{key} is given by frame {name} {lacking} {place}.",
                 path,
+                remedy="Give it once for the whole file, or in every frame.",
+                key=key,
+                name=_name(having[0]),
+                lacking=lacking,
+                place=where,
             )
 
 
@@ -256,9 +272,14 @@ def _is_fisheye(table: dict[str, Any], path: Path) -> bool:
         return True
     if model not in _MODELS:
         raise InputError(
-            f"camera_model {str(model)[:40]!r} is neither a pinhole camera's with OpenCV's distortion nor "
-            "OpenCV's fisheye, which can be read. Rectify the images and depth maps to PINHOLE first.",
+            CAMERA_LENS_UNKNOWN,
+            (
+                "camera_model {model!r} is neither a pinhole camera's with OpenCV's "
+                "distortion nor OpenCV's fisheye, which can be read. Rectify the images and "
+                "depth maps to PINHOLE first."
+            ),
             path,
+            model=str(model)[:40],
         )
     return bool(table.get("is_fisheye"))
 
@@ -271,13 +292,17 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
     is_fisheye = _is_fisheye(table, path)
     if not is_fisheye and _number(table, "k4", path, 0.0):
         raise InputError(
-            "k4 is not 0, and OpenCV's model of the lens has no such term. Undistort the images first.", path
+            CAMERA_LENS_UNKNOWN,
+            "k4 is not 0, and OpenCV's model of the lens has no such term. Undistort the images first.",
+            path,
         )
     fx = _focal_length(table, "x", width, path)
     fy = _focal_length(table, "y", height, path) or fx
     fx = fx or fy
     if fx is None or fy is None:
-        raise InputError("no focal length: neither fl_x nor camera_angle_x is there.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "no focal length: neither fl_x nor camera_angle_x is there.", path
+        )
     # Counted from the corner of the top left pixel, as COLMAP does, from which most files come.
     cx = _number(table, "cx", path, width / 2) - 0.5
     cy = _number(table, "cy", path, height / 2) - 0.5
@@ -297,7 +322,13 @@ def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> 
         return stated
     angle = _number(table, key, path, math.nan)
     if not 0 < angle < math.pi:
-        raise InputError(f"{key} is {angle:g}; it must be an angle in radians between 0 and π.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "{key} is {angle:g}; it must be an angle in radians between 0 and π.",
+            path,
+            key=key,
+            angle=angle,
+        )
     by_angle = 0.5 * pixels / math.tan(0.5 * angle)
     if stated is not None and abs(by_angle - stated) > _SAME_FOCAL_LENGTH * abs(stated):
         tell(
@@ -313,16 +344,34 @@ def _number(table: dict[str, Any], key: str, path: Path, default: float) -> floa
     if value is None:
         return default
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e12:
-        raise InputError(f"{key} is {str(value)[:40]!r}; a number is expected.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "{key} is {value!r}; a number is expected.",
+            path,
+            key=key,
+            value=str(value)[:40],
+        )
     return float(value)
 
 
 def _pixels(value: object, key: str, path: Path) -> int:
     # Some writers hold every number as a float.
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1 << 16:
-        raise InputError(f"{key} is {str(value)[:40]!r}; a number of pixels is expected.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "{key} is {value!r}; a number of pixels is expected.",
+            path,
+            key=key,
+            value=str(value)[:40],
+        )
     if value != int(value):
-        raise InputError(f"{key} is {value}; a whole number of pixels is expected.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "{key} is {value}; a whole number of pixels is expected.",
+            path,
+            key=key,
+            value=value,
+        )
     return int(value)
 
 
@@ -349,7 +398,11 @@ def _poses(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Pa
     )
     scale = _number(document, "applied_scale", path, 1.0)
     if applied is None or scale <= 0:
-        raise InputError("applied_transform and applied_scale must be finite, the scale positive.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "applied_transform and applied_scale must be finite, the scale positive.",
+            path,
+        )
     original = inverted(applied)
     poses: list[Pose | None] = []
     for entry in entries:
@@ -369,7 +422,9 @@ def _depth_scale(document: dict[str, Any], path: Path) -> float | None:
         return None
     step = _number(document, "integer_depth_scale", path, math.nan)
     if step < 1e-12:
-        raise InputError(f"integer_depth_scale is {step:g}; it must be positive.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "integer_depth_scale is {step:g}; it must be positive.", path, step=step
+        )
     return 1 / step
 
 

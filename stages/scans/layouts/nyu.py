@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_raw_depth
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
@@ -72,7 +74,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     depths, colors = _stream(folder, "d", ".pgm"), _stream(folder, "r", ".ppm")
     if not depths or not colors:
         raise InputError(
-            "files named like d-1294886362.79-313.pgm and r-1294886363.01-311.ppm are needed.", folder
+            SCAN_FILES_MISSING,
+            "files named like d-1294886362.79-313.pgm and r-1294886363.01-311.ppm are needed.",
+            folder,
         )
     size = common_size([path for _, path in depths])
     camera = stated_camera(options, folder, *size) or scaled(_DEPTH_CAMERA, *size)
@@ -125,7 +129,7 @@ def _metres(path: Path) -> NDArray[np.float32]:
     """Return the depth map of a file of disparities, 0 where there is none."""
     raw = read_raw_depth(path)
     if raw.dtype != np.uint16:
-        raise InputError("disparities of 16 bits are expected.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "disparities of 16 bits are expected.", path)
     disparity = raw.byteswap().astype(np.float32)
     gap = 1092.5 - disparity
     known = (disparity >= _LEAST_DISPARITY) & (gap > 351.3 / _LARGEST_DEPTH)

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.files import about_order, common_size, first_existing, has, images, numbers, pair
@@ -132,7 +133,9 @@ def _pairs(
             halves = [halves_of(path) for path in whole]
             return [path.stem for path in whole], halves, (width // 2, height), [], []
         raise InputError(
-            "two folders left/ and right/, or images left01.png and right01.png, are needed.", folder
+            SCAN_FILES_MISSING,
+            "two folders left/ and right/, or images left01.png and right01.png, are needed.",
+            folder,
         )
     pairs, skipped = pair(left, right, *named, folder)
     size = common_size([one for one, _ in pairs])

@@ -16,6 +16,7 @@ from pathlib import Path
 from stages.diagnostics.errors import InputError
 from stages.files.noting import note, only_looking
 from stages.files.telling import in_sentences, telling
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.beside import texts_of_poses
 from stages.scans.reading.files import COLOR_FOLDERS, common_size, images
@@ -88,7 +89,7 @@ def _moments(names: Sequence[str], path: Path) -> list[int] | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     place = place_of_photos(folder)
     if place is None:
-        raise InputError("a folder images/ with two photos or more is needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "a folder images/ with two photos or more is needed.", folder)
     colors = images(place)
     camera, warnings = _camera(folder, options, colors)
     path, poses, said = _poses(folder, options, colors)

@@ -12,6 +12,7 @@ from typing import Any
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import from_opengl, matrix_of, rigid
 from stages.scans.reading.black_border import border_mask
@@ -104,6 +105,7 @@ def _chosen(folder: Path) -> tuple[list[Path], dict[str, Path], list[str]]:
             )
             return files, colors, [] if cameras == _SETS[0][0] else [said]
     raise InputError(
+        SCAN_FILES_MISSING,
         "keyframes/ holds neither corrected_cameras/ with corrected_images/ nor cameras/ with images/.",
         folder,
     )
@@ -119,9 +121,15 @@ def _camera(
     """Return the camera of the colour image, for the size that its file states."""
     width, height = table.get("width"), table.get("height")
     if not isinstance(width, (int, float)) or not isinstance(height, (int, float)):
-        raise InputError("the camera needs its width and height in pixels.", file)
+        raise InputError(SCAN_TABLE_DAMAGED, "the camera needs its width and height in pixels.", file)
     if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
-        raise InputError(f"the camera's size of {width}×{height} pixels cannot be right.", file)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "the camera's size of {width}×{height} pixels cannot be right.",
+            file,
+            width=width,
+            height=height,
+        )
     table = table | {"width": int(width), "height": int(height)}
     camera = stated_camera(options, folder, int(width), int(height)) or calibration.camera_from_table(
         table, int(width), int(height), file
@@ -133,7 +141,7 @@ def _camera(
 def _pose(table: dict[str, Any], file: Path) -> Pose | None:
     rows = [[table.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
     if any(value is None for row in rows for value in row):
-        raise InputError("it lacks some of t_00 to t_23, the rows of the pose.", file)
+        raise InputError(SCAN_TABLE_DAMAGED, "it lacks some of t_00 to t_23, the rows of the pose.", file)
     pose = rigid(matrix_of(rows, file, "t_00 to t_23"), file)
     return None if pose is None else from_opengl(pose)
 

@@ -21,6 +21,7 @@ from stages.diagnostics.errors import InputError
 from stages.files import documents, lzfse_blocks
 from stages.files.images import decode_color, read_raw_depth
 from stages.files.zip_archives import entry_content, opened_archive
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.formats.table_values import number_row
 from stages.scans.poses import from_opengl, pose_from_quaternion
@@ -129,7 +130,7 @@ def _read_archive(folder: Path, path: Path, options: ReadingParams) -> Scan:
     table = documents.parse_json(_text(_entry(archive, "metadata", path), path), path)
     found = sorted((n[0], name[5:-4]) for name in entries if (n := _number_of(name, ".jpg")))
     if not found:
-        raise InputError("the archive holds no images named like rgbd/0.jpg.", path)
+        raise InputError(SCAN_FILES_MISSING, "the archive holds no images named like rgbd/0.jpg.", path)
     stems = [stem for _, stem in found if f"rgbd/{stem}.depth" in entries]
     if not stems:
         raise without_depth(path, "Record3D packs it as rgbd/0.depth and so on.")
@@ -193,7 +194,7 @@ def _text(data: bytes, path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError("its metadata is not text.", path) from error
+        raise InputError(SCAN_TABLE_DAMAGED, "its metadata is not text.", path) from error
 
 
 def _depth_size(table: object, archive: zipfile.ZipFile, names: Sequence[str], path: Path) -> tuple[int, int]:
@@ -209,7 +210,9 @@ def _depth_size(table: object, archive: zipfile.ZipFile, names: Sequence[str], p
     for size in _DEPTH_SIZES:
         if 4 * size[0] * size[1] in counts and (size[0] > size[1]) == (width > height):
             return size
-    raise InputError("its metadata does not say the size of the depth maps (dw, dh).", path)
+    raise InputError(
+        SCAN_TABLE_DAMAGED, "its metadata does not say the size of the depth maps (dw, dh).", path
+    )
 
 
 def _moments(
@@ -217,12 +220,12 @@ def _moments(
 ) -> list[_Moment]:
     """Return pose, time and camera of each frame."""
     if not isinstance(table, dict):
-        raise InputError("names with values are expected in its metadata.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "names with values are expected in its metadata.", path)
     shared = _camera(table, path, options, folder)
     times, own = table.get("frameTimestamps"), table.get("perFrameIntrinsicCoeffs")
     entries = table.get("poses")
     if not isinstance(entries, list) or not entries:
-        raise InputError("its metadata holds no list of poses.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "its metadata holds no list of poses.", path)
     given = options.file("poses", folder)
     said: list[tuple[object, object, object]] = [
         (entry, _at(times, i, len(entries)), _at(own, i, len(entries))) for i, entry in enumerate(entries)
@@ -256,17 +259,24 @@ def _camera(table: dict[str, Any], path: Path, options: ReadingParams, folder: P
         return stated
     row = number_row(table.get("K"), "K", path)
     if len(row) != 9:
-        raise InputError("its metadata holds no camera K of 9 numbers.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "its metadata holds no camera K of 9 numbers.", path)
     matrix = np.reshape(row, (3, 3)).T
     if not np.allclose(matrix[2], (0, 0, 1)):
-        raise InputError("K does not end with 0 0 1 in its third row when read column by column.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "K does not end with 0 0 1 in its third row when read column by column.", path
+        )
     return calibration.matrix_camera(matrix, (), width, height, path)
 
 
 def _own_camera(value: object, shared: Camera, path: Path, where: str) -> Camera:
     row = number_row(value, f"perFrameIntrinsicCoeffs of {where}", path)
     if len(row) != 4:
-        raise InputError(f"perFrameIntrinsicCoeffs of {where} must be 4 numbers: fx, fy, cx, cy.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "perFrameIntrinsicCoeffs of {place} must be 4 numbers: fx, fy, cx, cy.",
+            path,
+            place=where,
+        )
     fx, fy, cx, cy = row
     return calibration.checked(Camera(shared.width, shared.height, fx, fy, cx, cy), path)
 
@@ -274,7 +284,12 @@ def _own_camera(value: object, shared: Camera, path: Path, where: str) -> Camera
 def _pose(entry: object, path: Path, where: str) -> Pose | None:
     row = number_row(entry, f"the pose of {where}", path)
     if len(row) != 7:
-        raise InputError(f"the pose of {where} must be 7 numbers: qx qy qz qw tx ty tz.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "the pose of {place} must be 7 numbers: qx qy qz qw tx ty tz.",
+            path,
+            place=where,
+        )
     pose = pose_from_quaternion(row[4:], row[:4], path, where)
     return None if pose is None else from_opengl(pose)
 
@@ -283,14 +298,24 @@ def _nanoseconds(seconds: object, path: Path, name: str) -> int | None:
     if seconds is None:
         return None
     if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not abs(seconds) < 1 << 32:
-        raise InputError(f"frame {name}: the time {str(seconds)[:40]!r} cannot be right.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "frame {name}: the time {seconds!r} cannot be right.",
+            path,
+            name=name,
+            seconds=str(seconds)[:40],
+        )
     return round(seconds * 1e9)
 
 
 def _pixels(value: object, key: str, path: Path) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1 <= value < 1 << 14:
         raise InputError(
-            f"{key} in its metadata is {str(value)[:40]!r}; a number of pixels is expected.", path
+            SCAN_TABLE_DAMAGED,
+            "{key} in its metadata is {value!r}; a number of pixels is expected.",
+            path,
+            key=key,
+            value=str(value)[:40],
         )
     return math.floor(value)
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import azure_kinect, calibration, trajectories
 from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.confidence_folder import confidence_of
@@ -70,7 +71,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         depths, colors = without_pictures(images(folders[0], DEPTHS)), images(folders[1])
         named = f"{folders[0].name}/", f"{folders[1].name}/"
     if not depths or not colors:
-        raise InputError("a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder
+        )
     pairs, skipped = pair(depths, colors, *named, folder)
     names = [depth.stem for depth, _ in pairs]
     path = options.file("poses", folder) or _trajectory(folder)

@@ -7,6 +7,7 @@ from typing import Any
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
 from stages.scans.reading.layout import Layout
@@ -28,7 +29,11 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     results = folder / "results"
     if not results.is_dir():
-        raise InputError("a folder results/ with frame000000.jpg and depth000000.png is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "a folder results/ with frame000000.jpg and depth000000.png is needed.",
+            folder,
+        )
     depths = [path for path in images(results, DEPTHS) if path.stem.startswith("depth")]
     colors = [path for path in images(results) if path.stem.startswith("frame")]
     pairs, skipped = pair(depths, colors, "results/depth*", "results/frame*", folder)
@@ -81,7 +86,12 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
 def _scale(entry: dict[str, Any], path: Path) -> float:
     value = entry.get("scale", _UNITS_PER_METRE)
     if not isinstance(value, (int, float)) or not 0 < value < 1e12:
-        raise InputError(f"scale is {str(value)[:40]!r}; it must be a positive number.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "scale is {value!r}; it must be a positive number.",
+            path,
+            value=str(value)[:40],
+        )
     return float(value)
 
 

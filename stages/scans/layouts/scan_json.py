@@ -47,6 +47,8 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.files.codes import FILE_TEXT_INVALID
+from stages.scans.codes import SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import matrix_of, rigid, turn_of
 from stages.scans.reading.files import inside
@@ -149,10 +151,14 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     path = folder / FILE
     document = documents.read_json(path)
     if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
-        raise InputError("it holds no list of frames.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "it holds no list of frames.", path)
     if document.get("version") != FORMAT_VERSION:
         raise InputError(
-            f"its version is {document.get('version')!r}; this program reads {FORMAT_VERSION}.", path
+            SCAN_TABLE_DAMAGED,
+            "its version is {document!r}; this program reads {format_version}.",
+            path,
+            document=document.get("version"),
+            format_version=FORMAT_VERSION,
         )
     given = options.file("poses", folder)
     entries = document["frames"]
@@ -162,13 +168,20 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     missing = _integers(document.get("depth_missing", []), path)
     is_metric = document.get("metric", True)
     if not isinstance(is_metric, bool):
-        raise InputError(f"metric is {str(is_metric)[:40]!r}; true or false is expected.", path)
+        raise InputError(
+            FILE_TEXT_INVALID,
+            "metric is {is_metric!r}; true or false is expected.",
+            path,
+            is_metric=str(is_metric)[:40],
+        )
     shared = _camera(document["camera"], options, path) if document.get("camera") is not None else None
     frames: list[Frame] = []
     for i, (name, entry) in enumerate(zip(names, entries, strict=True)):
         camera = _camera(entry["camera"], options, path) if entry.get("camera") is not None else shared
         if camera is None:
-            raise InputError(f"frame {name} has no camera, and neither has the scan.", path)
+            raise InputError(
+                SCAN_TABLE_DAMAGED, "frame {name} has no camera, and neither has the scan.", path, name=name
+            )
         pose = _pose(entry, "world_from_camera", name, path) if poses is None else poses[i]
         own = entry.get("color_camera")
         images = {key: _image(entry, key, name, path) for key in _IMAGES}
@@ -206,7 +219,7 @@ def _up(document: dict[str, Any], path: Path) -> WorldUp | None:
     if direction is None:
         return None
     if not isinstance(source, str):
-        raise InputError("up_source is no text.", path)
+        raise InputError(FILE_TEXT_INVALID, "up_source is no text.", path)
     return WorldUp(direction, source)
 
 
@@ -217,7 +230,9 @@ def _direction(table: dict[str, Any], where: str, path: Path) -> Direction | Non
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
     length = math.hypot(*numbers) if len(numbers) == 3 and max(map(abs, numbers)) < _LARGEST else math.nan
     if not length > 1 / _LARGEST:
-        raise InputError(f"{where} is no direction: three numbers, not all of them 0.", path)
+        raise InputError(
+            FILE_TEXT_INVALID, "{place} is no direction: three numbers, not all of them 0.", path, place=where
+        )
     x, y, z = (one / length for one in numbers)
     return x, y, z
 
@@ -225,7 +240,9 @@ def _direction(table: dict[str, Any], where: str, path: Path) -> Direction | Non
 def _name(entry: object, position: int, path: Path) -> str:
     name = entry.get("name", f"{position:06d}") if isinstance(entry, dict) else None
     if not isinstance(name, str):
-        raise InputError(f"frame {position} is not a table with a name.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "frame {position} is not a table with a name.", path, position=position
+        )
     return name
 
 
@@ -247,7 +264,12 @@ def _pose(entry: dict[str, Any], key: str, name: str, path: Path) -> Pose | None
 def _least_confidence(entry: dict[str, Any], options: ReadingParams, name: str, path: Path) -> int:
     value = entry.get("least_confidence", 0) if options.least_confidence is None else options.least_confidence
     if not isinstance(value, int) or not 0 <= value <= 255:
-        raise InputError(f"frame {name}: least_confidence is no whole number from 0 to 255.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "frame {name}: least_confidence is no whole number from 0 to 255.",
+            path,
+            name=name,
+        )
     return value
 
 
@@ -258,7 +280,10 @@ def _depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, f
     numbers = value if isinstance(value, list) and all(isinstance(one, (int, float)) for one in value) else []
     if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < _FARTHEST_M:
         raise InputError(
-            f"frame {name}: depth_range is not the nearest and the farthest depth, metres.", path
+            SCAN_TABLE_DAMAGED,
+            "frame {name}: depth_range is not the nearest and the farthest depth, metres.",
+            path,
+            name=name,
         )
     return float(numbers[0]), float(numbers[1])
 
@@ -271,30 +296,37 @@ def _shutter_turn(entry: dict[str, Any], name: str, path: Path) -> NDArray[np.fl
 def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
     value = entry.get("timestamp")
     if value is not None and (not isinstance(value, int) or abs(value) >= 1 << 62):
-        raise InputError(f"frame {name}: timestamp is not a whole number of nanoseconds.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "frame {name}: timestamp is not a whole number of nanoseconds.",
+            path,
+            name=name,
+        )
     return value
 
 
 def _camera(table: object, options: ReadingParams | None, path: Path) -> Camera:
     """Return the camera of a table, or what `options` state in its place."""
     if not isinstance(table, dict):
-        raise InputError("a camera must be a table of names and values.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "a camera must be a table of names and values.", path)
     width, height = table.get("width"), table.get("height")
     if not isinstance(width, int) or not isinstance(height, int) or not 0 < width * height <= 1 << 27:
-        raise InputError("a camera needs its width and height in pixels.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "a camera needs its width and height in pixels.", path)
     stated = None if options is None else options.camera(width, height)
     return stated or calibration.camera_from_table(table, width, height, path)
 
 
 def _positive(value: object, path: Path) -> float:
     if not isinstance(value, (int, float)) or not 0 < value < 1e12:
-        raise InputError(f"depth_scale is {value!r}; it must be a positive number.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "depth_scale is {value!r}; it must be a positive number.", path, value=value
+        )
     return float(value)
 
 
 def _integers(values: object, path: Path) -> tuple[int, ...]:
     if not isinstance(values, list) or not all(isinstance(value, int) for value in values):
-        raise InputError("depth_missing must be a list of whole numbers.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "depth_missing must be a list of whole numbers.", path)
     return tuple(values)
 
 

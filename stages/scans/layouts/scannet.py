@@ -13,6 +13,7 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.axis_alignment import up_of_scannet
 from stages.scans.reading.files import (
@@ -77,7 +78,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         return _read_views(folder, views, options)
     color_folder = _color_folder(folder)
     if color_folder is None:
-        raise InputError("the folders color/, depth/ and pose/ are needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "the folders color/, depth/ and pose/ are needed.", folder)
     depths, colors = images(folder / "depth", DEPTHS), images(color_folder)
     pairs, skipped = pair(depths, colors, "depth/", f"{color_folder.name}/", folder)
     camera, color_camera, warnings = _cameras(folder, options, pairs)
@@ -107,7 +108,12 @@ def _read_views(folder: Path, place: Path, options: ReadingParams) -> Scan:
     """Read images with poses, without depth."""
     colors = images(place)
     if not colors:
-        raise InputError(f"no images in {place.name}/; at least one is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "no images in {place_name}/; at least one is needed.",
+            folder,
+            place_name=place.name,
+        )
     names = [color.stem for color in colors]
     poses, damaged, missing = _poses(folder, options, names)
     camera, warnings = _camera_of_views(folder, options, common_size(colors))

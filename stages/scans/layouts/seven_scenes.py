@@ -9,6 +9,7 @@ from pathlib import Path
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.image_bytes import MAX_PIXELS
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import common_size, first_existing
 from stages.scans.reading.layout import Layout
@@ -42,7 +43,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         (int(match[1]), path) for path in folder.iterdir() if (match := _NAME.fullmatch(path.name))
     )
     if not depths:
-        raise InputError("no depth images named like frame-000000.depth.png.", folder)
+        raise InputError(SCAN_FILES_MISSING, "no depth images named like frame-000000.depth.png.", folder)
     camera, scale, warnings = _camera(folder, options, *common_size([path for _, path in depths]))
     color_camera = _color_camera(folder, options, camera)
     given = options.file("poses", folder)
@@ -134,10 +135,14 @@ def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
         camera = _matrix_of(values["m_calibrationDepthIntrinsic"], width, height, info)
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(
-            "it holds no readable m_calibrationDepthIntrinsic and m_depthShift.", info
+            CAMERA_CALIBRATION_INVALID,
+            "it holds no readable m_calibrationDepthIntrinsic and m_depthShift.",
+            info,
         ) from error
     if not 0 < scale < 1e12:
-        raise InputError(f"m_depthShift is {scale:g}; it must be positive.", info)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "m_depthShift is {scale:g}; it must be positive.", info, scale=scale
+        )
     return camera, scale
 
 
@@ -157,7 +162,9 @@ def _color_camera(folder: Path, options: ReadingParams, camera: Camera) -> Camer
         return None
     except (ValueError, IndexError) as error:
         raise InputError(
-            "it holds no readable m_colorWidth, m_colorHeight and m_calibrationColorIntrinsic.", info
+            CAMERA_CALIBRATION_INVALID,
+            "it holds no readable m_colorWidth, m_colorHeight and m_calibrationColorIntrinsic.",
+            info,
         ) from error
     return None if color_camera == camera else color_camera
 

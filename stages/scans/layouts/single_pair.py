@@ -11,6 +11,7 @@ import numpy as np
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import image_size
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import trajectories
 from stages.scans.formats.rig_calibration import with_baseline
 from stages.scans.reading.files import first_existing
@@ -55,7 +56,9 @@ def _least_disparity(path: Path) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) < 1e4:
-        raise InputError("one number, the disparity of what was cropped, is expected.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "one number, the disparity of what was cropped, is expected.", path
+        )
     return value
 
 
@@ -75,7 +78,9 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     found = _pair(folder)
     if found is None:
-        raise InputError("a pair im2.png and im6.png (or view1, view5) is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "a pair im2.png and im6.png (or view1, view5) is needed.", folder
+        )
     size = image_size(found[0])
     rig, warnings, missing = rig_of(folder, options, size, _CALIBRATIONS)
     published = None

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import pose_from_quaternion
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, images, numbers
@@ -58,7 +59,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         raise without_depth(folder, "Stray Scanner keeps it in depth/ when the phone has a LiDAR.")
     if not (folder / "rgb.mp4").exists():
         raise InputError(
-            "rgb.mp4 is missing: camera_matrix.csv is for its size, which must be known.", folder
+            SCAN_FILES_MISSING,
+            "rgb.mp4 is missing: camera_matrix.csv is for its size, which must be known.",
+            folder,
         )
     video = Video(folder / "rgb.mp4")
     stated = stated_camera(options, folder, video.width, video.height)
@@ -128,17 +131,25 @@ def _rows(path: Path) -> list[_Row]:
     lines = list(documents.lines(path))
     header = [name.strip().lower() for name in lines[0][1].split(",")] if lines else []
     if lacking := [name for name in _POSE if name not in header]:
-        raise InputError(f"its first line names no column {', '.join(lacking)}.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "its first line names no column {lacking}.", path, lacking=", ".join(lacking)
+        )
     rows: list[_Row] = []
     for number, text in lines[1:]:
         fields = text.split(",")
         try:
             row = {name: float(field) for name, field in zip(header, fields, strict=True)}
         except ValueError as error:
-            raise InputError(f"line {number} does not hold {len(header)} numbers.", path) from error
+            raise InputError(
+                SCAN_TABLE_DAMAGED,
+                "line {number} does not hold {header_count} numbers.",
+                path,
+                number=number,
+                header_count=len(header),
+            ) from error
         rows.append(_row(row, len(rows), number, path))
     if not rows:
-        raise InputError("it holds no poses.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "it holds no poses.", path)
     return rows
 
 
@@ -146,7 +157,13 @@ def _row(row: dict[str, float], position: int, line: int, path: Path) -> _Row:
     x, y, z, *quaternion = (row[name] for name in _POSE)
     number = row.get("frame", position)
     if not 0 <= number < 1 << 31:
-        raise InputError(f"line {line}: the frame number {number:g} cannot be right.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED,
+            "line {line}: the frame number {number:g} cannot be right.",
+            path,
+            line=line,
+            number=number,
+        )
     has_own = all(name in row for name in _INTRINSICS)
     time = row.get("timestamp")
     return _Row(

@@ -17,6 +17,7 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError
 from stages.files.images import read_raw_depth
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_IMAGES_UNPAIRED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import common_size, images, pair
 from stages.scans.reading.layout import Layout
@@ -48,14 +49,16 @@ def _matches(folder: Path) -> str | None:
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     if not all((folder / name).is_dir() for name in ("image", "depth")):
-        raise InputError("the folders image/ and depth/ are needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "the folders image/ and depth/ are needed.", folder)
     depths, colors = images(folder / "depth"), images(folder / "image")
     if len(colors) > 1 and all(_STAMPED.fullmatch(path.stem) for path in (*depths, *colors)):
         pairs, skipped = _paired_by_time(depths, colors)
     else:
         pairs, skipped = pair(depths, colors, "depth/", "image/", folder)
     if not pairs:
-        raise InputError("no image in image/ has a depth map of its moment in depth/.", folder)
+        raise InputError(
+            SCAN_IMAGES_UNPAIRED, "no image in image/ has a depth map of its moment in depth/.", folder
+        )
     size = common_size([depth for depth, _ in pairs])
     camera, warnings = _camera(folder, options, *size)
     poses, missing = _poses(folder, options, [color for _, color in pairs], colors)

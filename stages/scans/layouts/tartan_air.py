@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_raw_depth, read_stored
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import rig_calibration, trajectories
 from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
 from stages.scans.reading.layout import Layout
@@ -75,7 +77,7 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     view = next((one for one in _VIEWS if (folder / one.left).is_dir()), None)
     if view is None:
-        raise InputError("a folder image_left/ (or image_lcam_front/) is needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "a folder image_left/ (or image_lcam_front/) is needed.", folder)
     lefts = images(folder / view.left)
     has_depth = (folder / view.depth).is_dir()
     if has_depth:
@@ -83,7 +85,13 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     elif (folder / view.right).is_dir():
         others, name = images(folder / view.right), f"{view.right}/"
     else:
-        raise InputError(f"it has neither {view.depth}/ nor {view.right}/; one of them is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "it has neither {depth}/ nor {right}/; one of them is needed.",
+            folder,
+            depth=view.depth,
+            right=view.right,
+        )
     pairs, skipped = pair(lefts, others, f"{view.left}/", name, folder)
     names = [left.stem for left, _ in pairs]
     poses, missing = _poses(folder, options, view, names)
@@ -131,7 +139,9 @@ def _unpacked(path: Path) -> NDArray[np.float32]:
     """Return the float32 values whose bytes, the lowest first, are blue, green, red and alpha of an image."""
     channels = read_stored(path)
     if channels.dtype != np.uint8 or channels.ndim != 3 or channels.shape[2] != 4:
-        raise InputError("a depth map packed in four channels of 8 bits is expected.", path)
+        raise InputError(
+            FILE_DEPTH_FORMAT, "a depth map packed in four channels of 8 bits is expected.", path
+        )
     return np.ascontiguousarray(channels).view("<f4")[:, :, 0]
 
 

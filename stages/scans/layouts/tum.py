@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.associations import read_associations
 from stages.scans.reading.beside import trajectory_beside
@@ -192,7 +193,9 @@ def _streams(folder: Path) -> tuple[_Stream, _Stream, list[str]]:
         said = "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
         return *stamped, [said]
     else:
-        raise InputError("rgb.txt and depth.txt, or images named by their times, are needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "rgb.txt and depth.txt, or images named by their times, are needed.", folder
+        )
     colors, about_colors = _where_they_are(color.files, folder)
     depths, about_depths = _where_they_are(depth.files, folder)
     return replace(color, files=colors), replace(depth, files=depths), about_colors + about_depths
@@ -204,11 +207,11 @@ def _listed(path: Path) -> _Stream:
     for number, text in documents.lines(path):
         words = re.split(r"[\s;]+|,(?=\s*[^\d\s])", text, maxsplit=1)
         if len(words) != 2:
-            raise InputError(f"line {number} is not `seconds file`.", path)
+            raise InputError(SCAN_TABLE_DAMAGED, "line {number} is not `seconds file`.", path, number=number)
         times.append(trajectories.stamp(words[0].rstrip(","), path, number))
         files.append(_listed_file(words[1].strip(" ,;"), path, number))
     if not files:
-        raise InputError("it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
     return _Stream(np.array(times, np.int64), files)
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID
 from stages.scans.formats import calibration
 from stages.scans.poses import matrix_of, rigid, turn_of
 from stages.scans.scan import Camera, Frame, Pose, Scan
@@ -37,13 +38,18 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
     """
     document = documents.read_json(path)
     if not isinstance(document, dict) or not calibration.is_of_adjust(document):
-        raise InputError("a cameras.json of `scanloom adjust` is expected.", path)
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "a cameras.json of `scanloom adjust` is expected.", path)
     poses = _poses(document, path)
     camera = _color_camera(document, path)
     turns = _turns(document, path)
     frames = [_adjusted(frame, poses.get(frame.name), camera, turns.get(frame.name)) for frame in scan.frames]
     if poses and not any(frame.name in poses for frame in scan.frames):
-        raise InputError(f"it is of another scan: none of its frames is one of the {len(frames)} here.", path)
+        raise InputError(
+            CAMERA_ADJUSTED_MISMATCH,
+            "it is of another scan: none of its frames is one of the {frames_count} here.",
+            path,
+            frames_count=len(frames),
+        )
     posed = any(frame.world_from_camera is not None for frame in frames)
     missing = tuple(what for what in scan.missing if not (posed and what.startswith("poses:")))
     return replace(scan, frames=frames, missing=missing)
@@ -67,9 +73,14 @@ def _adjusted(
 def _poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
     names, poses = document.get("names"), document.get("poses")
     if not isinstance(names, dict) or not isinstance(poses, dict) or set(names) != set(poses):
-        raise InputError("it lacks the names of its frames; run `scanloom adjust` again.", path)
+        raise InputError(
+            CAMERA_ADJUSTED_MISMATCH,
+            "it lacks the names of its frames",
+            path,
+            remedy="run `scanloom adjust` again.",
+        )
     if not all(isinstance(name, str) for name in names.values()):
-        raise InputError("a frame's name is no text.", path)
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "a frame's name is no text.", path)
     return {names[place]: _pose(poses[place], f"frame {names[place]}", path) for place in poses}
 
 
@@ -78,7 +89,12 @@ def _turns(document: dict[str, Any], path: Path) -> dict[str, NDArray[np.float64
     if turns is None:
         return {}
     if not isinstance(turns, dict) or not set(turns) <= set(names):
-        raise InputError("it lacks the names of its frames; run `scanloom adjust` again.", path)
+        raise InputError(
+            CAMERA_ADJUSTED_MISMATCH,
+            "it lacks the names of its frames",
+            path,
+            remedy="run `scanloom adjust` again.",
+        )
     return {names[place]: turn_of(turns[place], path, f"frame {names[place]}") for place in turns}
 
 
@@ -87,10 +103,12 @@ def _color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] |
     if table is None:
         return None
     if not isinstance(table, dict):
-        raise InputError("color_camera must be a table of names and values.", path)
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "color_camera must be a table of names and values.", path)
     width, height = table.get("width"), table.get("height")
     if not isinstance(width, int) or not isinstance(height, int) or not 0 < width * height <= 1 << 27:
-        raise InputError("color_camera needs its width and height in pixels.", path)
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "color_camera needs its width and height in pixels.", path
+        )
     camera = calibration.camera_from_table(table, width, height, path)
     return camera, _pose(document.get("color_from_depth"), "color_from_depth", path)
 
@@ -98,5 +116,5 @@ def _color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] |
 def _pose(value: object, where: str, path: Path) -> Pose:
     pose = rigid(matrix_of(value, path, where), path, where)
     if pose is None:
-        raise InputError(f"{where} is not finite.", path)
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "{place} is not finite.", path, place=where)
     return pose

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import trajectories
 
 
@@ -32,10 +33,17 @@ def read_associations(path: Path) -> list[Association]:
     for number, text in documents.lines(path):
         words = text.split()
         if len(words) != 4:
-            raise InputError(f"line {number} is not `time file time file`.", path)
+            raise InputError(
+                SCAN_TABLE_DAMAGED, "line {number} is not `time file time file`.", path, number=number
+            )
         is_depth = [any("depth" in part for part in Path(word).parts[:-1]) for word in (words[1], words[3])]
         if is_depth[0] == is_depth[1]:
-            raise InputError(f"line {number} names no file in depth/ beside one in rgb/.", path)
+            raise InputError(
+                SCAN_FILES_MISSING,
+                "line {number} names no file in depth/ beside one in rgb/.",
+                path,
+                number=number,
+            )
         at, other = (0, 2) if is_depth[0] else (2, 0)
         depth, color = (
             path.parent / documents.require_inside(words[place + 1], path, f"line {number}")
@@ -44,5 +52,5 @@ def read_associations(path: Path) -> list[Association]:
         depth_time, color_time = (trajectories.stamp(words[place], path, number) for place in (at, other))
         found.append(Association(color_time, color, depth_time, depth))
     if not found:
-        raise InputError("it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
     return found

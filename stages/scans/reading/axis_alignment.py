@@ -10,6 +10,7 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import SCAN_ASSUMED
 from stages.scans.poses import rigid
 from stages.scans.scan import Pose, Scan
 from stages.scans.world import Z_UP, WorldUp, up_of_layout
@@ -70,9 +71,14 @@ def _alignment(folder: Path) -> tuple[Path, Pose]:
         except ValueError:
             values = []
         if len(values) != 16:
-            raise InputError("its axisAlignment is not 16 numbers.", path)
+            raise InputError(SCAN_ASSUMED, "its axisAlignment is not 16 numbers.", path)
         pose = rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
         if pose is None:
-            raise InputError("its axisAlignment is not finite.", path)
+            raise InputError(SCAN_ASSUMED, "its axisAlignment is not finite.", path)
         return path, pose
-    raise InputError("there is no scene*.txt with an axisAlignment; leave scan.align_axes out.", folder)
+    raise InputError(
+        SCAN_ASSUMED,
+        "there is no scene*.txt with an axisAlignment",
+        folder,
+        remedy="leave scan.align_axes out.",
+    )

@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_PATH_OUTSIDE
 from stages.files.images import image_size
 from stages.files.inside import leads_inside
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_IMAGES_UNPAIRED, SCAN_LAYOUT_UNKNOWN
 from stages.scans.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
@@ -42,7 +44,9 @@ def images(folder: Path, suffixes: Sequence[str] = IMAGES) -> list[Path]:
     try:
         found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
     except OSError as error:
-        raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
+        raise InputError(
+            SCAN_LAYOUT_UNKNOWN, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
+        ) from error
     return sorted(found, key=lambda path: (numbers(path.stem), path.name))
 
 
@@ -66,7 +70,7 @@ def inside(folder: Path, value: object, what: str, file: Path) -> Path:
     """
     name = value.replace("\\", "/") if isinstance(value, str) else "/"
     if not leads_inside(name) or not all(is_name(part) for part in PurePosixPath(name).parts):
-        raise InputError(f"{what} is not a path inside the folder.", file)
+        raise InputError(FILE_PATH_OUTSIDE, "{what} is not a path inside the folder.", file, what=what)
     return folder / PurePosixPath(name)
 
 
@@ -98,7 +102,7 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
         else:
             sizes[with_size] += 1
     if not sizes:
-        raise fault or InputError("there are no images.")
+        raise fault or InputError(SCAN_FILES_MISSING, "there are no images.")
     return sizes.most_common(1)[0][0]
 
 
@@ -124,7 +128,9 @@ def pair(
     """
     for files, name in ((first, first_name), (second, second_name)):
         if not files:
-            raise InputError(f"no images in {name}; at least one is needed.", folder)
+            raise InputError(
+                SCAN_FILES_MISSING, "no images in {name}; at least one is needed.", folder, name=name
+            )
     candidates = [
         (left, right)
         for key in _KEYS
@@ -144,9 +150,17 @@ def pair(
         return pairs, alone
     if len(first) != len(second):
         raise InputError(
-            f"{first_name} holds {len(first)} images and {second_name} {len(second)}, and their names share "
-            "too few numbers to pair them by. Name the two images of a moment alike.",
+            SCAN_IMAGES_UNPAIRED,
+            (
+                "{first_name} holds {first_count} images and {second_name} {second_count}, "
+                "and their names share too few numbers to pair them by."
+            ),
             folder,
+            remedy="Name the two images of a moment alike.",
+            first_name=first_name,
+            first_count=len(first),
+            second_name=second_name,
+            second_count=len(second),
         )
     return list(zip(first, second, strict=True)), []
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import POSE_TRAJECTORY_UNREADABLE
 from stages.scans.poses import inverted, rigid
 from stages.scans.reading.files import first_existing, numbers
 from stages.scans.scan import Pose
@@ -101,9 +102,18 @@ def _measured(file: Path) -> list[float]:
     except ValueError:
         values = []
     if len(values) != _READ or not all(math.isfinite(value) for value in values):
-        raise InputError("it does not begin with six numbers: latitude, longitude, … yaw.", file)
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE,
+            "it does not begin with six numbers: latitude, longitude, … yaw.",
+            file,
+        )
     if abs(values[0]) > _FARTHEST_LATITUDE:
-        raise InputError(f"a latitude of {values[0]:g} degrees cannot be right.", file)
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE,
+            "a latitude of {values:g} degrees cannot be right.",
+            file,
+            values=values[0],
+        )
     return values
 
 
@@ -111,14 +121,16 @@ def _place(path: Path) -> Pose:
     """Return the relation that R and T of a file state."""
     turn, shift = _numbers(path, "R", 9), _numbers(path, "T", 3)
     if turn is None or shift is None:
-        raise InputError("rows `R: …` of 9 numbers and `T: …` of 3 are expected.", path)
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE, "rows `R: …` of 9 numbers and `T: …` of 3 are expected.", path
+        )
     return _rigid(turn.reshape(3, 3), shift, path)
 
 
 def _rigid(turn: NDArray[np.float64], shift: NDArray[np.float64], path: Path) -> Pose:
     pose = rigid(np.column_stack([turn, shift]), path)
     if pose is None:
-        raise InputError("its numbers are not finite.", path)
+        raise InputError(POSE_TRAJECTORY_UNREADABLE, "its numbers are not finite.", path)
     return pose
 
 
@@ -132,6 +144,8 @@ def _numbers(path: Path, key: str, count: int) -> NDArray[np.float64] | None:
             except ValueError:
                 values = np.empty(0)
             if values.size != count:
-                raise InputError(f"{key} is not {count} numbers.", path)
+                raise InputError(
+                    POSE_TRAJECTORY_UNREADABLE, "{key} is not {count} numbers.", path, key=key, count=count
+                )
             return values
     return None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files.images import decode_color, file_bytes
+from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.reading.files import images, numbers
 from stages.scans.scan import Frame, Packed, Scan
 
@@ -30,7 +31,7 @@ def with_masks(scan: Scan, place: Path) -> Scan:
         If there is no such folder, it has several masks for a frame, or none for any.
     """
     if not place.is_dir():
-        raise InputError("there is no such folder of masks.", place)
+        raise InputError(SCAN_FILES_MISSING, "there is no such folder of masks.", place)
     files = images(place)
     by_stem, by_number = _grouped(files, by_number=False), _grouped(files, by_number=True)
     found = [_of_frame(frame, by_stem, by_number, place) for frame in scan.frames]
@@ -38,7 +39,11 @@ def with_masks(scan: Scan, place: Path) -> Scan:
     if len(without) == len(scan.frames):
         first = f", such as {without[0]}" if without else ""
         raise InputError(
-            f"none of its {len(files)} images has the name or the number of a frame{first}.", place
+            SCAN_FILES_MISSING,
+            "none of its {files_count} images has the name or the number of a frame{first}.",
+            place,
+            files_count=len(files),
+            first=first,
         )
     frames = [
         replace(frame, mask=_mask(path) or frame.mask) for frame, path in zip(scan.frames, found, strict=True)
@@ -83,7 +88,12 @@ def _of_frame(
             if len(masks) > 1:
                 two = f"{masks[0].name} and {masks[1].name}"
                 raise InputError(
-                    f"frame {frame.name} has {len(masks)} masks, such as {two}; one is needed.", place
+                    SCAN_FILES_MISSING,
+                    "frame {frame_name} has {masks_count} masks, such as {two}; one is needed.",
+                    place,
+                    frame_name=frame.name,
+                    masks_count=len(masks),
+                    two=two,
                 )
             if masks:
                 return masks[0]

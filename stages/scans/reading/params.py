@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.scans.poses import AS_WRITTEN, CONVENTIONS
@@ -118,8 +119,12 @@ class ReadingParams:
             fx = fy = cx = cy = math.nan
         if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
             raise UsageError(
-                f"intrinsics is {self.intrinsics!r}; it must be fx,fy,cx,cy in pixels, "
-                "for example 525,525,319.5,239.5."
+                USAGE_VALUE_INVALID,
+                (
+                    "intrinsics is {intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example "
+                    "525,525,319.5,239.5."
+                ),
+                intrinsics=self.intrinsics,
             )
         return Camera(width, height, fx, fy, cx, cy)
 

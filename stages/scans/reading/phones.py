@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_PHONE_IMAGES
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, scaled
 
@@ -29,9 +30,18 @@ def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Cam
             else " Export them again without cropping."
         )
         raise InputError(
-            f"{what} are {width}×{height}, which is not the shape of the camera's "
-            f"{camera.width}×{camera.height}.{turned}",
+            SCAN_PHONE_IMAGES,
+            (
+                "{what} are {width}×{height}, which is not the shape of the camera's "
+                "{camera_width}×{camera_height}.{turned}"
+            ),
             path,
+            what=what,
+            width=width,
+            height=height,
+            camera_width=camera.width,
+            camera_height=camera.height,
+            turned=turned,
         )
     return scaled(camera, width, height)
 
@@ -51,9 +61,15 @@ def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path
     least = levels[1] if options.least_confidence is None else options.least_confidence
     if least > levels[-1]:
         raise InputError(
-            f"least_confidence is {least}, but this layout knows {', '.join(map(str, levels))} only; "
-            f"scan.least_confidence={levels[-1]} keeps the best.",
+            SCAN_PHONE_IMAGES,
+            (
+                "least_confidence is {least}, but this layout knows {map} only; "
+                "scan.least_confidence={levels} keeps the best."
+            ),
             folder,
+            least=least,
+            map=", ".join(map(str, levels)),
+            levels=levels[-1],
         )
     return least, (
         f"depth of confidence {least} and more (of {', '.join(map(str, levels))}) is kept: "

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
 from stages.scans.formats.calibration import matrix_camera
 from stages.scans.formats.image_size import LARGEST_SIDE, for_images, is_of_shape
 from stages.scans.formats.rig_calibration import with_baseline
@@ -44,7 +45,13 @@ def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
         except ValueError:
             row = np.empty(0)
         if row.size != 12 or not np.isfinite(row).all():
-            raise InputError(f"line {number} ({key}) is not 12 numbers.", calib)
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID,
+                "line {number} ({key}) is not 12 numbers.",
+                calib,
+                number=number,
+                key=key,
+            )
         found[int(named[1])] = row.reshape(3, 4)
     return found
 
@@ -62,17 +69,25 @@ def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
     try:
         sizes = [(round(float(width)), round(float(height))) for width, height in stated]
     except (ValueError, OverflowError) as error:
-        raise InputError("S_rect is not two numbers.", calib) from error
+        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is not two numbers.", calib) from error
     if any(not 1 <= side <= LARGEST_SIDE for one in sizes for side in one):
-        raise InputError("S_rect is no size of images.", calib)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is no size of images.", calib)
     if not sizes or size in sizes:
         return size
     width, height = sizes[0]
     if size[0] > _SMALLER * width or not is_of_shape(sizes[0], size):
         raise InputError(
-            f"it is for rectified images of {width}×{height}, but these are {size[0]}×{size[1]}: "
-            "they are not rectified. Give the synchronised and rectified ones.",
+            CAMERA_CALIBRATION_MISMATCH,
+            (
+                "it is for rectified images of {width}×{height}, but these are "
+                "{size}×{size_2}: they are not rectified."
+            ),
             calib,
+            remedy="Give the synchronised and rectified ones.",
+            width=width,
+            height=height,
+            size=size[0],
+            size_2=size[1],
         )
     return width, height
 
@@ -100,7 +115,7 @@ def projected_camera(
     camera = matrix_camera(k, (), *(stated or size), calib)
     camera = options.camera(*size) or for_images(camera, *size, calib)
     if abs(np.linalg.det(k)) < 1e-9:
-        raise InputError("a projection matrix is singular.", calib)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "a projection matrix is singular.", calib)
     offset = np.eye(4)
     offset[:3, 3] = np.linalg.solve(k, projection[:, 3])
     return camera, offset
@@ -132,7 +147,11 @@ def projected_rig(
     right_from_left = offsets[1] @ np.linalg.inv(offsets[0])
     if right_from_left[0, 3] >= 0:
         raise InputError(
-            "the second camera is not right of the first (its P[0,3] must be smaller); are the rows swapped?",
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "the second camera is not right of the first (its P[0,3] must be smaller); "
+                "are the rows swapped?"
+            ),
             calib,
         )
     if options.baseline is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_LAYOUT_UNKNOWN
 
 
 def one_recording(place: Path, suffix: str) -> Path:
@@ -21,9 +22,14 @@ def one_recording(place: Path, suffix: str) -> Path:
     if len(files) == 1:
         return files[0]
     if not files:
-        raise InputError(f"there is no {suffix} file.", place)
+        raise InputError(SCAN_LAYOUT_UNKNOWN, "there is no {suffix} file.", place, suffix=suffix)
     names = ", ".join(path.name for path in files[:5]) + (" …" if len(files) > 5 else "")
     raise InputError(
-        f"there are {len(files)} {suffix} files ({names}), each a scan of its own; give the one to read.",
+        SCAN_LAYOUT_UNKNOWN,
+        "there are {files_count} {suffix} files ({names}), each a scan of its own",
         place,
+        remedy="give the one to read.",
+        files_count=len(files),
+        suffix=suffix,
+        names=names,
     )

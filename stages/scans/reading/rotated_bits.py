@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_raw_depth
 from stages.files.noting import only_looking
 from stages.scans.scan import Packed, Scan
@@ -44,7 +45,7 @@ def read_turned_back(path: Path) -> NDArray[np.uint16]:
     """Return a depth file's values with their bits turned back; raises InputError if it has no 16 bits."""
     raw = read_raw_depth(path)
     if raw.dtype != np.uint16:
-        raise InputError("depth of 16 bits is expected.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "depth of 16 bits is expected.", path)
     return turned_back(raw)
 
 

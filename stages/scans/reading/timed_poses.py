@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import POSE_TRAJECTORY_UNREADABLE, RECORDING_CLOCKS_DIFFER
 from stages.scans.formats import trajectories
 from stages.scans.formats.trajectories import Trajectory
 from stages.scans.reading.params import ReadingParams
@@ -39,12 +40,15 @@ def poses_at(
         return trajectories.match(trajectory, names, path)
     if trajectory.timestamps is None:
         raise InputError(
-            "its poses have no timestamps, which are needed to find a frame's pose; "
-            "scan.poses_by_order=true takes them in the order of the frames.",
+            POSE_TRAJECTORY_UNREADABLE,
+            (
+                "its poses have no timestamps, which are needed to find a frame's pose; "
+                "scan.poses_by_order=true takes them in the order of the frames."
+            ),
             path,
         )
     if not len(trajectory):
-        raise InputError("the trajectory file holds no poses.", path)
+        raise InputError(POSE_TRAJECTORY_UNREADABLE, "the trajectory file holds no poses.", path)
     ordered = trajectories.in_order(trajectory)
     poses = [trajectories.interpolate(ordered, moment, tolerance) for moment in moments]
     if moments and all(pose is None for pose in poses):
@@ -53,9 +57,19 @@ def poses_at(
         first, last = (end / 1e9 for end in (min(moments), max(moments)))
         offered = " As many are frames: scan.poses_by_order=true pairs them in order."
         raise InputError(
-            f"none of its {len(times)} poses is within {tolerance / 1e9:g} s of a frame: they are of "
-            f"{start:.3f} to {end:.3f} s, the frames of {first:.3f} to {last:.3f} s."
-            f"{offered if len(times) == len(moments) else ''}",
+            RECORDING_CLOCKS_DIFFER,
+            (
+                "none of its {times_count} poses is within {tolerance:g} s of a frame: they "
+                "are of {start:.3f} to {end:.3f} s, the frames of {first:.3f} to {last:.3f} "
+                "s.{offered}"
+            ),
             path,
+            times_count=len(times),
+            tolerance=tolerance / 1000000000.0,
+            start=start,
+            end=end,
+            first=first,
+            last=last,
+            offered=offered if len(times) == len(moments) else "",
         )
     return poses

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
 from stages.files.telling import tell
+from stages.scans.codes import SCAN_DEPTH_MISSING
 from stages.scans.depth_range import range_of_points
 from stages.scans.reading.phones import seen_in
 from stages.scans.scan import Camera, Frame, Packed, Pose
@@ -79,5 +80,8 @@ def without_depth(place: Path, advice: str) -> InputError:
     advice : a sentence: where this layout would keep its depth.
     """
     return InputError(
-        f"its views have no depth, and views of this layout alone cannot be read yet. {advice}", place
+        SCAN_DEPTH_MISSING,
+        "its views have no depth, and views of this layout alone cannot be read yet. {advice}",
+        place,
+        advice=advice,
     )

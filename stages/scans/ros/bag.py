@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import RECORDING_WRONG_KIND
 from stages.scans.ros.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
 from stages.scans.ros.recording import Recording
 
@@ -47,7 +48,9 @@ def read_bag(path: Path) -> Recording:
         start = file.read(0, min(len(_MAGIC), file.size))
         if start != _MAGIC:
             what = "a ROS bag of another version" if start.startswith(b"#ROSBAG") else "no ROS bag"
-            raise InputError(f"this is {what}; it must begin with `#ROSBAG V2.0`.", path)
+            raise InputError(
+                RECORDING_WRONG_KIND, "this is {what}; it must begin with `#ROSBAG V2.0`.", path, what=what
+            )
         return read_chunked(path, file, len(_MAGIC), _note, _find)
 
 
@@ -55,7 +58,7 @@ def _note(found: Found, chunk: int, span: Span, at: int) -> int:
     record = _record(span, at)
     kind = record.fields[b"op"]
     if record.fields.get(b"encryptor"):
-        raise InputError("the bag is encrypted, which cannot be read.", found.path)
+        raise InputError(RECORDING_WRONG_KIND, "the bag is encrypted, which cannot be read.", found.path)
     if kind == _CONNECTION and record.size <= _LONGEST_CONNECTION:
         described = _fields(span.read(record.start, record.size))
         writer = Writer(record.fields[b"topic"].decode(), described[b"type"].decode(), is_cdr=False)

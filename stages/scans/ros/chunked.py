@@ -31,6 +31,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import opening, zstd_blocks
+from stages.files.codes import RECORDING_DAMAGED
+from stages.scans.codes import RECORDING_ENCODING_UNKNOWN
 from stages.scans.ros.recording import LARGEST_MESSAGE, Messages, Recording
 
 # What a damaged record raises where it is taken apart.
@@ -117,7 +119,9 @@ def opened(path: Path) -> Iterator[Span]:
         with opening.opened(path) as file:
             yield Span(file, 0, path.stat().st_size)
     except OSError as error:
-        raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
+        raise InputError(
+            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
 
 
 def read_chunked(path: Path, file: Span, start: int, note: Note, find: Find) -> Recording:
@@ -193,7 +197,10 @@ def _message(
             return span.read(start, size if first is None else min(size, first))
     except _BROKEN as error:
         raise InputError(
-            f"message {number} of its topic, or the chunk it is in, is damaged.", path
+            RECORDING_DAMAGED,
+            "message {number} of its topic, or the chunk it is in, is damaged.",
+            path,
+            number=number,
         ) from error
 
 
@@ -203,10 +210,21 @@ def _unpacked(file: Span, chunk: Chunk, path: Path, end: int | None) -> Span:
         return Span(file.file, chunk.start, min(chunk.size, chunk.stored))
     claimed = max(chunk.size, chunk.stored)
     if claimed > _LARGEST_CHUNK:
-        raise InputError(f"a chunk claims to hold {claimed} bytes; its header is damaged.", path)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "a chunk claims to hold {claimed} bytes; its header is damaged.",
+            path,
+            claimed=claimed,
+        )
     if chunk.compression not in _UNPACK:
         known = ", ".join(_UNPACK)
-        raise InputError(f"chunks are compressed as {chunk.compression[:20]!r}; {known} are known.", path)
+        raise InputError(
+            RECORDING_ENCODING_UNKNOWN,
+            "chunks are compressed as {compression!r}; {known} are known.",
+            path,
+            compression=chunk.compression[:20],
+            known=known,
+        )
     wanted = chunk.size if end is None else min(end, chunk.size)
     content = _UNPACK[chunk.compression](file.read(chunk.start, chunk.stored), wanted)
     if len(content) < wanted:

@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
 from stages.files.opening import opened, require_regular
+from stages.scans.codes import RECORDING_WRONG_KIND
 from stages.scans.ros.recording import LARGEST_MESSAGE, Messages, Recording, as_ros_1, unpacked
 
 _SQLITE = b"SQLite format 3\0"
@@ -44,19 +46,34 @@ def read_db3(path: Path) -> Recording:
             if beside.exists():
                 require_regular(beside)
     except OSError as error:
-        raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
+        raise InputError(
+            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
     if not header.startswith(_SQLITE) or len(header) < _HEADER_BYTES:
-        raise InputError("this is no .db3 recording: it is not an SQLite database.", path)
+        raise InputError(
+            RECORDING_WRONG_KIND, "this is no .db3 recording: it is not an SQLite database.", path
+        )
     # Of pages that a cut took away SQLite would make zeros: black images.
     page, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
     promised = (1 << 16 if page == 1 else page) * pages
     if path.stat().st_size < promised:
-        raise InputError(f"the file is cut short: it should hold {promised} bytes. Copy it again.", path)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the file is cut short: it should hold {promised} bytes.",
+            path,
+            remedy="Copy it again.",
+            promised=promised,
+        )
     for table, columns in _COLUMNS.items():
         kinds = _query(path, "SELECT type FROM sqlite_master WHERE name = ?", table)
         found = {row[1] for row in _query(path, f"PRAGMA table_info({table})")}
         if kinds != [("table",)] or not columns <= found:
-            raise InputError(f"this database is no recording: it has no table `{table}` as they have.", path)
+            raise InputError(
+                RECORDING_WRONG_KIND,
+                "this database is no recording: it has no table `{table}` as they have.",
+                path,
+                table=table,
+            )
     entries: dict[object, list[tuple[int, int]]] = {}
     for number, row, time in _query(
         path, "SELECT topic_id, id, timestamp FROM messages ORDER BY timestamp, id"
@@ -77,10 +94,10 @@ def _message(path: Path, rows: NDArray[np.int64], number: int, first: int | None
     row = int(rows[number])
     sizes = _query(path, "SELECT length(data) FROM messages WHERE id = ?", row)
     if not sizes or not isinstance(sizes[0][0], int) or sizes[0][0] > LARGEST_MESSAGE:
-        raise InputError(f"message {row} is missing or too large.", path)
+        raise InputError(RECORDING_DAMAGED, "message {row} is missing or too large.", path, row=row)
     ((data,),) = _query(path, "SELECT data FROM messages WHERE id = ?", row)
     if not isinstance(data, bytes):
-        raise InputError(f"message {row} is damaged.", path)
+        raise InputError(RECORDING_DAMAGED, "message {row} is damaged.", path, row=row)
     return unpacked(data, f"message {row}", path)[:first]
 
 
@@ -92,4 +109,6 @@ def _query(path: Path, words: str, *values: object) -> list[tuple[Any, ...]]:
         finally:
             connection.close()
     except (sqlite3.Error, ValueError, OverflowError) as error:
-        raise InputError(f"the database is damaged or cut short ({error}).", path) from error
+        raise InputError(
+            RECORDING_DAMAGED, "the database is damaged or cut short ({error}).", path, error=error
+        ) from error

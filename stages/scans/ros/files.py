@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.codes import RECORDING_SEVERAL
 from stages.scans.reading.files import first_existing
 
 SUFFIXES = (".bag", ".db3", ".mcap")
@@ -36,7 +37,9 @@ def recording_files(place: Path) -> Sequence[Path]:
     if len(files) != 1:
         kinds = ", ".join(SUFFIXES)
         found = f"there is no recording ({kinds})" if not files else f"there are {len(files)} recordings"
-        raise InputError(f"{found} in it; give the one to read.", place)
+        raise InputError(
+            RECORDING_SEVERAL, "{found} in it", place, remedy="give the one to read.", found=found
+        )
     return files
 
 
@@ -55,5 +58,11 @@ def _listed(listed: Path) -> list[Path]:
         unpacked = file.with_suffix("") if file.suffix == ".zstd" else file
         if not unpacked.is_file():
             advice = "" if unpacked == file else f"; unpack {file.name} with `zstd --decompress`"
-            raise InputError(f"{unpacked.name}, which it lists, is missing{advice}.", listed)
+            raise InputError(
+                RECORDING_SEVERAL,
+                "{unpacked_name}, which it lists, is missing{advice}.",
+                listed,
+                unpacked_name=unpacked.name,
+                advice=advice,
+            )
     return [file.with_suffix("") if file.suffix == ".zstd" else file for file in files]

@@ -17,6 +17,7 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError
 from stages.files import zstd_blocks
+from stages.scans.codes import RECORDING_WRONG_KIND
 from stages.scans.ros.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
 from stages.scans.ros.recording import Messages, Recording, as_ros_1, unpacked
 
@@ -45,7 +46,7 @@ def read_mcap(path: Path) -> Recording:
     """
     with opened(path) as file:
         if file.read(0, min(len(_MAGIC), file.size)) != _MAGIC:
-            raise InputError("this is no MCAP file: it must begin with `MCAP0`.", path)
+            raise InputError(RECORDING_WRONG_KIND, "this is no MCAP file: it must begin with `MCAP0`.", path)
         recording = read_chunked(path, file, len(_MAGIC), partial(_note, {0: ""}), _find)
     topics = {
         name: replace(topic, read=partial(_unpacked, path, topic)) if topic.is_cdr else topic

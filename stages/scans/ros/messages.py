@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
 from stages.scans.poses import pose_from_quaternion
 from stages.scans.scan import Pose
 
@@ -111,7 +112,9 @@ def _message(
         message, end = known.deserialize_cdr_le(memoryview(data)[_CDR_HEAD:], 0, known.cls, types)
         return message, data[_CDR_HEAD + end :]
     except (SerdeError, struct.error, ValueError) as error:
-        raise InputError(f"{called} is cut short or damaged.", source) from error
+        raise InputError(
+            RECORDING_DAMAGED, "{called} is cut short or damaged.", source, called=called
+        ) from error
 
 
 # What the time in the header of an image takes, ROS 1's or 2's: it is read alone where only it is wanted.
@@ -123,7 +126,7 @@ def read_stamp(data: bytes, source: Path | str, *, is_cdr: bool = False) -> int:
     try:
         _, seconds, nanoseconds = struct.unpack_from("<IiI" if is_cdr else "<III", data)
     except struct.error as error:
-        raise InputError("the message is cut short.", source) from error
+        raise InputError(RECORDING_DAMAGED, "the message is cut short.", source) from error
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
@@ -206,7 +209,7 @@ def _pose(said: Any, source: Path) -> Pose:
     turn = [getattr(said.rotation, axis) for axis in "xyzw"]
     pose = pose_from_quaternion(place, turn, source, "a transform")
     if pose is None:
-        raise InputError("a transform is not finite.", source)
+        raise InputError(RECORDING_DAMAGED, "a transform is not finite.", source)
     return pose
 
 
@@ -228,6 +231,6 @@ def read_acceleration(data: bytes, source: Path | str, *, is_cdr: bool = False) 
 def read_float(data: bytes, source: Path | str) -> float:
     """Return `std_msgs/Float32` as the decimal number it was written as. Raises InputError if cut short."""
     if len(data) < 4:
-        raise InputError("a number is cut short.", source)
+        raise InputError(RECORDING_DAMAGED, "a number is cut short.", source)
     # 0.001 in single precision is 0.0010000000474974513, which nobody meant.
     return float(str(np.frombuffer(data, "<f4", 1)[0]))

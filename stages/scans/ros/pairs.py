@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED
 from stages.scans.formats import rig_calibration
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig
@@ -80,9 +81,15 @@ def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: Rea
             right_from_left = np.eye(4)
             if options.baseline is None:
                 raise InputError(
-                    f"how far apart {left.name} and {right.name} are is neither in the right one's "
-                    "camera_info (P[0,3]) nor in /tf_static; set scan.baseline=METRES.",
+                    CAMERA_PAIR_UNCALIBRATED,
+                    (
+                        "how far apart {left_name} and {right_name} are is neither in the right "
+                        "one's camera_info (P[0,3]) nor in /tf_static"
+                    ),
                     recording.path,
+                    remedy="set scan.baseline=METRES.",
+                    left_name=left.name,
+                    right_name=right.name,
                 )
         tables = {side: _table(one, is_rectified=is_rectified) for side, one in sides.items()}
         document |= {**tables, "R": right_from_left[:3, :3], "T": right_from_left[:3, 3]}

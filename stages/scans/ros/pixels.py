@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.images import decode_color, decode_depth
+from stages.scans.codes import RECORDING_ENCODING_UNKNOWN
 from stages.scans.ros.messages import ImageMessage, read_compressed, read_image
 from stages.scans.scan import ColorImage
 
@@ -82,14 +84,24 @@ def _color(image: ImageMessage, source: Path | str) -> ColorImage:
     known = _COLORS.get(image.encoding.lower())
     if known is None:
         raise InputError(
-            f"colour is encoded as {image.encoding[:20]!r}, which is not known; record it as rgb8.", source
+            RECORDING_ENCODING_UNKNOWN,
+            "colour is encoded as {encoding!r}, which is not known",
+            source,
+            remedy="record it as rgb8.",
+            encoding=image.encoding[:20],
         )
     size, conversion = known
     pixels = _rows(image, size, source).reshape(image.height, image.width, size)
     if conversion is None:
         return pixels
     if size == 2 and image.width % 2:
-        raise InputError(f"a {image.encoding} image cannot be {image.width} pixels wide.", source)
+        raise InputError(
+            RECORDING_ENCODING_UNKNOWN,
+            "a {encoding} image cannot be {image_width} pixels wide.",
+            source,
+            encoding=image.encoding,
+            image_width=image.width,
+        )
     return cast(ColorImage, cv2.cvtColor(pixels, getattr(cv2, conversion)))
 
 
@@ -97,9 +109,10 @@ def _depth(image: ImageMessage, source: Path | str) -> NDArray[Any]:
     kind = _DEPTHS.get(image.encoding.lower())
     if kind is None:
         raise InputError(
-            f"depth is encoded as {image.encoding[:20]!r}; 16-bit (16UC1, mono16) or float (32FC1) is "
-            "expected.",
+            RECORDING_ENCODING_UNKNOWN,
+            "depth is encoded as {encoding!r}; 16-bit (16UC1, mono16) or float (32FC1) is expected.",
             source,
+            encoding=image.encoding[:20],
         )
     stored = np.dtype(kind).newbyteorder(">" if image.is_big_endian else "<")
     rows = _rows(image, stored.itemsize, source)
@@ -111,14 +124,19 @@ def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any
     start = data.find(_PNG, 0, 64)
     if start < 0:
         raise InputError(
-            f"depth is compressed as {form[:40]!r}; `compressedDepth png` is known. Record it uncompressed.",
+            RECORDING_ENCODING_UNKNOWN,
+            "depth is compressed as {form!r}; `compressedDepth png` is known.",
             source,
+            remedy="Record it uncompressed.",
+            form=form[:40],
         )
     stored = decode_depth(data[start:], source)
     if "32fc1" not in form.lower():
         return stored
     if start != _QUANTIZATION.size or stored.dtype != np.uint16:
-        raise InputError("the depth's quantization is missing before its image.", source)
+        raise InputError(
+            RECORDING_ENCODING_UNKNOWN, "the depth's quantization is missing before its image.", source
+        )
     _, factor, offset = _QUANTIZATION.unpack_from(data)
     # What is stored is factor / depth + offset, 0 where depth is missing.
     with np.errstate(all="ignore"):
@@ -132,10 +150,21 @@ def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint
     """Return (h, w · size) bytes, what fills up the rows left out."""
     width, height, used = image.width, image.height, image.width * size
     if not 0 < width * height <= MAX_PIXELS:
-        raise InputError(f"the image claims to be {width}×{height} pixels; it is damaged.", source)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the image claims to be {width}×{height} pixels; it is damaged.",
+            source,
+            width=width,
+            height=height,
+        )
     if image.step < used or len(image.data) < image.step * height:
         raise InputError(
-            f"the image does not hold the {width}×{height} pixels of {size} bytes that it claims.", source
+            RECORDING_ENCODING_UNKNOWN,
+            "the image does not hold the {width}×{height} pixels of {size} bytes that it claims.",
+            source,
+            width=width,
+            height=height,
+            size=size,
         )
     rows = image.data[: image.step * height].reshape(height, image.step)
     return np.ascontiguousarray(rows[:, :used])

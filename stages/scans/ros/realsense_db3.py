@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
 from stages.scans.poses import rigid
 from stages.scans.ros.images import topic_images
 from stages.scans.ros.messages import CameraMessage, read_text
@@ -50,12 +51,23 @@ def _stamp(recording: Recording, name: str, topic: Messages, number: int) -> int
     texts = recording.topics.get(f"{name}/image/metadata")
     at = -1 if texts is None else int(np.searchsorted(texts.times, topic.times[number]))
     if texts is None or at >= len(texts.times) or texts.times[at] != topic.times[number]:
-        raise InputError(f"nothing says when image {number} of {name} was taken.", recording.path)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "nothing says when image {number} of {name} was taken.",
+            recording.path,
+            number=number,
+            name=name,
+        )
     said = _values(recording, texts, at)
     (milliseconds,) = _numbers(said, "timestamp", 1, recording.path)
     if not abs(milliseconds) < 1 << 42:
         raise InputError(
-            f"image {number} of {name}: the time {milliseconds:g} ms cannot be right.", recording.path
+            RECORDING_DAMAGED,
+            "image {number} of {name}: the time {milliseconds:g} ms cannot be right.",
+            recording.path,
+            number=number,
+            name=name,
+            milliseconds=milliseconds,
         )
     return round(milliseconds * 1e6)
 
@@ -69,7 +81,14 @@ def _camera(recording: Recording, name: str) -> CameraMessage | None:
         _numbers(said, key, 1, path)[0] for key in ("width", "height", "fx", "fy", "ppx", "ppy")
     )
     if not (width.is_integer() and height.is_integer()):
-        raise InputError(f"the images of {name} are said to be {width:g}×{height:g} pixels.", path)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the images of {name} are said to be {width:g}×{height:g} pixels.",
+            path,
+            name=name,
+            width=width,
+            height=height,
+        )
     distortion = _numbers(said, "coeffs", 5, path)
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     return CameraMessage(
@@ -116,5 +135,12 @@ def _numbers(said: dict[str, str], key: str, count: int, path: Path) -> list[flo
     except ValueError:
         values = []
     if len(values) != count or not all(math.isfinite(value) for value in values):
-        raise InputError(f"{key} is {said.get(key, '')[:40]!r} where {count} numbers are expected.", path)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "{key} is {said!r} where {count} numbers are expected.",
+            path,
+            key=key,
+            said=said.get(key, "")[:40],
+            count=count,
+        )
     return values

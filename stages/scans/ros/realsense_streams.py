@@ -15,6 +15,13 @@ from typing import Any
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import (
+    CAMERA_INTRINSICS_GUESSED,
+    CAMERA_LENS_UNKNOWN,
+    CAMERA_PAIR_UNCALIBRATED,
+    RECORDING_TOPIC_MISSING,
+    SCALE_NOT_METRIC,
+)
 from stages.scans.formats import calibration, rig_calibration
 from stages.scans.formats.realsense import is_like_opencv
 from stages.scans.poses import inverted
@@ -124,7 +131,11 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     if len(grey) < 2 or grey[0].sensor != grey[1].sensor:
         names = ", ".join(one.images.name for one in streams)
         raise InputError(
-            f"the recording holds no depth, only {names}. Record the depth stream too.", recording.path
+            RECORDING_TOPIC_MISSING,
+            "the recording holds no depth, only {names}.",
+            recording.path,
+            remedy="Record the depth stream too.",
+            names=names,
         )
     left, right = (one.images for one in grey[:2])
     stated = stated_rig(left, recording.path.parent, options)
@@ -134,8 +145,12 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     right_from_left = _between(recording, left.name, right.name)
     if right_from_left is None and options.baseline is None:
         raise InputError(
-            f"how {left.name} and {right.name} stand to each other is not in it; set scan.baseline=METRES.",
+            CAMERA_PAIR_UNCALIBRATED,
+            "how {left_name} and {right_name} stand to each other is not in it",
             recording.path,
+            remedy="set scan.baseline=METRES.",
+            left_name=left.name,
+            right_name=right.name,
         )
     stands = np.eye(4) if right_from_left is None else right_from_left
     document: dict[str, Any] = {"unit": "m", "R": stands[:3, :3], "T": stands[:3, 3]}
@@ -152,16 +167,20 @@ def _recorded_camera(recording: RealSense, name: str) -> Camera:
     said = recording.camera(name)
     if said is None:
         raise InputError(
-            f"the recording does not say what camera {name} is of (no camera_info); set "
-            "scan.intrinsics=fx,fy,cx,cy.",
+            CAMERA_INTRINSICS_GUESSED,
+            "the recording does not say what camera {name} is of (no camera_info)",
             recording.path,
+            remedy="set scan.intrinsics=fx,fy,cx,cy.",
+            name=name,
         )
     distortion = said.distortion[:5] if any(said.distortion) else ()
     if distortion and not is_like_opencv(said.model):
         raise InputError(
-            f"the lens of {name} is described as {said.model[:40]!r}, which is not known; Brown-Conrady's "
-            "models are.",
+            CAMERA_LENS_UNKNOWN,
+            "the lens of {name} is described as {model!r}, which is not known; Brown-Conrady's models are.",
             recording.path,
+            name=name,
+            model=said.model[:40],
         )
     return calibration.matrix_camera(said.matrix, distortion, said.width, said.height, recording.path)
 
@@ -188,9 +207,13 @@ def _depth_scale(
         )
     if not _UNITS[0] <= last <= _UNITS[1]:
         raise InputError(
-            f"its depth unit is {last:g} m, which cannot be right; scan.depth_scale=VALUE states how many "
-            "units are one metre.",
+            SCALE_NOT_METRIC,
+            (
+                "its depth unit is {last:g} m, which cannot be right; scan.depth_scale=VALUE "
+                "states how many units are one metre."
+            ),
             recording.path,
+            last=last,
         )
     return 1 / last, warnings
 

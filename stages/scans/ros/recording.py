@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import zstd_blocks
+from stages.files.codes import RECORDING_DAMAGED
 
 # No camera makes a larger image.
 LARGEST_MESSAGE = 1 << 28
@@ -71,7 +72,9 @@ def unpacked(message: bytes, called: str, path: Path) -> bytes:
     try:
         return zstd_blocks.unpacked(message, LARGEST_MESSAGE)
     except ValueError as error:
-        raise InputError(f"{called} does not decompress; it is damaged.", path) from error
+        raise InputError(
+            RECORDING_DAMAGED, "{called} does not decompress; it is damaged.", path, called=called
+        ) from error
 
 
 def joined(path: Path, parts: Sequence[Recording]) -> Recording:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import RECORDING_CLOCKS_DIFFER
 from stages.scans.formats import trajectories
 from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
@@ -60,7 +61,14 @@ def _read(place: Path, options: ReadingParams) -> Scan:
     couples, skipped, said = _couples(first, second, called)
     if not couples:
         why = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
-        raise InputError(f"no {called[0][:-1]} and {called[1][:-1]} in it are of one moment{why}.", place)
+        raise InputError(
+            RECORDING_CLOCKS_DIFFER,
+            "no {called} and {called_2} in it are of one moment{why}.",
+            place,
+            called=called[0][:-1],
+            called_2=called[1][:-1],
+            why=why,
+        )
     poses, missing = _poses(options, place, [(number, time) for number, time, _ in couples])
     recorded = first.recorded[[number for number, _, _ in couples]]
     ups, about_up = ups_of(streams.accelerometer, recorded)
@@ -84,7 +92,7 @@ def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str |
         return realsense_streams(camera, options), recording.fault
     streams = topic_streams(recording, options) or topic_pair(recording, options)
     if streams is None:
-        raise InputError(_without_images(recording), place)
+        raise InputError(CODE_UNKNOWN, _without_images(recording), place)
     return streams, recording.fault
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 from itertools import takewhile
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_LENS_UNKNOWN
 from stages.scans.formats import calibration
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Stream, Streams, stated_depth_camera, unknown_place
@@ -133,16 +134,24 @@ def _recorded_camera(recording: Recording, images: ImageTopic) -> Camera:
     is_fisheye = message.model in _FISHEYE and not is_rectified
     if distortion and message.model not in (*_LIKE_OPENCV, *_FISHEYE):
         raise InputError(
-            f"the lens of {images.name} is described as {message.model[:40]!r}; plumb_bob, "
-            "rational_polynomial and equidistant are known.",
+            CAMERA_LENS_UNKNOWN,
+            (
+                "the lens of {images_name} is described as {model!r}; plumb_bob, "
+                "rational_polynomial and equidistant are known."
+            ),
             recording.path,
+            images_name=images.name,
+            model=message.model[:40],
         )
     if is_fisheye:
         distortion = (message.distortion or _UNBENT)[: len(_UNBENT)]
     if len(distortion) not in ((len(_UNBENT),) if is_fisheye else _COEFFICIENTS):
         raise InputError(
-            f"the lens of {images.name} has {len(distortion)} coefficients, not 4, 5, 8, 12 or 14.",
+            CAMERA_LENS_UNKNOWN,
+            "the lens of {images_name} has {distortion_count} coefficients, not 4, 5, 8, 12 or 14.",
             recording.path,
+            images_name=images.name,
+            distortion_count=len(distortion),
         )
     camera = calibration.matrix_camera(matrix, distortion, message.width, message.height, recording.path)
     return replace(camera, fisheye=is_fisheye)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
 from stages.scans.poses import inverted
 from stages.scans.reading.streams import Accelerometer
 from stages.scans.ros.messages import (
@@ -99,9 +100,12 @@ def camera_message(recording: Recording, images: ImageTopic) -> CameraMessage:
     info = recording.topics.get(f"{images.place}/camera_info")
     if info is None:
         raise InputError(
-            f"there is no {images.place}/camera_info, which would say what camera {images.name} is of; set "
-            "scan.intrinsics=fx,fy,cx,cy.",
+            CAMERA_INTRINSICS_GUESSED,
+            "there is no {place}/camera_info, which would say what camera {images_name} is of",
             recording.path,
+            remedy="set scan.intrinsics=fx,fy,cx,cy.",
+            place=images.place,
+            images_name=images.name,
         )
     return read_camera_info(info.read(0, None), f"{recording.path}: {images.name}", is_cdr=info.is_cdr)
 

@@ -14,6 +14,7 @@ from stages.simplification.certified.details import CertifiedDetails
 from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES, TOLERANCE
 from stages.simplification.certified.params import CertifiedParams
 from stages.simplification.certified.unproven import not_proven
+from stages.simplification.codes import USAGE_METHOD_MISMATCH
 from stages.simplification.color_weight import balanced_weight
 from stages.simplification.corner_attributes import is_in_pieces
 from stages.simplification.in_sheets import run_in_sheets
@@ -47,11 +48,14 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
         require_colors(mesh, params.max_color)
     elif params.max_color is not None and not has_color(mesh):
         raise UsageError(
-            "max_color is given, but the mesh has neither image nor vertex colours; leave it out."
+            USAGE_METHOD_MISMATCH,
+            "max_color is given, but the mesh has neither image nor vertex colours",
+            remedy="leave it out.",
         )
     if not (np.isfinite(task.importance).all() and (task.importance >= 1).all()):
         raise UsageError(
-            "importance has values below 1 or not finite; bounds are divided by it, and never grow."
+            USAGE_METHOD_MISMATCH,
+            "importance has values below 1 or not finite; bounds are divided by it, and never grow.",
         )
     shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) if params.max_shape is None else float(params.max_shape)
     if along_seams:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from stages import _kernels
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.simplification.in_sheets import run_in_sheets
 from stages.simplification.jia01.details import Jia01Details
@@ -56,8 +57,11 @@ def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
         )
     except _kernels.LimitError as error:
         raise UsageError(
-            f"resolution is {limits.scales[0]:g} m, and with edges no longer than that {error}; "
-            "give a coarser one."
+            USAGE_VALUE_INVALID,
+            "resolution is {scales:g} m, and with edges no longer than that {error}",
+            remedy="give a coarser one.",
+            scales=limits.scales[0],
+            error=error,
         ) from error
     light = as_result(
         mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"

@@ -19,6 +19,7 @@ from stages.files.opening import opened
 from stages.files.replacing import replacing
 from stages.files.room import require_room
 from stages.files.zip_archives import is_bounded
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -69,12 +70,18 @@ def read_arrays(path: Path) -> Arrays:
         with opened(path) as file, zipfile.ZipFile(file) as archive:
             entries = archive.infolist()
             if sum(entry.file_size for entry in entries) > _MOST_UNPACKED * path.stat().st_size:
-                raise InputError("is no record of collapses: it would unpack to far more than it is.", path)
+                raise InputError(
+                    SIMPLIFY_RECORD_INVALID,
+                    "is no record of collapses: it would unpack to far more than it is.",
+                    path,
+                )
             return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}.", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "cannot be read: {detail}.", path, detail=error.strerror or error
+        ) from error
     except _DAMAGE as error:
-        raise InputError("is damaged, or no record of collapses.", path) from error
+        raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged, or no record of collapses.", path) from error
 
 
 def json_object(text: NDArray[Any]) -> dict[str, Any]:

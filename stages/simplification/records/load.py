@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stages.diagnostics.errors import InputError
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.simplification.records.archive import Arrays, json_object, read_arrays
 from stages.simplification.records.record import FORMAT_VERSION, CollapseRecord
 from stages.simplification.records.sound import require_sound
@@ -30,19 +31,27 @@ def load_record(path: Path | str) -> CollapseRecord:
     arrays = read_arrays(path)
     version = arrays.get("scanloom_collapse_record")
     if version is None:
-        raise InputError("is no record of collapses.", path)
+        raise InputError(SIMPLIFY_RECORD_INVALID, "is no record of collapses.", path)
     if version.shape != () or version != FORMAT_VERSION:
         raise InputError(
-            f"is a record of version {version}; this scanloom reads version {FORMAT_VERSION}.", path
+            SIMPLIFY_RECORD_INVALID,
+            "is a record of version {version}; this scanloom reads version {format_version}.",
+            path,
+            version=version,
+            format_version=FORMAT_VERSION,
         )
     try:
         about = json_object(arrays["about"])
         missing = [name for name in _NEEDED if name not in arrays]
         if missing:
-            raise InputError(f"is damaged: it has no {missing[0]}.", path)
+            raise InputError(
+                SIMPLIFY_RECORD_INVALID, "is damaged: it has no {missing}.", path, missing=missing[0]
+            )
         record = _record_of(arrays, about, path)
     except _STRANGE as error:
-        raise InputError(f"is damaged, or no record of collapses ({error}).", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "is damaged, or no record of collapses ({error}).", path, error=error
+        ) from error
     require_sound(record, path)
     return record
 

@@ -21,6 +21,7 @@ from stages.diagnostics.errors import MeshError, UsageError
 from stages.params import resolve
 from stages.printing import by_fields, table
 from stages.progress import silent
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.simplification.corner_attributes import LightCorners
 from stages.simplification.kernel_input import Floats, Ids, Light, as_result, fitted, kernel_input
 from stages.simplification.records.archive import Arrays, write_arrays
@@ -101,7 +102,11 @@ class CollapseRecord:
         if self.wedges is None:
             return self._vertices_after(self._steps.after(self._steps.wanted(params)), fit=params.fit)
         if params.fit:
-            raise UsageError("a record of method seams cannot be fitted; simplify to that number instead.")
+            raise UsageError(
+                SIMPLIFY_RECORD_INVALID,
+                "a record of method seams cannot be fitted",
+                remedy="simplify to that number instead.",
+            )
         return self._wedges_after(self.wedges, self._steps.after(self._steps.wanted(params)))
 
     def _vertices_after(self, after: After, *, fit: bool) -> Replayed:
@@ -113,7 +118,9 @@ class CollapseRecord:
             try:
                 vertices, attributes = fitted(light, kernel_input(self.mesh), self.lock, 0, silent)
             except _kernels.InvalidMeshError as error:
-                raise MeshError(f"the mesh of the record cannot be fitted: {error}.") from error
+                raise MeshError(
+                    SIMPLIFY_RECORD_INVALID, "the mesh of the record cannot be fitted: {error}.", error=error
+                ) from error
         mesh = as_result(self.mesh, vertices, attributes, after.triangles, vertex_source, "replay")
         if self.vertex_source is not None and self.triangle_source is not None:
             vertex_source = self.vertex_source[vertex_source]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.simplification.kernel_input import Ids
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.wedges import Wedges
@@ -50,9 +51,13 @@ def require_sound(record: CollapseRecord, path: Path) -> None:
         ("triangle_source", record.triangle_source),
     ):
         if source is not None and (source < 0).any():
-            raise InputError(f"is damaged: {name} names what is not there.", path)
+            raise InputError(
+                SIMPLIFY_RECORD_INVALID, "is damaged: {name} names what is not there.", path, name=name
+            )
     if not np.isfinite(record.path).all():
-        raise InputError("is damaged: a vertex goes to a place that is not finite.", path)
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "is damaged: a vertex goes to a place that is not finite.", path
+        )
     vertices = count
     if wedges is not None:
         _require_sound_wedges(wedges, count, 3 * triangles, collapses, path)
@@ -83,14 +88,19 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
     _require_arrays({f"wedges/{name}": expected for name, expected in arrays.items()}, path)
     for name, (array, _, _) in arrays.items():
         if array is not None and not np.isfinite(array).all():
-            raise InputError(f"is damaged: wedges/{name} has numbers that are not finite.", path)
+            raise InputError(
+                SIMPLIFY_RECORD_INVALID,
+                "is damaged: wedges/{name} has numbers that are not finite.",
+                path,
+                name=name,
+            )
     scales = (
         (attributes.has_uvs, attributes.uv_scale),
         (attributes.has_colors, attributes.color_scale),
         (attributes.has_normals, attributes.normal_scale),
     )
     if any(is_there and not 0 < scale < math.inf for is_there, scale in scales):
-        raise InputError("is damaged: a weight of attributes is no length.", path)
+        raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged: a weight of attributes is no length.", path)
     # A number beyond those of corners would make room for as many.
     for name, ids in (("corner_vertex", wedges.corner_vertex), ("corner_wedge", wedges.corner_wedge)):
         _require_within(f"wedges/{name}", ids, -1, corners, "a number", path)
@@ -101,24 +111,41 @@ def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses
     _require_within("wedges/changed_source", wedges.changed_source, -1, corners, "a corner", path)
     for name, when in (("when", wedges.when), ("changed_when", wedges.changed_when)):
         if (np.diff(when) < 0).any():
-            raise InputError(f"is damaged: wedges/{name} is not in order.", path)
+            raise InputError(
+                SIMPLIFY_RECORD_INVALID, "is damaged: wedges/{name} is not in order.", path, name=name
+            )
         _require_within(f"wedges/{name}", when, 0, collapses, "a collapse", path)
     left_out = wedges.corner_vertex.reshape(-1, 3) < 0
     kept = ~left_out.reshape(-1)
     if (left_out != left_out[:, :1]).any() or (wedges.corner_wedge[kept] < 0).any():
-        raise InputError("is damaged: a triangle has corners without vertices or wedges.", path)
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "is damaged: a triangle has corners without vertices or wedges.", path
+        )
     _require_there("change", wedges.removed, wedges.survivor, count, "a wedge", path)
 
 
 def _require_arrays(expected: dict[str, tuple[NDArray[Any] | None, type, Shape]], path: Path) -> None:
     for name, (array, kind, shape) in expected.items():
         if array is not None and (array.dtype != kind or array.shape != shape):
-            raise InputError(f"is damaged: {name} is {array.dtype} of shape {array.shape}.", path)
+            raise InputError(
+                SIMPLIFY_RECORD_INVALID,
+                "is damaged: {name} is {array_dtype} of shape {array_shape}.",
+                path,
+                name=name,
+                array_dtype=array.dtype,
+                array_shape=array.shape,
+            )
 
 
 def _require_within(name: str, ids: Ids, low: int, end: int, thing: str, path: Path) -> None:
     if len(ids) and not (ids.min() >= low and ids.max() < end):
-        raise InputError(f"is damaged: {name} names {thing} that is not there.", path)
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID,
+            "is damaged: {name} names {thing} that is not there.",
+            path,
+            name=name,
+            thing=thing,
+        )
 
 
 def _require_there(step: str, removed: Ids, survivor: Ids, count: int, thing: str, path: Path) -> None:
@@ -130,4 +157,11 @@ def _require_there(step: str, removed: Ids, survivor: Ids, count: int, thing: st
     in_order = (when[removed] == steps) & (when[survivor] > steps)
     if not in_order.all():
         wrong = int(np.flatnonzero(~in_order)[0])
-        raise InputError(f"is damaged: {step} {wrong} has {thing} that is gone already.", path)
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID,
+            "is damaged: {step} {wrong} has {thing} that is gone already.",
+            path,
+            step=step,
+            wrong=wrong,
+            thing=thing,
+        )

@@ -10,9 +10,11 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.printing import by_fields, table
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.simplification.records.meetings import Meetings
 from stages.surface.mesh import Mesh, Triangles
 from stages.surface.topology import repeats_vertex
@@ -39,7 +41,12 @@ class ReplayParams:
         check(self)
         given = [name for name in ("triangles", "ratio", "collapses") if getattr(self, name) is not None]
         if len(given) > 1:
-            raise UsageError(f"{' and '.join(given)} are given; give one of them.")
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "{given} are given",
+                remedy="give one of them.",
+                given=" and ".join(given),
+            )
 
 
 class ReplayKeywords(TypedDict, total=False):
@@ -141,7 +148,12 @@ class Steps:
         most = len(self.removed)
         if params.collapses is not None:
             if params.collapses > most:
-                raise UsageError(f"collapses is {params.collapses}, but the record holds only {most}.")
+                raise UsageError(
+                    SIMPLIFY_RECORD_INVALID,
+                    "collapses is {collapses}, but the record holds only {most}.",
+                    collapses=params.collapses,
+                    most=most,
+                )
             return params.collapses
         wanted = params.triangles
         if params.ratio is not None:
@@ -151,7 +163,13 @@ class Steps:
         least = self.triangles_after(most)
         if wanted < least:
             name = "triangles" if params.ratio is None else "ratio"
-            raise UsageError(f"{name} asks for {wanted} triangles, but the record ends at {least}.")
+            raise UsageError(
+                SIMPLIFY_RECORD_INVALID,
+                "{name} asks for {wanted} triangles, but the record ends at {least}.",
+                name=name,
+                wanted=wanted,
+                least=least,
+            )
         # As many triangles as have to go are gone after the collapse that the last of them vanishes in.
         going = len(self.ends) - wanted
         return 0 if going <= 0 else max(int(self._sorted_ends[going - 1]) + 1, 0)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.diagnostics.errors import MeshError
+from stages.simplification.codes import SIMPLIFY_COORDINATES_UNWEIGHABLE
 from stages.simplification.color_weight import color_weight
 from stages.simplification.corner_attributes import CornerAttributes, LightCorners
 from stages.simplification.records.record import CollapseRecord
@@ -170,9 +171,10 @@ def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, targ
         uv_scale = max(params.texture_weight, 1e-9) * _metres_per_image(mesh, positions)
         if not np.isfinite(uv_scale):
             raise MeshError(
-                "its texture coordinates are too small to be weighed against its shape; make a new texture, "
-                "or leave it out.",
+                SIMPLIFY_COORDINATES_UNWEIGHABLE,
+                "its texture coordinates are too small to be weighed against its shape",
                 "mesh",
+                remedy="make a new texture, or leave it out.",
             )
         columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
     else:

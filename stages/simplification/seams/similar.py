@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.surface.equal_positions import equal_positions, first_members, position_keys, rank_labels
 from stages.surface.mesh import Triangles, Vertices
@@ -182,8 +183,15 @@ def _pairs_in_tree(positions: Vertices, distance: float) -> NDArray[np.integer[A
         pairs_in_all = (int(tree.count_neighbors(tree, distance)) - count) // 2
         if pairs_in_all > _MOST_PAIRS * count:
             raise UsageError(
-                f"similar_distance {distance:g} m is far more than the distance between vertices: "
-                f"{pairs_in_all:,} pairs of {count:,} vertices are closer; give a smaller one."
+                USAGE_VALUE_INVALID,
+                (
+                    "similar_distance {distance:g} m is far more than the distance between "
+                    "vertices: {pairs_in_all:,} pairs of {count:,} vertices are closer"
+                ),
+                remedy="give a smaller one.",
+                distance=distance,
+                pairs_in_all=pairs_in_all,
+                count=count,
             )
     pairs: NDArray[np.integer[Any]] = tree.query_pairs(distance, output_type="ndarray")
     return pairs

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
 from stages.stereo.networks.process import NetworkProcesses
 from stages.stereo.networks.serving import TYPES
 from stages.stereo.networks.sidecar import DEPTH, NORMALISED, PX, STEREO, Sidecar, read_sidecar
@@ -84,9 +85,11 @@ class Network:
         odd = next((name for name in sidecar.inputs if name not in self._inputs), missing)
         if odd is not None:
             raise InputError(
-                f"its inputs are {', '.join(self._inputs)[:200] or 'none'}, those of the network, and not "
-                f"{', '.join(sidecar.inputs)[:200]}.",
+                DEPTH_NETWORK_SIDECAR_INVALID,
+                "its inputs are {detail}, those of the network, and not {inputs}.",
                 sidecar.file or file,
+                detail=", ".join(self._inputs)[:200] or "none",
+                inputs=", ".join(sidecar.inputs)[:200],
             )
         self.fixed_size = self._fixed_size()
 
@@ -173,7 +176,12 @@ class Network:
             for name, one in zip(self.sidecar.outputs, found, strict=True)
         ]
         if not np.isfinite(maps[0]).any():
-            raise InputError(f"its output {self.sidecar.output[:40]} holds no number at all.", self.file)
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID,
+                "its output {output} holds no number at all.",
+                self.file,
+                output=self.sidecar.output[:40],
+            )
         # Pixels of disparity are as much larger as the image is.
         scale = self.sidecar.sign * (width / wide if self.sidecar.unit == PX else 1)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -230,9 +238,16 @@ class Network:
             or max(np.divide(plane.shape, size)) > 1
         ):
             raise InputError(
-                f"its output {name[:40]} is of shape {_shape(output.shape)} for an image of "
-                f"{size[1]} × {size[0]} px, and no map of it.",
+                DEPTH_NETWORK_SIDECAR_INVALID,
+                (
+                    "its output {name} is of shape {shape} for an image of {size} × {size_2} px, "
+                    "and no map of it."
+                ),
                 self.file,
+                name=name[:40],
+                shape=_shape(output.shape),
+                size=size[1],
+                size_2=size[0],
             )
         return _in_size(plane, size[1], size[0])
 
@@ -243,8 +258,12 @@ class Network:
             about = self._inputs[name]
             if about["type"] not in TYPES:
                 raise InputError(
-                    f"its input {name[:40]} is of type {about['type']}; known are {', '.join(TYPES)}.",
+                    DEPTH_NETWORK_SIDECAR_INVALID,
+                    "its input {name} is of type {about}; known are {types}.",
                     self.file,
+                    name=name[:40],
+                    about=about["type"],
+                    types=", ".join(TYPES),
                 )
             shape = about["shape"]
             if not shape:
@@ -254,16 +273,27 @@ class Network:
             wanted = self.sidecar.channels * (2 if taken.startswith("pair") else 1)
             if channels not in (None, wanted) or any(one not in (None, 1) for one in leading):
                 raise InputError(
-                    f"its input {name[:40]} is of shape {_shape(shape)}, and the sidecar's {taken} in "
-                    f"{self.sidecar.color}, {self.sidecar.layout}, has {wanted} channels.",
+                    DEPTH_NETWORK_SIDECAR_INVALID,
+                    (
+                        "its input {name} is of shape {shape}, and the sidecar's {taken} in {color}, "
+                        "{layout}, has {wanted} channels."
+                    ),
                     self.file,
+                    name=name[:40],
+                    shape=_shape(shape),
+                    taken=taken,
+                    color=self.sidecar.color,
+                    layout=self.sidecar.layout,
+                    wanted=wanted,
                 )
             times = 2 if taken.endswith(_HALF) else 1
             heights.add(height and height * times)
             widths.add(width and width * times)
         sizes = [{one for one in found if one is not None} for found in (heights, widths)]
         if any(len(one) > 1 for one in sizes):
-            raise InputError("its inputs are of different fixed sizes.", self.file)
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID, "its inputs are of different fixed sizes.", self.file
+            )
         found = [next(iter(one), None) for one in sizes]
         return found[0], found[1]
 
@@ -273,8 +303,11 @@ def _require_outputs(sidecar: Sidecar, processes: NetworkProcesses) -> None:
     for name in sidecar.outputs:
         if name not in there:
             raise InputError(
-                f"there is no output {name[:40]!r}; the network's are {', '.join(there)[:200]}.",
+                DEPTH_NETWORK_SIDECAR_INVALID,
+                "there is no output {name!r}; the network's are {there}.",
                 sidecar.file or processes.file,
+                name=name[:40],
+                there=", ".join(there)[:200],
             )
 
 

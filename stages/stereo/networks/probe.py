@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError, StageError
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
+from stages.stereo.codes import DEPTH_NETWORK_UNIDENTIFIED
 from stages.stereo.networks.network import Network
 from stages.stereo.networks.process import NetworkProcesses
 from stages.stereo.networks.sidecar import INVERSE_DEPTH, MONOCULAR, NORMALISED, PX, STEREO, Sidecar
@@ -108,7 +109,12 @@ def _of_image(processes: NetworkProcesses, base: Sidecar, channels: int) -> Prob
     left, _, _ = known_pair()
     found, _ = Network.of(processes, sidecar).of_image(left)
     if not np.isfinite(found).any():
-        raise StageError(f"{processes.file}: it gives no number for an image, put as {_said(sidecar)}.")
+        raise StageError(
+            DEPTH_NETWORK_UNIDENTIFIED,
+            "{file}: it gives no number for an image, put as {said}.",
+            file=processes.file,
+            said=_said(sidecar),
+        )
     return Probed(sidecar, None)
 
 
@@ -128,9 +134,16 @@ def _of_pair(processes: NetworkProcesses, candidates: Sequence[Sidecar], progres
     least, nearest = min(tried, key=lambda one: one[0])
     if not least <= _RIGHT:
         raise StageError(
-            f"{processes.file}: in none of the usual ways does it give the shift of a known pair within "
-            f"{_RIGHT:g} px; the nearest, {_said(nearest)}, is off by {least:.3g} px. Write its "
-            "sidecar by hand."
+            DEPTH_NETWORK_UNIDENTIFIED,
+            (
+                "{file}: in none of the usual ways does it give the shift of a known pair "
+                "within {right:g} px; the nearest, {said}, is off by {least:.3g} px."
+            ),
+            remedy="Write its sidecar by hand.",
+            file=processes.file,
+            right=_RIGHT,
+            said=_said(nearest),
+            least=least,
         )
     good = [one for one in tried if one[0] <= least + _BETTER]
     error, sidecar = good[0]
@@ -215,7 +228,13 @@ def _ways(inputs: Sequence[Any], file: Path) -> tuple[str, str, list[tuple[dict[
             ways = ways[:1]
         return STEREO, layout, ways
     told = ", ".join(f"{one['name'][:40]} {one['shape']}" for one in inputs)
-    raise InputError(f"its inputs ({told[:200]}) are no image and no pair; write its sidecar by hand.", file)
+    raise InputError(
+        DEPTH_NETWORK_UNIDENTIFIED,
+        "its inputs ({told}) are no image and no pair",
+        file,
+        remedy="write its sidecar by hand.",
+        told=told[:200],
+    )
 
 
 def _outputs(outputs: Sequence[Any]) -> tuple[str, str | None, str | None]:

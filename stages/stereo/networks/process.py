@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError, UsageError
+from stages.files.codes import FILE_PATH_INVALID
 from stages.files.own_process import started
+from stages.stereo.codes import DEPTH_NETWORK_UNUSABLE
 
 Map = NDArray[np.float32]
 
@@ -50,9 +52,14 @@ class NetworkProcesses:
             If onnxruntime is not installed.
         """
         if find_spec("onnxruntime") is None:
-            raise UsageError(f"{file}: networks are run by onnxruntime; install scanloom[network].")
+            raise UsageError(
+                DEPTH_NETWORK_UNUSABLE,
+                "{file}: networks are run by onnxruntime",
+                remedy="install scanloom[network].",
+                file=file,
+            )
         if not file.is_file():
-            raise InputError("there is no such file.", file)
+            raise InputError(FILE_PATH_INVALID, "there is no such file.", file)
         self.file = file
         # Stays empty: where each process stands.
         folder = tempfile.TemporaryDirectory(prefix="scanloom-")
@@ -154,11 +161,15 @@ class _Process:
                 if is_late.is_set()
                 else "it crashed, or takes more memory than it may (depth.model_memory)"
             )
-            raise InputError(f"cannot be run as a network: {why}.", self._file) from error
+            raise InputError(
+                DEPTH_NETWORK_UNUSABLE, "cannot be run as a network: {why}.", self._file, why=why
+            ) from error
         finally:
             timer.cancel()
         if "error" in said:
-            raise InputError(f"cannot be run as a network: {said['error']}.", self._file)
+            raise InputError(
+                DEPTH_NETWORK_UNUSABLE, "cannot be run as a network: {said}.", self._file, said=said["error"]
+            )
         return said, found
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of
 from stages.files.own_process import limit_memory
+from stages.stereo.codes import DEPTH_NETWORK_UNUSABLE
 
 # Seconds after which nobody waits any more.
 _LATER = 5
@@ -74,7 +75,9 @@ def _loaded(path: Path) -> Any:
     import onnxruntime
 
     if path.stat().st_size > _MOST_BYTES:
-        raise InputError("it is larger than 2 GB, more than one file of a network can hold")
+        raise InputError(
+            DEPTH_NETWORK_UNUSABLE, "it is larger than 2 GB, more than one file of a network can hold"
+        )
     options = onnxruntime.SessionOptions()
     # On one thread the sums are always the same ones. Several pairs are in several processes.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -111,9 +114,18 @@ def _serve(session: Any, questions: BinaryIO, answers: BinaryIO, seconds: float)
 def _numbers(output: Any, pixels: int) -> NDArray[np.float32]:
     array = np.asarray(output)
     if array.dtype.kind not in "fiu":
-        raise InputError(f"an output is of type {array.dtype}, where numbers are expected")
+        raise InputError(
+            DEPTH_NETWORK_UNUSABLE,
+            "an output is of type {array_dtype}, where numbers are expected",
+            array_dtype=array.dtype,
+        )
     if array.size > _MOST_A_PIXEL * pixels:
-        raise InputError(f"an output has {array.size:,} values for {pixels:,} of an input")
+        raise InputError(
+            DEPTH_NETWORK_UNUSABLE,
+            "an output has {array_size:,} values for {pixels:,} of an input",
+            array_size=array.size,
+            pixels=pixels,
+        )
     with np.errstate(over="ignore"):
         return np.ascontiguousarray(array, "<f4")
 

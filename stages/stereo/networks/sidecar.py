@@ -29,8 +29,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import InputError
 from stages.files.documents import read_document
+from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
 
 STEREO, MONOCULAR = "stereo", "monocular"
 PX, NORMALISED, DEPTH, INVERSE_DEPTH = "px", "normalised", "depth", "inverse_depth"
@@ -76,16 +78,25 @@ class Sidecar:
         for name, what in zip(self.inputs, taken, strict=True):
             if what not in allowed:
                 raise InputError(
-                    f"inputs.{name[:40]} is {what[:40]!r}; it must be one of {', '.join(allowed)}."
+                    DEPTH_NETWORK_SIDECAR_INVALID,
+                    "inputs.{name} is {what!r}; it must be one of {allowed}.",
+                    name=name[:40],
+                    what=what[:40],
+                    allowed=", ".join(allowed),
                 )
         if self.kind == STEREO and "pair" not in taken and {"left", "right"} - {*taken}:
-            raise InputError("inputs must take both left and right, or a pair.")
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID, "inputs must take both left and right, or a pair."
+            )
         if self.unit not in _UNITS[self.kind]:
             raise InputError(
-                f"unit is {self.unit!r}; of one image it must be {' or '.join(_UNITS[self.kind])}."
+                DEPTH_NETWORK_SIDECAR_INVALID,
+                "unit is {unit!r}; of one image it must be {units}.",
+                unit=self.unit,
+                units=" or ".join(_UNITS[self.kind]),
             )
         if self.range[0] == self.range[1] or not all(one > 0 for one in self.std):
-            raise InputError("range must be of two values, and std above 0.")
+            raise InputError(DEPTH_NETWORK_SIDECAR_INVALID, "range must be of two values, and std above 0.")
         return self
 
     @property
@@ -115,9 +126,14 @@ def read_sidecar(network: Path) -> Sidecar:
     path = sidecar_of(network)
     if not path.is_file():
         raise InputError(
-            f"there is no {path.name} beside it, which says what it takes and gives; scanloom probe "
-            f"{network.name} --write guesses one.",
+            DEPTH_NETWORK_SIDECAR_INVALID,
+            (
+                "there is no {path_name} beside it, which says what it takes and gives; "
+                "scanloom probe {network_name} --write guesses one."
+            ),
             network,
+            path_name=path.name,
+            network_name=network.name,
         )
     values = read_document(path)
     known = [one.name for one in fields(Sidecar) if one.name != "file"]
@@ -125,14 +141,22 @@ def read_sidecar(network: Path) -> Sidecar:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             advice = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}."
-            raise InputError(f"there is no key {name[:40]!r}; {advice}", path)
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID,
+                "there is no key {name!r}; {advice}",
+                path,
+                name=name[:40],
+                advice=advice,
+            )
     for name in ("kind", "inputs", "output", "unit"):
         if name not in values:
-            raise InputError(f"it does not say {name}, which it must.", path)
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID, "it does not say {name}, which it must.", path, name=name
+            )
     try:
         return Sidecar(**{name: _checked(name, value) for name, value in values.items()}, file=path).checked()
     except InputError as error:
-        raise InputError(str(error), path) from None
+        raise InputError(CODE_UNKNOWN, str(error), path) from None
 
 
 def written(sidecar: Sidecar) -> str:
@@ -156,7 +180,13 @@ def _checked(name: str, value: Any) -> Any:
     """Return a value as the field has it, or raise InputError with what it must be."""
     if name in _WORDS:
         if value not in _WORDS[name]:
-            raise InputError(f"{name} is {_shown(value)}; it must be one of {', '.join(_WORDS[name])}.")
+            raise InputError(
+                USAGE_VALUE_INVALID,
+                "{name} is {shown}; it must be one of {words}.",
+                name=name,
+                shown=_shown(value),
+                words=", ".join(_WORDS[name]),
+            )
         return value
     if name in ("output", "confidence", "occlusion"):
         return _name(name, value)
@@ -166,27 +196,47 @@ def _checked(name: str, value: Any) -> Any:
         return _numbers(name, value, 3)
     if name == "sign":
         if value not in (1, -1) or isinstance(value, bool):
-            raise InputError(f"sign is {_shown(value)}; it must be 1 or -1.")
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID, "sign is {shown}; it must be 1 or -1.", shown=_shown(value)
+            )
         return int(value)
     if name == "multiple_of":
         if type(value) is not int or not 1 <= value <= _MOST_MULTIPLE:
-            raise InputError(f"multiple_of is {_shown(value)}; it must be from 1 to {_MOST_MULTIPLE}.")
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID,
+                "multiple_of is {shown}; it must be from 1 to {most_multiple}.",
+                shown=_shown(value),
+                most_multiple=_MOST_MULTIPLE,
+            )
         return value
     if not isinstance(value, dict) or not value:
-        raise InputError("inputs is no table of the network's inputs and what each takes.")
+        raise InputError(
+            DEPTH_NETWORK_SIDECAR_INVALID, "inputs is no table of the network's inputs and what each takes."
+        )
     return {_name("inputs", key): _name(f"inputs.{key[:40]}", taken) for key, taken in value.items()}
 
 
 def _name(name: str, value: Any) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_NAME:
-        raise InputError(f"{name} is {_shown(value)}; it must be a name.")
+        raise InputError(
+            DEPTH_NETWORK_SIDECAR_INVALID,
+            "{name} is {shown}; it must be a name.",
+            name=name,
+            shown=_shown(value),
+        )
     return value
 
 
 def _numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
     good = isinstance(value, list) and len(value) == count
     if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in value):
-        raise InputError(f"{name} is {_shown(value)}; it must be {count} numbers.")
+        raise InputError(
+            DEPTH_NETWORK_SIDECAR_INVALID,
+            "{name} is {shown}; it must be {count} numbers.",
+            name=name,
+            shown=_shown(value),
+            count=count,
+        )
     return tuple(float(one) for one in value)
 
 

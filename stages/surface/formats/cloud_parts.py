@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.surface.codes import COMPARE_POINT_CLOUD
 from stages.surface.formats.colors import to_uint8
 from stages.surface.mesh import Mesh
 
@@ -47,12 +48,18 @@ class Parts:
         self._promised += points
         if self._promised > _MOST_PER_BYTE * self._path.stat().st_size:
             raise InputError(
-                f"promises {points:,} points, which do not fit in it; it is damaged or cut short.", self._path
+                COMPARE_POINT_CLOUD,
+                "promises {points:,} points, which do not fit in it; it is damaged or cut short.",
+                self._path,
+                points=points,
             )
         if self._promised > MOST_POINTS:
             raise InputError(
-                f"holds {self._promised:,} points; up to {MOST_POINTS:,} are read. Thin it out first.",
+                COMPARE_POINT_CLOUD,
+                "holds {promised:,} points; up to {most_points:,} are read. Thin it out first.",
                 self._path,
+                promised=self._promised,
+                most_points=MOST_POINTS,
             )
 
     def append(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files.opening import opened, require_regular
+from stages.surface.codes import COMPARE_POINT_CLOUD
 from stages.surface.formats.cloud_parts import PART, Parts
 
 _START = b"ASTM-E57"
@@ -41,7 +42,7 @@ def read_e57(path: Path, parts: Parts) -> None:
 
     with opened(path) as file:
         if file.read(len(_START)) != _START:
-            raise InputError("is no E57 file: it does not start with `ASTM-E57`.", path)
+            raise InputError(COMPARE_POINT_CLOUD, "is no E57 file: it does not start with `ASTM-E57`.", path)
     file = pye57.E57(str(require_regular(path)))
     invalid = 0
     for number in range(file.scan_count):
@@ -59,7 +60,12 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     fields = set(scan.point_fields)
     places = next((names for names in (_CARTESIAN, _SPHERICAL) if fields.issuperset(names)), None)
     if places is None:
-        raise InputError(f"its points have {', '.join(sorted(fields))[:200]}, and no coordinates.", path)
+        raise InputError(
+            COMPARE_POINT_CLOUD,
+            "its points have {fields}, and no coordinates.",
+            path,
+            fields=", ".join(sorted(fields))[:200],
+        )
     wanted = [names for names in (places, _COLORS, _NORMALS) if fields.issuperset(names)]
     names = [name for group in wanted for name in group] + [name for name in _INVALID if name in fields]
     count = min(PART, max(int(scan.point_count), 1))
@@ -86,7 +92,13 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
         )
     reader.close()
     if left > 0:
-        raise InputError(f"ends {left:,} points before the {scan.point_count:,} that it promises.", path)
+        raise InputError(
+            COMPARE_POINT_CLOUD,
+            "ends {left:,} points before the {point_count:,} that it promises.",
+            path,
+            left=left,
+            point_count=scan.point_count,
+        )
     return invalid
 
 

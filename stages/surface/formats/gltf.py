@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.surface.codes import MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED
 from stages.surface.formats.colors import srgb_from_linear, to_uint8
 from stages.surface.formats.gltf_container import COMPRESSED, SCAN_FROM_WORLD, Gltf, Tree, read_container
 from stages.surface.formats.gltf_materials import MaterialReader, Placement
@@ -98,7 +99,10 @@ def read_gltf(path: Path | str) -> Mesh:
         RecursionError,
     ) as error:
         raise InputError(
-            "cannot be read as glTF: its description is damaged; get a whole copy of it.", path
+            MESH_FILE_DAMAGED,
+            "cannot be read as glTF: its description is damaged",
+            path,
+            remedy="get a whole copy of it.",
         ) from error
 
 
@@ -204,7 +208,9 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
         return None
     compressed = any(key in COMPRESSED for key in primitive.get("extensions", {}))
     if compressed and "bufferView" not in gltf.item("accessors", attributes["POSITION"]):
-        raise InputError("is compressed; write it again without compression.", gltf.path)
+        raise InputError(
+            MESH_COMPRESSION_UNKNOWN, "is compressed", gltf.path, remedy="write it again without compression."
+        )
     if "targets" in primitive:
         reading.note("morph targets are left out")
     if "TANGENT" in attributes:
@@ -217,7 +223,10 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
     reading.corners += triangles.size + len(vertices)
     if reading.corners > _MOST_CORNERS:
         raise InputError(
-            f"places more than {_MOST_CORNERS:,} corners and vertices; it is damaged.", gltf.path
+            MESH_FILE_DAMAGED,
+            "places more than {most_corners:,} corners and vertices; it is damaged.",
+            gltf.path,
+            most_corners=_MOST_CORNERS,
         )
     vertices, triangles, normal_matrix = _placed(vertices, triangles, matrix)
     colors = _colors(reading, attributes, len(vertices))

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from stages.surface.codes import MESH_COMPANION_MISSING, MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED
 from stages.surface.formats.textures import beside
 
 Tree = dict[str, Any]
@@ -88,7 +90,11 @@ class Gltf:
             return _kernels.decode_indices(data, count, size, str(packed["mode"]))
         except (ValueError, OverflowError) as error:
             raise InputError(
-                f"has a buffer view that cannot be unpacked ({error}); {_DAMAGED}", self.path
+                MESH_FILE_DAMAGED,
+                "has a buffer view that cannot be unpacked ({error}); {damaged}",
+                self.path,
+                error=error,
+                damaged=_DAMAGED,
             ) from error
 
     def _span(self, view: Tree) -> memoryview:
@@ -97,8 +103,12 @@ class Gltf:
         start, length = natural(view.get("byteOffset", 0)), natural(view["byteLength"])
         if start + length > len(buffer):
             raise InputError(
-                f"has a buffer view up to byte {start + length:,} of a buffer of {len(buffer):,}; {_DAMAGED}",
+                MESH_FILE_DAMAGED,
+                "has a buffer view up to byte {start:,} of a buffer of {buffer_count:,}; {damaged}",
                 self.path,
+                start=start + length,
+                buffer_count=len(buffer),
+                damaged=_DAMAGED,
             )
         return memoryview(buffer)[start : start + length]
 
@@ -114,7 +124,12 @@ class Gltf:
             held = sum(map(len, self.buffers))
             if count > held:
                 raise InputError(
-                    f"has an accessor of {count:,} elements for {held:,} bytes of data; {_DAMAGED}", self.path
+                    MESH_FILE_DAMAGED,
+                    "has an accessor of {count:,} elements for {held:,} bytes of data; {damaged}",
+                    self.path,
+                    count=count,
+                    held=held,
+                    damaged=_DAMAGED,
                 )
             elements = np.zeros((count, columns), dtype)
         if "sparse" in accessor:
@@ -132,8 +147,12 @@ class Gltf:
         start = natural(accessor.get("byteOffset", 0))
         if count and (stride < size or start + (count - 1) * stride + size > len(data)):
             raise InputError(
-                f"has an accessor of {count:,} elements, more than its {len(data):,} bytes hold; {_DAMAGED}",
+                MESH_FILE_DAMAGED,
+                "has an accessor of {count:,} elements, more than its {data_count:,} bytes hold; {damaged}",
                 self.path,
+                count=count,
+                data_count=len(data),
+                damaged=_DAMAGED,
             )
         if count == 0:
             return np.zeros((0, columns), dtype)
@@ -173,15 +192,25 @@ def read_container(path: Path) -> Gltf:
     try:
         data = content_of(path)
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+        ) from error
     text, binary = _chunks(path, data) if path.suffix.lower() == ".glb" else (data, b"")
     try:
         tree = json.loads(text)
         version = str(tree["asset"]["version"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError("is not a sound glTF file: its description does not parse.", path) from error
+        raise InputError(
+            MESH_FILE_DAMAGED, "is not a sound glTF file: its description does not parse.", path
+        ) from error
     if not version.startswith("2."):
-        raise InputError(f"is of glTF version {version[:20]!r}; write it again as glTF 2.0.", path)
+        raise InputError(
+            MESH_FILE_DAMAGED,
+            "is of glTF version {version!r}",
+            path,
+            remedy="write it again as glTF 2.0.",
+            version=version[:20],
+        )
     gltf = Gltf(path, tree)
     # First of all: a buffer that is there for its size only is no damage.
     _require_uncompressed(gltf)
@@ -195,7 +224,12 @@ def read_container(path: Path) -> Gltf:
         promised = natural(buffer["byteLength"])
         if len(content) < promised:
             raise InputError(
-                f"promises a buffer of {promised:,} bytes, but {len(content):,} are there; {_DAMAGED}", path
+                MESH_FILE_DAMAGED,
+                "promises a buffer of {promised:,} bytes, but {content_count:,} are there; {damaged}",
+                path,
+                promised=promised,
+                content_count=len(content),
+                damaged=_DAMAGED,
             )
         gltf.buffers.append(content)
     return gltf
@@ -205,24 +239,31 @@ def _require_uncompressed(gltf: Gltf) -> None:
     for name in gltf.items("extensionsRequired"):
         if name in COMPRESSED:
             raise InputError(
-                f"is compressed with {name}, which is not read here; "
-                "write it again without compression (in Blender, turn Compression off on export).",
+                MESH_COMPRESSION_UNKNOWN,
+                "is compressed with {name}, which is not read here",
                 gltf.path,
+                remedy="write it again without compression (in Blender, turn Compression off on export).",
+                name=name,
             )
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
     """Return the description and the binary chunk of a GLB file."""
     if data[:4] != b"glTF":
-        raise InputError("is not a sound glTF file: it does not start with `glTF`.", path)
+        raise InputError(MESH_FILE_DAMAGED, "is not a sound glTF file: it does not start with `glTF`.", path)
     if data[4:8] != b"\2\0\0\0":
-        raise InputError("is not a sound glTF file of version 2; write it again as glTF 2.0.", path)
+        raise InputError(
+            MESH_FILE_DAMAGED,
+            "is not a sound glTF file of version 2",
+            path,
+            remedy="write it again as glTF 2.0.",
+        )
     chunks: dict[int, bytes] = {}
     at = 12
     while at + 8 <= len(data):
         length, kind = np.frombuffer(data, "<u4", 2, at).tolist()
         if at + 8 + length > len(data):
-            raise InputError(f"is not a sound glTF file: {_DAMAGED}", path)
+            raise InputError(MESH_FILE_DAMAGED, "is not a sound glTF file: {damaged}", path, damaged=_DAMAGED)
         chunks.setdefault(kind, data[at + 8 : at + 8 + length])
         at += 8 + length
     return chunks.get(_JSON, b""), chunks.get(_BIN, b"")
@@ -238,7 +279,9 @@ def _buffer(path: Path, buffer: Tree, binary: bytes) -> bytes:
     try:
         return content_of(beside(path.parent, name))
     except (OSError, ValueError) as error:
-        raise InputError(f"refers to the file {name[:200]}, which is missing.", path) from error
+        raise InputError(
+            MESH_COMPANION_MISSING, "refers to the file {name}, which is missing.", path, name=name[:200]
+        ) from error
 
 
 def data_of_uri(uri: str) -> bytes | None:

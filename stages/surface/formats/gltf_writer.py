@@ -18,6 +18,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import MACHINE_DISK_FAILED
 from stages.diagnostics.errors import MeshError, StageError
 from stages.files.replacing import replacing
 from stages.surface.finite import LARGEST_SINGLE
@@ -345,7 +346,13 @@ def _write_one(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + (8 + buffer.size if buffer.size else 0)
     if size >= _LARGEST:
-        raise StageError(f"{path}: would take {size:,} bytes, more than a GLB file can hold; write PLY.")
+        raise StageError(
+            MACHINE_DISK_FAILED,
+            "{path}: would take {size:,} bytes, more than a GLB file can hold",
+            remedy="write PLY.",
+            path=path,
+            size=size,
+        )
     with replacing(path) as part, part.open("wb") as file:
         file.write(b"glTF" + np.array([2, size, len(text), _JSON], "<u4").tobytes())
         file.write(text)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files.opening import opened
+from stages.surface.codes import COMPARE_POINT_CLOUD
 from stages.surface.formats.cloud_parts import PART, Parts
 
 # Of a header, with how many points there are as it has been told since version 1.4; and of a record that says
@@ -67,16 +68,23 @@ def _checked_points(path: Path) -> int:
     with opened(path) as file:
         head = file.read(_LONG_HEADER)
     if head[:4] != b"LASF":
-        raise InputError("is no LAS or LAZ file: it does not start with `LASF`.", path)
+        raise InputError(COMPARE_POINT_CLOUD, "is no LAS or LAZ file: it does not start with `LASF`.", path)
     if len(head) < _SHORTEST_HEADER:
-        raise InputError("is cut short within its header; get a whole copy of it.", path)
+        raise InputError(
+            COMPARE_POINT_CLOUD, "is cut short within its header", path, remedy="get a whole copy of it."
+        )
     header_size, start, records, kind, length, points = struct.unpack_from("<HIIBHI", head, 94)
     if head[25] >= 4 and len(head) == _LONG_HEADER:
         (points,) = struct.unpack_from("<Q", head, 247)
     held = max(size - start, 0) // max(length, 1)
     is_short = start > size or header_size + _RECORD * records > size
     if is_short or (not kind & _PACKED and points > held):
-        raise InputError(f"promises {points:,} points, more than it holds; it is damaged or cut short.", path)
+        raise InputError(
+            COMPARE_POINT_CLOUD,
+            "promises {points:,} points, more than it holds; it is damaged or cut short.",
+            path,
+            points=points,
+        )
     return int(points)
 
 

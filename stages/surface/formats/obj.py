@@ -18,6 +18,8 @@ from stages.diagnostics.errors import InputError, MeshError
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.files.text_numbers import parse_numbers, parse_whole_numbers
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from stages.surface.codes import MESH_FILE_DAMAGED
 from stages.surface.formats.colors import to_uint8
 from stages.surface.formats.mtl import read_libraries, write_library
 from stages.surface.formats.obj_statements import NO_PART, Statements, sorted_statements, words_of_lines
@@ -52,7 +54,9 @@ def read_obj(path: Path | str) -> Mesh:
     try:
         data = content_of(path)
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+        ) from error
     notes: list[str] = []
     statements = sorted_statements(data)
     if statements.others:
@@ -63,7 +67,7 @@ def read_obj(path: Path | str) -> Mesh:
         uvs, _ = _rows(statements.uvs, 2)
         normals, _ = _rows(statements.normals, 3)
     except ValueError as error:
-        raise InputError(f"cannot be parsed: {error}", path) from None
+        raise InputError(MESH_FILE_DAMAGED, "cannot be parsed: {error}", path, error=error) from None
     corners, source = split_polygons(lengths, references[:, 0], vertices, notes)
     corner_references = references[corners]
     triangles: Any = corner_references[..., 0]  # 64 bits until the range is checked

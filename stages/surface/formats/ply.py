@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
+from stages.surface.codes import MESH_FILE_DAMAGED
 from stages.surface.formats.colors import to_uint8
 from stages.surface.formats.ply_format import Header, Lists, Table, read_tables
 from stages.surface.formats.ply_texture import (
@@ -66,7 +67,7 @@ def read_ply(path: Path | str) -> Mesh:
     vertex = tables.get("vertex", {})
     vertices = _columns(vertex, ("x", "y", "z"))
     if vertices is None:
-        raise InputError("has no element `vertex` with x, y and z.", path)
+        raise InputError(MESH_FILE_DAMAGED, "has no element `vertex` with x, y and z.", path)
     notes: list[str] = []
     face = tables.get("face", {})
     vertices = vertices.astype(np.float64)

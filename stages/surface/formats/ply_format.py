@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of, opened
 from stages.files.text_numbers import parse_numbers
+from stages.picturing.codes import REPORT_INCOMPLETE
+from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 
 # Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
 _LONGEST_HEADER = 1 << 20
@@ -85,12 +87,14 @@ def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
     try:
         data = content_of(path)
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+        ) from error
     try:
         header = parse_header(data)
         return header, _read_body(header, data)
     except _MalformedError as error:
-        raise InputError(str(error), path) from None
+        raise InputError(CODE_UNKNOWN, str(error), path) from None
 
 
 def promised(path: Path, element: str) -> int:
@@ -105,9 +109,11 @@ def promised(path: Path, element: str) -> int:
         with opened(path) as file:
             header = parse_header(file.read(_LONGEST_HEADER))
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+        ) from error
     except _MalformedError as error:
-        raise InputError(str(error), path) from None
+        raise InputError(CODE_UNKNOWN, str(error), path) from None
     return sum(one.count for one in header.elements if one.name == element)
 
 
@@ -134,7 +140,7 @@ class Rows:
                 file.seek(self.start + first * self.dtype.itemsize)
                 rows = np.frombuffer(file.read(count * self.dtype.itemsize), self.dtype)
             if len(rows) != count:
-                raise InputError(_DAMAGED, self.path)
+                raise InputError(CODE_UNKNOWN, _DAMAGED, self.path)
             yield rows
 
 
@@ -157,9 +163,11 @@ def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
             header = parse_header(file.read(_LONGEST_HEADER))
         size = path.stat().st_size
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+        raise InputError(
+            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+        ) from error
     except _MalformedError as error:
-        raise InputError(str(error), path) from None
+        raise InputError(CODE_UNKNOWN, str(error), path) from None
     match header.elements:
         case [Element("vertex", vertices, columns), Element("face", faces, [Property() as corners])] if (
             header.encoding != "ascii"
@@ -170,10 +178,17 @@ def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
             row = np.dtype([(column.name, column.dtype) for column in columns])
             face = np.dtype([(LENGTH, corners.length), (CORNERS, corners.dtype, (3,))])
         case _:
-            raise InputError("it is not a binary file of vertices and triangles alone.", path)
+            raise InputError(
+                REPORT_INCOMPLETE, "it is not a binary file of vertices and triangles alone.", path
+            )
     end = header.size + vertices * row.itemsize
     if size != end + faces * face.itemsize:
-        raise InputError(f"it is not as long as its header promises of triangles; {_DAMAGED}", path)
+        raise InputError(
+            REPORT_INCOMPLETE,
+            "it is not as long as its header promises of triangles; {damaged}",
+            path,
+            damaged=_DAMAGED,
+        )
     return Rows(path, row, header.size, vertices), Rows(path, face, end, faces)
 
 

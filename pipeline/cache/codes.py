@@ -1,0 +1,20 @@
+"""Codes of the diagnostics of the cache, with explanations."""
+
+from __future__ import annotations
+
+from stages.diagnostics.diagnostic import Code
+
+MACHINE_CACHE_UNUSABLE = Code(
+    "machine.cache-unusable",
+    "The cache",
+    """
+A damaged entry is dropped, and its stage runs again: nothing has to be done, unless it happens often,
+which speaks of a
+bad disk. A cache that may only be read is used as it is. `scanloom cache verify` looks at all entries,
+`scanloom cache prune` removes old ones; deleting the whole folder only costs time.
+""",
+    (
+        "…: a folder of the cache is expected here, and this is a link or a file; "
+        "remove it, or keep the whole cache elsewhere (SCANLOOM_CACHE)."
+    ),
+)
