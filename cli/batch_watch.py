@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from cli.options import as_typed
 from cli.output import Output, table_of
 from cli.passing_bar import PassingBar
+from cli.rendering import as_typed
 from pipeline.batch.records import DONE, RUNNING, WAITING, Record
 from pipeline.batch.summary import Summary
 from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, Told

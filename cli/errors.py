@@ -9,7 +9,7 @@ import typer
 
 from cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
 from cli.interrupts import SENTENCE
-from cli.options import as_typed
+from cli.rendering import as_typed
 from stages.diagnostics.errors import InputError, UsageError, bug_explained, is_lack_of_memory
 
 # What typer raises for a wrong command line; its base class has no public name of its own.

@@ -14,6 +14,7 @@ import stages
 from cli.output import Output
 from cli.paths import require_file
 from stages import Mesh, MeshError
+from stages.diagnostics.diagnostic import Where
 from stages.surface.cloud import is_cloud
 from stages.surface.cloud_files import read_mesh_or_cloud
 from stages.surface.mesh_files import lost_with, standing
@@ -66,9 +67,9 @@ def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
     try:
         yield
     except MeshError as error:
-        if error.file != called:
+        if error.diagnostic.where != Where(called):
             raise
-        raise MeshError(CODE_UNKNOWN, str(error).removeprefix(f"{called}: "), path) from error
+        raise error.at(path) from error
 
 
 def write_file(path: Path, mesh: Mesh, out: Output, original: Mesh | None = None) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin, get_t
 import typer
 
 from cli.output import Output
-from stages.diagnostics.errors import UsageError
+from cli.rendering import option_name
 from stages.params import Described, described, hints_of, kinds_of, row_length
 
 OUTPUT_PANEL = "Output"
@@ -106,16 +105,7 @@ def with_options(function: Callable[..., None], *, can_warn: bool = True) -> Cal
 
 def build(cls: type, values: dict[str, Any]) -> Any:
     """Build a parameter class from the options that were given (the others are None)."""
-    fields_given = _given(cls, values)
-    try:
-        return cls(**fields_given)
-    except UsageError as error:
-        message = str(error)
-        name = message.split(" ", 1)[0]
-        # The person typed an option, not a field.
-        raise UsageError(
-            CODE_UNKNOWN, message.replace(name, option_name(name), 1) if name in fields_given else message
-        ) from None
+    return cls(**_given(cls, values))
 
 
 def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
@@ -127,16 +117,6 @@ def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
 def _given(cls: type, values: dict[str, Any]) -> dict[str, Any]:
     """Return the values of a class whose options were given."""
     return {name: values[name] for name in described(cls) if values.get(name) is not None}
-
-
-def option_name(field_name: str) -> str:
-    """Return how a field is called on the command line."""
-    return "--" + field_name.replace("_", "-")
-
-
-def as_typed(text: str) -> str:
-    """Write advice such as `scan.depth_scale=1000` as the option every command on scans has for it."""
-    return re.sub(r"\bscan\.(\w+)=", lambda found: f"{option_name(found[1])}=", text)
 
 
 def default_of(cls: type, name: str) -> Any:

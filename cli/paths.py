@@ -50,9 +50,9 @@ def require_new_file(path: Path, suffixes: tuple[str, ...]) -> Path:
         known = ", ".join(suffixes)
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "{path}: the extension {detail} stands for no format",
+            "the extension {detail} stands for no format",
             remedy="use {known}.",
-            path=path,
+            where=path,
             detail=path.suffix or "(none)",
             known=known,
         )

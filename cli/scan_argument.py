@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import stages
-from cli.options import as_typed
 from cli.output import Output
 from cli.paths import require_scan
+from cli.rendering import as_typed
 from cli.skipped import tell_skipped
 from stages import Scan, ScanParams
 

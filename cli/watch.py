@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from cli.options import as_typed
 from cli.output import Output
 from cli.passing_bar import PassingBar
+from cli.rendering import as_typed
 from pipeline.graph import find_stage
 from pipeline.run.events import (
     Event,

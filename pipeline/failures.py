@@ -6,7 +6,7 @@ import contextlib
 import errno
 from collections.abc import Iterator
 
-from stages.diagnostics.codes import MACHINE_OUT_OF_MEMORY
+from stages.diagnostics.codes import MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
 from stages.diagnostics.errors import StageError, is_lack_of_memory
 
 _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
@@ -24,14 +24,16 @@ def explained(what: str) -> Iterator[None]:
         # A writer in `stages` met the full disk first; only here is known what can be done about it.
         if isinstance(error.__cause__, OSError) and error.__cause__.errno in _FULL:
             raise StageError(
-                CODE_UNKNOWN, "{what}: {reason}.", what=what, reason=_reason(error.__cause__)
+                MACHINE_DISK_FAILED, "{what}: {reason}.", what=what, reason=_reason(error.__cause__)
             ) from error
         raise
     except Exception as error:
         if is_lack_of_memory(error):
             raise StageError(MACHINE_OUT_OF_MEMORY, "{what}: the memory is used up.", what=what) from error
         if isinstance(error, OSError):
-            raise StageError(CODE_UNKNOWN, "{what}: {reason}.", what=what, reason=_reason(error)) from error
+            raise StageError(
+                MACHINE_DISK_FAILED, "{what}: {reason}.", what=what, reason=_reason(error)
+            ) from error
         raise
 
 

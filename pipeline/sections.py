@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
 from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, CONFIG_UNREADABLE, USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.files.documents import parse_toml
 from stages.files.opening import text_in
@@ -46,7 +47,8 @@ class Sections:
         if quality not in [*cls.QUALITIES]:  # a file may hold what is no word
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "quality is {quality!r}; it must be one of {qualities}.",
+                "is {quality!r}; it must be one of {qualities}.",
+                Where(parameter="quality"),
                 quality=quality,
                 qualities=", ".join(cls.QUALITIES),
             )
@@ -76,21 +78,17 @@ class Sections:
         """
         try:
             if path.stat().st_size > _MAX_BYTES:
-                raise UsageError(
-                    CONFIG_UNREADABLE, "{path}: the file is too large for a configuration.", path=path
-                )
+                raise UsageError(CONFIG_UNREADABLE, "the file is too large for a configuration.", where=path)
             text = text_in(path, "utf-8")
         except OSError as error:
             raise UsageError(
                 CONFIG_UNREADABLE,
-                "{path}: the config file cannot be read ({strerror}).",
-                path=path,
+                "the config file cannot be read ({strerror}).",
+                where=path,
                 strerror=error.strerror,
             ) from error
         except UnicodeDecodeError as error:
-            raise UsageError(
-                CONFIG_UNREADABLE, "{path}: the config file is not UTF-8 text.", path=path
-            ) from error
+            raise UsageError(CONFIG_UNREADABLE, "the config file is not UTF-8 text.", where=path) from error
         return cls.loads(text, str(path), quality)
 
     @classmethod
@@ -100,13 +98,13 @@ class Sections:
             data = parse_toml(text)
         except ValueError as error:
             raise UsageError(
-                CONFIG_UNREADABLE, "{place}: this is not TOML ({error}).", place=where, error=error
+                CONFIG_UNREADABLE, "this is not TOML ({error}).", where=where, error=error
             ) from error
         named = data.pop("quality", None) if cls.QUALITIES else None
         try:
             config = cls() if named is None else cls.of(named)
         except UsageError as error:
-            raise UsageError(CODE_UNKNOWN, "{place}: {error}", place=where, error=error) from error
+            raise error.at(where) from error
         if quality is not None:
             config = cls.of(quality)
         for section, values in data.items():
@@ -114,9 +112,9 @@ class Sections:
             if not isinstance(values, dict):
                 raise UsageError(
                     CONFIG_UNREADABLE,
-                    "{place}: {section} is a section",
+                    "{section} is a section",
                     remedy="write [{section}], its parameters below.",
-                    place=where,
+                    where=where,
                     section=section,
                 )
             config = config._with(section, values, where)
@@ -172,8 +170,8 @@ class Sections:
             advice = _did_you_mean(section, self.types())
             raise UsageError(
                 CONFIG_PARAMETER_UNKNOWN,
-                "{place}: there is no stage {section!r}; {advice}",
-                place=where,
+                "there is no stage {section!r}; {advice}",
+                where=where,
                 section=section,
                 advice=advice,
             )
@@ -185,8 +183,8 @@ class Sections:
         if key not in known:
             raise UsageError(
                 CONFIG_PARAMETER_UNKNOWN,
-                "{place}: {section} has no parameter {key!r}; {did_you_mean}",
-                place=where,
+                "{section} has no parameter {key!r}; {did_you_mean}",
+                where=where,
                 section=section,
                 key=key,
                 did_you_mean=_did_you_mean(key, known),
@@ -198,9 +196,7 @@ class Sections:
         try:
             changed = dataclasses.replace(getattr(self, section), **changes)
         except UsageError as error:
-            raise UsageError(
-                CODE_UNKNOWN, "{place}: {section}.{error}", place=where, section=section, error=error
-            ) from error
+            raise UsageError.of(error.diagnostic.of_section(section, where)) from error
         return dataclasses.replace(self, **{section: changed})  # type: ignore[type-var]
 
 

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from stages.diagnostics.codes import MACHINE_LIBRARY_MISSING
 from stages.diagnostics.errors import StageError, is_lack_of_memory
 from stages.files.room import require_room
 
@@ -87,7 +88,7 @@ def imported() -> Any:
             raise KeyboardInterrupt from error
         if is_lack_of_memory(error):
             raise MemoryError from error
-        raise StageError(CODE_UNKNOWN, _explain(str(error))) from error
+        raise StageError(MACHINE_LIBRARY_MISSING, _explain(str(error))) from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
 

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
 from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 
 P = TypeVar("P")
@@ -108,7 +109,8 @@ def check(params: Any) -> None:
         if about.choices and value not in about.choices:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "{name} is {value!r}; it must be one of {choices}.",
+                "is {value!r}; it must be one of {choices}.",
+                Where(parameter=name),
                 name=name,
                 value=value,
                 choices=", ".join(about.choices),
@@ -142,8 +144,8 @@ def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
     if not len(row) == len(numbers) == count or not all(map(math.isfinite, row)):
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "{name} is {value!r}; it must be {count} finite numbers.",
-            name=name,
+            "is {value!r}; it must be {count} finite numbers.",
+            Where(parameter=name),
             value=value,
             count=count,
         )
@@ -157,8 +159,8 @@ def _check_type(name: str, value: Any, kinds: tuple[Any, ...]) -> None:
         names = " or ".join(sorted({k.__name__ for k in kinds}))
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "{name} is {value!r}; it must be of type {names}.",
-            name=name,
+            "is {value!r}; it must be of type {names}.",
+            Where(parameter=name),
             value=value,
             names=names,
         )
@@ -167,13 +169,13 @@ def _check_type(name: str, value: Any, kinds: tuple[Any, ...]) -> None:
 def _check_range(name: str, value: float, about: Described) -> None:
     unit = f" {about.unit}" if about.unit else ""
     if math.isnan(value):
-        raise UsageError(USAGE_VALUE_INVALID, "{name} is not a number.", name=name)
+        raise UsageError(USAGE_VALUE_INVALID, "is not a number.", Where(parameter=name))
     if about.low is not None and (value < about.low or (about.low_open and value == about.low)):
         bound = "more than" if about.low_open else "at least"
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "{name} is {value:g}{unit}; it must be {bound} {low:g}{unit}.",
-            name=name,
+            "is {value:g}{unit}; it must be {bound} {low:g}{unit}.",
+            Where(parameter=name),
             value=value,
             unit=unit,
             bound=bound,
@@ -182,8 +184,8 @@ def _check_range(name: str, value: float, about: Described) -> None:
     if about.high is not None and value > about.high:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "{name} is {value:g}{unit}; it must be at most {high:g}{unit}.",
-            name=name,
+            "is {value:g}{unit}; it must be at most {high:g}{unit}.",
+            Where(parameter=name),
             value=value,
             unit=unit,
             high=about.high,

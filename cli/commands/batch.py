@@ -155,9 +155,9 @@ def batch(
     if where == folder or target == folder:
         raise UsageError(
             BATCH_ALREADY_EXISTS,
-            "{folder}: results and cache cannot stand among the scans",
+            "results and cache cannot stand among the scans",
             remedy="name other folders.",
-            folder=folder,
+            where=folder,
         )
     scans, others = _found(folder, config, include, exclude, [target, where])
     require_writable(target)

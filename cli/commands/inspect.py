@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import stages
-from cli.options import as_typed
 from cli.output import Output
 from cli.paths import require_new_file, require_scan
+from cli.rendering import as_typed
 from cli.scan_argument import ScanFolder
 from stages import ScanParams
 from stages.inspecting.picture import inspection_picture

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.options import Changes, as_typed
+from cli.options import Changes
 from cli.output import Output, size_of, table_of
 from cli.paths import require_scan, require_writable
 from cli.plot_option import plot_option, require_plot
 from cli.quality import QualityOption
+from cli.rendering import as_typed
 from cli.run_options import (
     CacheOption,
     ConfigOption,

@@ -13,9 +13,9 @@ import typer
 import stages
 from cli.baked import TEXTURED_SUFFIXES, baked_text
 from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, tell_written, write_file
-from cli.options import option_name
 from cli.output import Output, lines_of
 from cli.paths import MESH_SUFFIXES, require_new_file
+from cli.rendering import option_name
 from cli.written_bounds import SaveBounds, write_bounds
 from stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT

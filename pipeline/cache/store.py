@@ -419,9 +419,9 @@ def _require_folder(path: Path) -> None:
     if os.path.lexists(path) and not is_folder(path):
         raise StageError(
             MACHINE_CACHE_UNUSABLE,
-            "{path}: a folder of the cache is expected here, and this is a link or a file",
+            "a folder of the cache is expected here, and this is a link or a file",
             remedy="remove it, or keep the whole cache elsewhere (SCANLOOM_CACHE).",
-            path=path,
+            where=path,
         )
 
 

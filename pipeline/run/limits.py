@@ -129,7 +129,7 @@ class LimitGuard:
 
     def _end_or_warn(self, why: str, basis: str) -> None:
         if basis != "estimated" or (self._limits.memory or math.inf) <= BASE_BYTES:
-            raise StageError(CODE_UNKNOWN, why)
+            raise StageError(BATCH_LIMIT_EXCEEDED, why)
         self._warn(f"{why} This is an estimate; the stage is stopped if it comes to that.")
 
     def during(self, stage: str, folder: Path, share: float) -> None:
@@ -148,7 +148,7 @@ class LimitGuard:
         if self._limits.memory is not None and self._is_time("memory", _MEMORY_PAUSE):
             taken = self._peak()
             if taken > self._limits.memory:
-                raise StageError(CODE_UNKNOWN, self._memory_trouble(stage, taken, None, share))
+                raise StageError(BATCH_LIMIT_EXCEEDED, self._memory_trouble(stage, taken, None, share))
         if self._limits.disk is not None and self._is_time("disk", _DISK_PAUSE):
             self._require_disk(stage, 2 * _bytes_in(folder), share)
 

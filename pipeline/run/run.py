@@ -29,6 +29,7 @@ from pipeline.run.results import Results
 from pipeline.run.sources import sources_of
 from pipeline.stage import AnyStage
 from pipeline.steps.adjust import is_adjusted
+from pipeline.steps.codes import USAGE_STAGE_SKIPPED
 from pipeline.steps.register import is_registered
 from stages import __version__
 from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN
@@ -190,9 +191,9 @@ def wanted_of(
         if folder == scan_folder:
             raise UsageError(
                 FILE_OUTPUT_REFUSED,
-                "{folder}: the {what} folder is the scan itself, which is only read",
+                "the {what} folder is the scan itself, which is only read",
                 remedy="name another.",
-                folder=folder,
+                where=folder,
                 what=what,
             )
     require_stages([*force, *([] if until is None else [until])])
@@ -203,7 +204,7 @@ def wanted_of(
     absent = skip_reasons(scan, config)
     for name in (*force, until):
         if name in absent:
-            raise UsageError(CODE_UNKNOWN, "{name} {absent}.", name=name, absent=absent[name])
+            raise UsageError(USAGE_STAGE_SKIPPED, "{name} {absent}.", name=name, absent=absent[name])
     names = [stage.name for stage in plan]
     warnings = list(scan.warnings)
     if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):

@@ -22,6 +22,7 @@ from stages.cleaning.manifold import make_manifold
 from stages.cleaning.repair import Repaired, repair
 from stages.cleaning.stitch import stitch, weld
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import MeshError, StageError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_fields, by_figures, table
@@ -89,7 +90,12 @@ class CleanParams:
     def __post_init__(self) -> None:
         check(self)
         if self.max_shape is not None and not self.repair:
-            raise UsageError(USAGE_OPTIONS_CONFLICT, "max_shape is for repairs", remedy="give repair, too.")
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT,
+                "is for repairs",
+                Where(parameter="max_shape"),
+                remedy="give repair, too.",
+            )
 
 
 class CleanKeywords(TypedDict, total=False):

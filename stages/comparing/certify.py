@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
+from stages.surface.codes import MESH_NO_SURFACE
 from stages.surface.color import attributes_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
@@ -86,7 +88,8 @@ class CertifyParams:
         if self.only_decide and self.max_shape is None and self.max_color is None:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "only_decide is for limits",
+                "is for limits",
+                Where(parameter="only_decide"),
                 remedy="give max_shape, max_color or both.",
             )
 
@@ -220,7 +223,9 @@ def certify(
     colored = a.colors is not None and b.colors is not None
     if params.max_color is not None and not colored:
         raise UsageError(
-            USAGE_OPTIONS_CONFLICT, "max_color is given, but not both meshes have vertex colours."
+            USAGE_OPTIONS_CONFLICT,
+            "is given, but not both meshes have vertex colours.",
+            Where(parameter="max_color"),
         )
     with_color = colored and (limit is None or params.max_color is not None)
     prove = functools.partial(_proven, _soup(a, colored), _soup(b, colored), params)
@@ -260,7 +265,7 @@ def _proven(
             progress=progress,
         )
     except _kernels.InvalidMeshError as error:
-        raise MeshError(CODE_UNKNOWN, "{error}.", "mesh", error=error) from error
+        raise MeshError(MESH_NO_SURFACE, "{error}.", "mesh", error=error) from error
 
 
 def _is_within(found: tuple[float, float], limit: tuple[float, float], with_color: bool) -> bool:

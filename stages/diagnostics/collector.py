@@ -3,52 +3,58 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
 from stages.diagnostics.diagnostic import Diagnostic
 
+_LISTENERS: ContextVar[tuple[Callable[[Diagnostic], object], ...]] = ContextVar("listeners", default=())
+
 
 class DiagnosticWarning(UserWarning):
-    """Warning for a diagnostic that no caller collects."""
+    """Python warning for a diagnostic that no caller collects."""
 
     def __init__(self, diagnostic: Diagnostic) -> None:
         super().__init__(str(diagnostic))
         self.diagnostic = diagnostic
 
 
-_COLLECTORS: ContextVar[tuple[list[Diagnostic], ...]] = ContextVar("collectors", default=())
-
-
 @contextmanager
-def collecting(*, forward: bool = True) -> Iterator[list[Diagnostic]]:
-    """Collect what is emitted in the block, each once, by this thread and those it reads ahead with.
+def listening(listener: Callable[[Diagnostic], object], *, forward: bool = True) -> Iterator[None]:
+    """Call a function with each diagnostic that is emitted in the block.
+
+    The block covers this thread and threads that read ahead for it. Do not yield from a generator inside it.
 
     Parameters
     ----------
     forward : outer blocks receive the diagnostics, too. False for attempts whose results may be dropped.
     """
-    collected: list[Diagnostic] = []
-    outer = _COLLECTORS.get() if forward else ()
-    token = _COLLECTORS.set((*outer, collected))
+    token = _LISTENERS.set((*_LISTENERS.get(), listener) if forward else (listener,))
     try:
-        yield collected
+        yield
     finally:
-        _COLLECTORS.reset(token)
+        _LISTENERS.reset(token)
+
+
+@contextmanager
+def collecting(*, forward: bool = True) -> Iterator[list[Diagnostic]]:
+    """Collect the diagnostics that are emitted in the block, each once; see `listening`."""
+    collected: list[Diagnostic] = []
+
+    def add(diagnostic: Diagnostic) -> None:
+        if diagnostic not in collected:
+            collected.append(diagnostic)
+
+    with listening(add, forward=forward):
+        yield collected
 
 
 def emit(*diagnostics: Diagnostic) -> None:
-    """Hand diagnostics to all collectors around the caller; without any, they become Python warnings."""
-    collectors = _COLLECTORS.get()
+    """Hand diagnostics to all blocks around the caller; without any, they become Python warnings."""
+    listeners = _LISTENERS.get()
     for diagnostic in diagnostics:
-        if not collectors:
+        if not listeners:
             warnings.warn(DiagnosticWarning(diagnostic), stacklevel=3)
-        for collected in collectors:
-            if diagnostic not in collected:
-                collected.append(diagnostic)
-
-
-def emit_all(diagnostics: Iterable[Diagnostic]) -> None:
-    """Emit several diagnostics in order."""
-    emit(*diagnostics)
+        for listener in listeners:
+            listener(diagnostic)

@@ -26,9 +26,105 @@ class Severity(str, Enum):
     ERROR = "error"
 
 
-_ENDS = (".", "?", "!")
-# All declared codes by name.
-_DECLARED: dict[str, Code] = {}
+@dataclass(frozen=True)
+class Where:
+    """Location that a diagnostic is about.
+
+    Attributes
+    ----------
+    file : path, or the name of an argument such as "mesh".
+    frame : name of a frame.
+    parameter : name of a parameter, which begins the message: "voxel_size" + "is 0; …".
+    section : of the configuration, which has the parameter.
+    """
+
+    file: str | None = None
+    frame: str | None = None
+    parameter: str | None = None
+    section: str | None = None
+
+    def figures(self) -> dict[str, str]:
+        """Return what is known, ready for JSON."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    def __str__(self) -> str:
+        """Return the location as the beginning of a sentence."""
+        frame = None if self.frame is None else f"frame {self.frame}"
+        place = "".join(f"{part}: " for part in (self.file, frame) if part is not None)
+        if self.parameter is None:
+            return place
+        section = "" if self.section is None else f"{self.section}."
+        return f"{place}{section}{self.parameter} "
+
+
+Location = Where | Path | str | None
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """One instance of something wrong, odd or not reached.
+
+    Attributes
+    ----------
+    code : name of the code, such as "file.damaged"; see docs/when-it-goes-wrong.
+    severity : whether there is a result, and whether it is what was asked for.
+    message : complete sentences with units, in the words of Python and TOML.
+    remedy : what the user can do.
+    where : file, frame or parameter.
+    values : numbers and names in the message.
+    """
+
+    code: str
+    severity: Severity
+    message: str
+    remedy: str | None = None
+    where: Where | None = None
+    values: Mapping[str, float | int | str] = field(default_factory=dict, hash=False)
+
+    def __str__(self) -> str:
+        where = "" if self.where is None else str(self.where)
+        if self.remedy is None:
+            return where + self.message
+        return f"{where}{self.message}{' ' if self.message.endswith(_ENDS) else '; '}{self.remedy}"
+
+    def at(self, where: Location) -> Diagnostic:
+        """Return the diagnostic with another location."""
+        return replace(self, where=_as_where(where))
+
+    def of_section(self, section: str, file: str | None = None) -> Diagnostic:
+        """Return the diagnostic of a parameter as one of a section of the configuration, and of a file."""
+        return replace(self, where=replace(self.where or Where(), section=section, file=file))
+
+    def figures(self) -> dict[str, Any]:
+        """Return the diagnostic ready for JSON."""
+        figures: dict[str, Any] = {
+            "code": self.code,
+            "severity": self.severity.value,
+            "message": self.message,
+            "remedy": self.remedy,
+            "where": {} if self.where is None else self.where.figures(),
+            "values": dict(self.values),
+        }
+        return {name: value for name, value in figures.items() if value not in (None, {})}
+
+    @classmethod
+    def from_figures(cls, figures: Mapping[str, Any]) -> Diagnostic:
+        """Create the diagnostic that `figures` returned.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If they are not those of a diagnostic.
+        """
+        where = figures.get("where")
+        return cls(
+            figures["code"],
+            Severity(figures["severity"]),
+            figures["message"],
+            figures.get("remedy"),
+            None if where is None else Where(**where),
+            figures.get("values", {}),
+        )
 
 
 @dataclass(frozen=True)
@@ -37,7 +133,7 @@ class Code:
 
     Attributes
     ----------
-    name : topic and kind, such as "file.truncated"; stable, and part of JSON.
+    name : topic and kind, such as "file.damaged"; stable, and part of JSON.
     title : what all diagnostics of this code have in common; a heading of the documentation.
     explanation : causes and remedies, Markdown.
     example : message as it is printed.
@@ -57,11 +153,6 @@ class Code:
         if self.name in _DECLARED:
             raise ValueError(f"the code {self.name} is declared twice")
         _DECLARED[self.name] = self
-
-    @property
-    def topic(self) -> str:
-        """Return the part of the name before the dot."""
-        return self.name.partition(".")[0]
 
     def info(self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any) -> Diagnostic:
         """Create a diagnostic that only informs; see `create`."""
@@ -94,93 +185,12 @@ class Code:
         if values:
             message, remedy = message.format(**values), remedy.format(**values)
         kept = {name: _simple(value) for name, value in values.items()}
-        where = where if where is None or isinstance(where, Where) else Where(str(where))
-        return Diagnostic(self.name, severity, message, remedy or None, where, kept)
+        return Diagnostic(self.name, severity, message, remedy or None, _as_where(where), kept)
 
 
-@dataclass(frozen=True)
-class Where:
-    """Location that a diagnostic is about.
-
-    Attributes
-    ----------
-    file : path, or the name of an argument such as "mesh".
-    frame : name of a frame.
-    """
-
-    file: str | None = None
-    frame: str | None = None
-
-    def __str__(self) -> str:
-        frame = None if self.frame is None else f"frame {self.frame}"
-        return ": ".join(part for part in (self.file, frame) if part is not None)
-
-
-Location = Where | Path | str | None
-
-
-@dataclass(frozen=True)
-class Diagnostic:
-    """One instance of something wrong, odd or not reached.
-
-    Attributes
-    ----------
-    code : name of the code, such as "file.truncated"; see docs/when-it-goes-wrong.
-    severity : whether there is a result, and whether it is what was asked for.
-    message : complete sentences with units, in the words of Python and TOML.
-    remedy : what the user can do.
-    where : file or frame.
-    values : numbers and names in the message.
-    """
-
-    code: str
-    severity: Severity
-    message: str
-    remedy: str | None = None
-    where: Where | None = None
-    values: Mapping[str, float | int | str] = field(default_factory=dict, hash=False)
-
-    def __str__(self) -> str:
-        where = "" if self.where is None else f"{self.where}: "
-        if self.remedy is None:
-            return where + self.message
-        return f"{where}{self.message}{' ' if self.message.endswith(_ENDS) else '; '}{self.remedy}"
-
-    def at(self, where: Location) -> Diagnostic:
-        """Return the diagnostic with another location."""
-        return replace(self, where=where if where is None or isinstance(where, Where) else Where(str(where)))
-
-    def figures(self) -> dict[str, Any]:
-        """Return the diagnostic ready for JSON."""
-        figures: dict[str, Any] = {
-            "code": self.code,
-            "severity": self.severity.value,
-            "message": self.message,
-            "remedy": self.remedy,
-            "file": None if self.where is None else self.where.file,
-            "frame": None if self.where is None else self.where.frame,
-            "values": dict(self.values),
-        }
-        return {name: value for name, value in figures.items() if value not in (None, {})}
-
-    @classmethod
-    def from_figures(cls, figures: Mapping[str, Any]) -> Diagnostic:
-        """Create the diagnostic that `figures` returned.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If they are not those of a diagnostic.
-        """
-        file, frame = figures.get("file"), figures.get("frame")
-        return cls(
-            figures["code"],
-            Severity(figures["severity"]),
-            figures["message"],
-            figures.get("remedy"),
-            None if file is None and frame is None else Where(file, frame),
-            figures.get("values", {}),
-        )
+_ENDS = (".", "?", "!")
+# All declared codes by name.
+_DECLARED: dict[str, Code] = {}
 
 
 def declared_codes() -> dict[str, Code]:
@@ -188,8 +198,14 @@ def declared_codes() -> dict[str, Code]:
     return dict(_DECLARED)
 
 
+def _as_where(where: Location) -> Where | None:
+    return where if where is None or isinstance(where, Where) else Where(str(where))
+
+
 def _simple(value: Any) -> float | int | str:
     """Return a value that JSON can hold."""
     if isinstance(value, (int, float, str)):
         return value
-    return value.item() if hasattr(value, "item") and getattr(value, "size", 0) == 1 else str(value)
+    if hasattr(value, "item") and getattr(value, "size", 0) == 1:
+        return _simple(value.item())
+    return str(value)

@@ -57,6 +57,10 @@ class ScanloomError(Exception):
         error._set(diagnostic)
         return error
 
+    def at(self, where: Location) -> Self:
+        """Return the error with another location."""
+        return self.of(self.diagnostic.at(where))
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restore, (type(self), self.diagnostic)
 

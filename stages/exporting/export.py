@@ -232,25 +232,25 @@ def require_fitting(path: Path, params: ExportParams) -> None:
         ending = path.suffix or "(none)"
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "{path}: the extension {ending} stands for no format",
+            "the extension {ending} stands for no format",
             remedy="use {suffixes}.",
-            path=path,
+            where=path,
             ending=ending,
             suffixes=", ".join(SUFFIXES),
         )
     if suffix not in GLTF and (params.compress != "none" or params.shading != "bare"):
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "{path}: compress and shading are of glTF",
+            "compress and shading are of glTF",
             remedy="write .glb.",
-            path=path,
+            where=path,
         )
     if suffix in STANDING and (params.unit != "m" or params.on_floor):
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "{path}: {suffix} is in metres, and placed by its own axes",
+            "{suffix} is in metres, and placed by its own axes",
             remedy="write .stl or .obj.",
-            path=path,
+            where=path,
             suffix=suffix,
         )
     if suffix in USD:

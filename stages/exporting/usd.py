@@ -65,8 +65,8 @@ def write_usd(path: Path, mesh: Mesh) -> list[str]:
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "{path}: USD is written as {suffixes}.",
-            path=path,
+            "USD is written as {suffixes}.",
+            where=path,
             suffixes=", ".join(SUFFIXES),
         )
     with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
@@ -88,7 +88,7 @@ def _pack(text: Path, packed: Path, path: Path) -> None:
     from pxr import UsdUtils
 
     if not UsdUtils.CreateNewUsdzPackage(str(text), str(packed)):
-        raise StageError(EXPORT_LEFT_OUT, "{path}: usd-core could not make the package.", path=path)
+        raise StageError(EXPORT_LEFT_OUT, "usd-core could not make the package.", where=path)
     with replacing(path) as part:
         shutil.copyfile(packed, part)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_PATH_OUTSIDE, FILE_TEXT_INVALID, RECORDING_DAMAGED
+from stages.files.codes import FILE_PATH_OUTSIDE, FILE_TEXT_INVALID, FILE_UNREADABLE
 from stages.files.inside import leads_inside
 from stages.files.opening import opened, text_in
 
@@ -56,7 +56,7 @@ def read_text(path: Path) -> str:
             return text
     except OSError as error:
         raise InputError(
-            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+            FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
         ) from error
     except UnicodeDecodeError as error:
         raise InputError(FILE_TEXT_INVALID, "a text file is expected; this one is binary.", path) from error
@@ -89,9 +89,9 @@ def require_inside(name: str, path: Path, where: str) -> str:
     ):
         raise InputError(
             FILE_PATH_OUTSIDE,
-            "{place}: {name!r} is not a path inside the folder.",
+            "{name!r} is not a path inside the folder.",
             path,
-            place=where,
+            where=where,
             name=name[:100],
         )
     return name

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError, ScanloomError
 from stages.files.room import require_room
 
@@ -64,7 +65,7 @@ def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
         require_room(_MEMORY)
         raise DiedError(said["died"])
     if "error" in said:
-        raise InputError(CODE_UNKNOWN, said["error"])
+        raise InputError.of(Diagnostic.from_figures(said["error"]))
     answer: dict[str, Any] = said["answer"]
     return answer
 
@@ -94,7 +95,7 @@ def answer(work: Callable[[list[str]], Mapping[str, Any]]) -> None:
     try:
         said = {"answer": dict(work(words))}
     except ScanloomError as error:
-        said = {"error": str(error)}
+        said = {"error": error.diagnostic.figures()}
     except BaseException as error:  # that of Rust is no Exception
         said = {"died": repr(error)}
     sys.stdout.write(json.dumps(said))

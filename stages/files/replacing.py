@@ -49,8 +49,8 @@ def replacing(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise StageError(
             FILE_OUTPUT_REFUSED,
-            "{path}: cannot be written: {detail}.",
-            path=path,
+            "cannot be written: {detail}.",
+            where=path,
             detail=error.strerror or error,
         ) from error
 

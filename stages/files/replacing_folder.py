@@ -52,8 +52,8 @@ def replacing_folder(path: Path, is_ours: Callable[[Path], bool], what: str) -> 
     except OSError as error:
         raise StageError(
             FILE_OUTPUT_REFUSED,
-            "{path}: cannot be written: {detail}.",
-            path=path,
+            "cannot be written: {detail}.",
+            where=path,
             detail=error.strerror or error,
         ) from error
 

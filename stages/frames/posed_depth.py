@@ -88,6 +88,6 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
         max_depth=limits.max_depth,
     )
     if not oriented.depth.any():
-        what = "no pixel has a depth" if valid == 0 else "no pixel's depth is within the limits"
-        raise InputError(CODE_UNKNOWN, "{what}.", f"frame {frame.name}", what=what)
+        message = "no pixel has a depth." if valid == 0 else "no pixel's depth is within the limits."
+        raise InputError(SCAN_FRAMES_SKIPPED, message, f"frame {frame.name}")
     return PosedDepth(oriented, camera, pose, valid)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
 from stages.frames.posed_depth import PosedDepth, read_posed_depth
@@ -258,7 +259,8 @@ def device_of(params: FuseParams) -> str:
         if wanted == "cuda":
             raise UsageError(
                 FUSE_DEVICE_MISSING,
-                "device is 'cuda', which backend 'own' knows nothing of",
+                "is 'cuda', which backend 'own' knows nothing of",
+                Where(parameter="device"),
                 remedy="choose open3d or auto.",
             )
         return "CPU:0"
@@ -267,7 +269,8 @@ def device_of(params: FuseParams) -> str:
     if wanted == "cuda":
         raise UsageError(
             FUSE_DEVICE_MISSING,
-            "device is 'cuda', but Open3D finds no CUDA device",
+            "is 'cuda', but Open3D finds no CUDA device",
+            Where(parameter="device"),
             remedy="choose cpu or auto.",
         )
     return "CPU:0"

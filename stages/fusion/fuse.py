@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
 from stages.fusion.adding import (
@@ -155,7 +156,10 @@ def _is_in_bricks(work: Work, device: str) -> bool:
     """Whether space is to be cut in bricks from the start: as asked for, or likely to be needed."""
     if work.params.brick_size is not None and not _has_bricks(work, device):
         raise UsageError(
-            FUSE_BRICKS, "brick_size is for scanloom's own voxels", remedy="leave out device and backend."
+            FUSE_BRICKS,
+            "is for scanloom's own voxels",
+            Where(parameter="brick_size"),
+            remedy="leave out device and backend.",
         )
     if len(work.frames) == 1 or not _has_bricks(work, device):
         return False

@@ -81,9 +81,9 @@ def reading(folder: Path) -> Iterator[None]:
     except (OSError, EOFError, ValueError, LookupError, BadZipFile, InputError) as error:
         raise StageError(
             FUSE_BRICKS,
-            "{folder}: this brick of the fused surface was damaged while it was used",
+            "this brick of the fused surface was damaged while it was used",
             remedy="run again, which makes it anew.",
-            folder=folder,
+            where=folder,
         ) from error
 
 

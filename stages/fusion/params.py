@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
@@ -153,8 +154,9 @@ class FuseParams:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 (
-                    "box is {box} m; its first three numbers must be the lowest corner, its last "
-                    "three the highest."
+                    "is {box} m; its first three numbers must be the lowest corner, its last "
+                    "three the highest.",
+                    Where(parameter="box"),
                 ),
                 box=" ".join(f"{x:g}" for x in self.box),
             )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.frames.projection import project, unproject
 from stages.frames.sampling import sample_evenly
+from stages.inspecting.codes import POSE_CONVENTION_SUSPECT
 from stages.inspecting.meant import AS_GIVEN, advice, motions
 from stages.scans.images import read_depth
 from stages.scans.poses import inverted
@@ -56,12 +57,12 @@ def require_poses(scan: Scan) -> list[str]:
     if warnings and AS_GIVEN in errors:
         compared = "; ".join(f"{error * 1000:.0f} mm {name}" for name, error in errors.items())
         raise InputError(
-            CODE_UNKNOWN,
-            "{warnings} (compared: {compared}). {advice}",
+            POSE_CONVENTION_SUSPECT,
+            "{warnings} (compared: {compared}).",
             scan.folder,
             warnings=warnings[0],
+            remedy=advice(min(errors, key=lambda name: errors[name])),
             compared=compared,
-            advice=advice(min(errors, key=lambda name: errors[name])),
         )
     return warnings
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.frames.features import Keypoints, detect_keypoints, find_epipolar_inliers, match_descriptors
 from stages.frames.sampling import sample_evenly
+from stages.inspecting.codes import POSE_CONVENTION_SUSPECT
 from stages.inspecting.meant import AS_GIVEN, advice, motions
 from stages.scans.images import read_pinhole
 from stages.scans.prefetch import read_ahead, workers
@@ -48,12 +49,12 @@ def require_view_poses(scan: Scan) -> None:
     if said:
         compared = "; ".join(f"{error:.1f} px {name}" for name, error in errors.items())
         raise InputError(
-            CODE_UNKNOWN,
-            "{said} (compared: {compared}). {advice}",
+            POSE_CONVENTION_SUSPECT,
+            "{said} (compared: {compared}).",
             scan.folder,
             said=said[0],
+            remedy=advice(min(errors, key=lambda name: errors[name])),
             compared=compared,
-            advice=advice(min(errors, key=lambda name: errors[name])),
         )
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import content_of, said_of
 from stages.files.replacing import replacing
 from stages.lod.codes import LEVELS_FILE_DAMAGED
@@ -113,30 +114,30 @@ def read_slod(path: Path | str) -> Hierarchy:
     try:
         data = content_of(path)
     except OSError as error:
-        raise InputError(CODE_UNKNOWN, said_of(error), path) from None
+        raise InputError(FILE_UNREADABLE, said_of(error), path) from None
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
-        raise InputError(LEVELS_FILE_DAMAGED, "{path}: this is no .slod file.", path=path)
+        raise InputError(LEVELS_FILE_DAMAGED, "this is no .slod file.", where=path)
     _, version, size, checksum = _HEADER.unpack_from(data)
     if version != _FORMAT_VERSION:
         raise InputError(
             LEVELS_FILE_DAMAGED,
-            "{path}: this .slod file has version {version}; this scanloom reads version {format_version}.",
-            path=path,
+            "this .slod file has version {version}; this scanloom reads version {format_version}.",
+            where=path,
             version=version,
             format_version=_FORMAT_VERSION,
         )
     text = data[_HEADER.size : _HEADER.size + size]
     if len(text) < size or zlib.crc32(text) != checksum:
         raise InputError(
-            LEVELS_FILE_DAMAGED, "{path}: the file is damaged or cut off before its first level.", path=path
+            LEVELS_FILE_DAMAGED, "the file is damaged or cut off before its first level.", where=path
         )
     try:
         return _read(data, _HEADER.size + size, json.loads(text))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(
             LEVELS_FILE_DAMAGED,
-            "{path}: the .slod file is damaged: {detail}.",
-            path=path,
+            "the .slod file is damaged: {detail}.",
+            where=path,
             detail=error or "it contradicts itself",
         ) from None
 

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.diagnostics.errors import InputError, UsageError
+from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
+from stages.lod.codes import LEVELS_FILE_DAMAGED
 from stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
 from stages.printing import by_fields, by_figures, table
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Mesh, require_writable
 from stages.surface.mesh_files import write_mesh
@@ -254,14 +255,14 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
             data = content_of(Path(source))
         except OSError as error:
             raise InputError(
-                SIMPLIFY_RECORD_INVALID, "cannot be read: {detail}.", where, detail=error.strerror or error
+                FILE_UNREADABLE, "cannot be read: {detail}.", where, detail=error.strerror or error
             ) from error
     else:
         where, data = "data", bytes(source)
     try:
         found = _kernels.decode_normal_mesh(data, -1 if level is None else level)
     except _kernels.SnmError as error:
-        raise InputError(CODE_UNKNOWN, "{error}.", where, error=error) from error
+        raise InputError(LEVELS_FILE_DAMAGED, "{error}.", where, error=error) from error
     if level is not None and level > found.promised:
         raise UsageError(
             LEVELS_LEVEL_MISSING,

@@ -44,9 +44,9 @@ def write_video(path: Path, images: Iterable[ColorImage], fps: float, codec: str
             if not writer.isOpened() and not writer.open(str(draft), cv2.CAP_FFMPEG, tag, fps, size):
                 raise StageError(
                     RENDER_LIBRARY_MISSING,
-                    "{path}: OpenCV has no encoder for {codec} here",
+                    "OpenCV has no encoder for {codec} here",
                     remedy="write pictures (.png).",
-                    path=path,
+                    where=path,
                     codec=codec,
                 )
             writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))

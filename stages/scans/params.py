@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import param
 from stages.scans.reading.params import ReadingParams
@@ -85,9 +86,10 @@ class ScanParams(ReadingParams):
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 (
-                    "known_distance is {known_distance!r}; it must be a distance as it is "
+                    "is {known_distance!r}; it must be a distance as it is "
                     "measured and in metres, `1.37 0.75`, or two points and the metres between "
-                    "them, `x,y,z x,y,z 0.75`."
+                    "them, `x,y,z x,y,z 0.75`.",
+                    Where(parameter="known_distance"),
                 ),
                 known_distance=self.known_distance,
             )

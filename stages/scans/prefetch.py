@@ -8,6 +8,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from typing import TypeVar
 
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.files.blas_buffers import require_buffers
 from stages.scans.threads import threads_to_use
 
@@ -39,15 +41,22 @@ def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahea
     if threads == 1:
         yield from map(work, items)
         return
+
+    def collected(item: T) -> tuple[R, list[Diagnostic]]:
+        # Emitted when their turn comes, so that their order does not depend on threads.
+        with collecting(forward=False) as diagnostics:
+            return work(item), diagnostics
+
     require_buffers(threads + 1)
     rest = iter(items)
     pool = ThreadPoolExecutor(threads, thread_name_prefix="read-ahead")
-    pending: deque[Future[R]] = deque()
+    pending: deque[Future[tuple[R, list[Diagnostic]]]] = deque()
     try:
-        pending.extend(pool.submit(work, item) for item in islice(rest, ahead))
+        pending.extend(pool.submit(collected, item) for item in islice(rest, ahead))
         while pending:
-            result = pending.popleft().result()
-            pending.extend(pool.submit(work, item) for item in islice(rest, 1))
+            result, diagnostics = pending.popleft().result()
+            pending.extend(pool.submit(collected, item) for item in islice(rest, 1))
+            emit(*diagnostics)
             yield result
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
@@ -62,7 +71,14 @@ def both(beside: Callable[[], R], here: Callable[[], S]) -> tuple[R, S]:
     if threads_to_use() == 1:
         return beside(), here()
     require_buffers(2)
+
+    def collected() -> tuple[R, list[Diagnostic]]:
+        with collecting(forward=False) as diagnostics:
+            return beside(), diagnostics
+
     with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
-        one = pool.submit(beside)
+        future = pool.submit(collected)
         other = here()
-        return one.result(), other
+        one, diagnostics = future.result()
+    emit(*diagnostics)
+    return one, other

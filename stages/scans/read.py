@@ -13,6 +13,7 @@ import numpy as np
 from stages._opencv import require_opencv
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.blas_buffers import require_buffers
+from stages.files.codes import FILE_PATH_INVALID
 from stages.files.noting import noting
 from stages.files.telling import in_sentences, telling
 from stages.scans.codes import (
@@ -101,7 +102,7 @@ def _layout_of(folder: Path, options: ScanParams) -> Layout:
     # Photos alone are no scan, but here their poses are said to be elsewhere.
     if options.poses is not None and place_of_photos(folder) is not None:
         return plain_views.LAYOUT
-    raise InputError(CODE_UNKNOWN, _unknown(folder), folder)
+    raise InputError(SCAN_LAYOUT_UNKNOWN, _unknown(folder), folder)
 
 
 def _as_meant(scan: Scan, convention: str) -> Scan:
@@ -198,7 +199,7 @@ def recognise(folder: Path) -> tuple[Layout, str]:
     """
     found = matching(folder)
     if found is None:
-        raise InputError(CODE_UNKNOWN, _unknown(folder), folder)
+        raise InputError(SCAN_LAYOUT_UNKNOWN, _unknown(folder), folder)
     return found
 
 
@@ -229,10 +230,10 @@ def _require_place(folder: Path, suffixes: Collection[str]) -> None:
     if folder.is_file() and folder.suffix.lower() in suffixes:
         return
     if folder.is_file() and (known := refused(folder)) is not None:
-        raise InputError(CODE_UNKNOWN, _refusal(known), folder)
+        raise InputError(SCAN_LAYOUT_UNKNOWN, _refusal(known), folder)
     if not folder.is_dir():
         problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
-        raise InputError(CODE_UNKNOWN, problem, folder)
+        raise InputError(FILE_PATH_INVALID, problem, folder)
     try:
         next(folder.iterdir(), None)
     except OSError as error:

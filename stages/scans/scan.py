@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.printing import counted, line, table
 from stages.scans.arrays import (
@@ -24,7 +25,7 @@ from stages.scans.arrays import (
     check_intrinsics,
     check_pose,
 )
-from stages.scans.codes import USAGE_FRAME_INVALID
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING, USAGE_FRAME_INVALID
 from stages.scans.thumbnail import thumbnail
 from stages.scans.world import Scale, WorldUp
 
@@ -348,12 +349,31 @@ class Frame:
         }
 
 
+# Short names of what a scan can lack, by code.
+_LACKING = {POSE_MISSING.name: "poses", CAMERA_PAIR_UNCALIBRATED.name: "calibration"}
+
+
 @dataclass(frozen=True)
 class SkippedFrame:
-    """A frame that cannot be used, and why."""
+    """Frame that cannot be used.
+
+    Attributes
+    ----------
+    name : of the frame.
+    diagnostic : the reason, without the name of the frame.
+    """
 
     name: str
-    reason: str
+    diagnostic: Diagnostic
+
+    @property
+    def reason(self) -> str:
+        """Return the reason in words."""
+        return str(self.diagnostic)
+
+    def figures(self) -> dict[str, Any]:
+        """Return name, code and reason, ready for JSON."""
+        return {"frame": self.name, "code": self.diagnostic.code, "reason": self.reason}
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,8 +385,8 @@ class Scan:
     layout : the name of the recognised layout.
     rig : set for stereo pairs, None for RGB-D and for single views.
     skipped : frames the reader had to leave out (a pose that is lost, a file that is missing).
-    warnings : what is odd, in plain sentences.
-    missing : what the scan lacks to become a mesh, such as `poses: … is missing; name one with …`.
+    diagnostics : what is odd.
+    missing : what the scan lacks to become a mesh, of the codes pose.missing and camera.pair-uncalibrated.
     box : (2, 3) float64 metres, lowest and highest corner of what was scanned, where the folder states it.
     held_out : frames that are kept from all stages, to judge results by.
     up : which way is up in the world of the poses, where the layout or the folder says it.
@@ -380,8 +400,8 @@ class Scan:
     rig: StereoRig | None = None
     folder: Path | None = None
     skipped: tuple[SkippedFrame, ...] = ()
-    warnings: tuple[str, ...] = field(default=())
-    missing: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = field(default=())
+    missing: tuple[Diagnostic, ...] = ()
     box: NDArray[np.float64] | None = None
     held_out: Sequence[Frame] = ()
     up: WorldUp | None = None
@@ -463,8 +483,8 @@ class Scan:
                 "" if self.is_metric else "not metric",
                 f"{len(self.held_out):,} held out" if self.held_out else "",
                 f"{len(self.skipped):,} skipped" if self.skipped else "",
-                *(f"lacks {what.partition(':')[0]}" for what in self.missing),
-                counted(len(self.warnings), "warning"),
+                *(f"lacks {_LACKING.get(one.code, one.code)}" for one in self.missing),
+                counted(len(self.diagnostics), "diagnostic"),
             ),
         )
 
@@ -483,9 +503,8 @@ class Scan:
             "frames_with_poses": sum(frame.world_from_camera is not None for frame in self.frames),
             "size_px": None if camera is None else [camera.width, camera.height],
             "frames_held_out": len(self.held_out),
-            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
-            "missing": list(self.missing),
-            "warnings": list(self.warnings),
+            "frames_skipped": [one.figures() for one in self.skipped],
+            "missing": [one.figures() for one in self.missing],
         }
 
     @property

@@ -86,7 +86,7 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
     views = [view for view in _looked_at(chosen, family) if view is not None]
     seen = sorted({number for view in views for number in view.tags})
     if not seen:
-        raise InputError(CODE_UNKNOWN, _none_found(chosen, family), folder)
+        raise InputError(SCALE_NOT_METRIC, _none_found(chosen, family), folder)
     tags = [tag for number in seen if (tag := _placed(number, views)) is not None]
     if not tags:
         named = ", ".join(map(str, seen[:8])) + (" …" if len(seen) > 8 else "")

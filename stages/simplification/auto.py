@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import described
 from stages.simplification.codes import USAGE_METHOD_MISMATCH
@@ -41,7 +42,10 @@ def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, An
     # The parameter that fewest methods have says best what was meant.
     name = min(given, key=lambda name: len(_knowing(name)))
     raise UsageError(
-        CODE_UNKNOWN, "{name} is for {why_not}", name=name, why_not=_why_not(_knowing(name)[0], params, given)
+        USAGE_METHOD_MISMATCH,
+        "{name} is for {why_not}",
+        name=name,
+        why_not=_why_not(_knowing(name)[0], params, given),
     )
 
 
@@ -103,8 +107,9 @@ def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Col
         )
     if need is not None:
         raise UsageError(
-            CODE_UNKNOWN,
-            "method {method_name} needs {what}; {advice}.",
+            USAGE_METHOD_MISMATCH,
+            "{method_name} needs {what}; {advice}.",
+            Where(parameter="method"),
             method_name=method.name,
             what=need.what,
             advice=need.advice,
@@ -112,7 +117,8 @@ def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Col
     if _has_no_count(method, params):
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "method {method_name} goes as far as its bounds",
+            "{method_name} goes as far as its bounds",
+            Where(parameter="method"),
             remedy="leave out triangles and ratio.",
             method_name=method.name,
         )

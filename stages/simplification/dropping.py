@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.printing import by_fields
 from stages.simplification.codes import SIMPLIFY_COMPONENTS_REMOVED
@@ -95,7 +96,8 @@ def drop_small(mesh: Mesh, size: float, lock: NDArray[np.bool_]) -> Remainder:
     if len(is_small) and is_small.all():
         raise UsageError(
             SIMPLIFY_COMPONENTS_REMOVED,
-            "drop_below is {size:g} m, and every connected component is smaller: nothing would be left.",
+            "is {size:g} m, and every connected component is smaller: nothing would be left.",
+            Where(parameter="drop_below"),
             size=size,
         )
     component_area = float(areas(mesh.vertices, mesh.triangles[is_small]).sum())

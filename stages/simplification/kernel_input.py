@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.progress import Progress
 from stages.simplification.codes import USAGE_METHOD_MISMATCH
@@ -65,7 +66,8 @@ def require_colors(mesh: Mesh, max_color: float | None) -> None:
     if max_color is not None and mesh.colors is None:
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "max_color is given, but the mesh has no vertex colours",
+            "is given, but the mesh has no vertex colours",
+            Where(parameter="max_color"),
             remedy="leave it out.",
         )
 

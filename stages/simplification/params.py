@@ -8,6 +8,7 @@ from dataclasses import MISSING, dataclass, fields, make_dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, described, hints_of, param
 from stages.simplification.methods import METHODS, Method
@@ -91,11 +92,17 @@ class _Goal:
         check(self)
         if self.keep_uv and self.bake:
             raise UsageError(
-                SIMPLIFY_IMAGES_NOT_BAKED, "keep_uv and bake are both given", remedy="give one of them."
+                SIMPLIFY_IMAGES_NOT_BAKED,
+                "and bake are both given",
+                Where(parameter="keep_uv"),
+                remedy="give one of them.",
             )
         if self.triangles is not None and self.ratio is not None:
             raise UsageError(
-                USAGE_VALUE_INVALID, "triangles and ratio are both given", remedy="give one of them."
+                USAGE_VALUE_INVALID,
+                "and ratio are both given",
+                Where(parameter="triangles"),
+                remedy="give one of them.",
             )
         # What a method's own class refuses is refused now, before any work.
         for method in METHODS:

@@ -130,7 +130,12 @@ def parse_region(text: str) -> Region:
 
     def refuse(why: str) -> NoReturn:
         raise UsageError(
-            CODE_UNKNOWN, "region {text!r}: {why}", remedy="write {forms}.", text=text, why=why, forms=_FORMS
+            USAGE_REGION_INVALID,
+            "region {text!r}: {why}",
+            remedy="write {forms}.",
+            text=text,
+            why=why,
+            forms=_FORMS,
         )
 
     shape, *words = text.replace(",", " ").split() or [""]

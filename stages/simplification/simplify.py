@@ -32,6 +32,7 @@ from stages.simplification.textured import (
     misses_count,
     plan_baking,
 )
+from stages.surface.codes import MESH_NO_SURFACE
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.topology import require_measurable
@@ -227,7 +228,7 @@ def simplify(
                 remedy="make a new texture, or leave them out.",
                 error=error,
             ) from error
-        raise MeshError(CODE_UNKNOWN, "{error}.", "mesh", error=error) from error
+        raise MeshError(MESH_NO_SURFACE, "{error}.", "mesh", error=error) from error
 
     def at_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
         return progress(found.collapses, found.collapses)

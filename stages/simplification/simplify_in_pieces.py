@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.progress import Progress, silent
 from stages.simplification.cuts import (
@@ -136,7 +137,8 @@ def simplify_in_pieces(
     if params.bake:
         raise UsageError(
             SIMPLIFY_IMAGES_NOT_BAKED,
-            "bake is for meshes that are simplified in one piece",
+            "is for meshes that are simplified in one piece",
+            Where(parameter="bake"),
             remedy="leave it out, and enable the stage bake.",
         )
     pieces = Pieces(path)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.params import resolve
 from stages.progress import Progress, silent
@@ -169,7 +170,7 @@ def _first_warnings(stage: PairStage, scan: Scan) -> tuple[str, ...]:
         try:
             return stage.warnings(*pair)
         except InputError as error:
-            raise InputError(CODE_UNKNOWN, str(error), scan.folder) from error
+            raise error.at(scan.folder) from error
     return ()
 
 
@@ -393,8 +394,8 @@ def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, wi
         raise UsageError(
             DEPTH_RANGE_EMPTY,
             (
-                "max_depth is {max_depth:g} m, nearer than the rig's pairs can be matched "
-                "({focal_baseline:.3g} m)"
+                "is {max_depth:g} m, nearer than the rig's pairs can be matched ({focal_baseline:.3g} m)",
+                Where(parameter="max_depth"),
             ),
             remedy="give a larger one.",
             max_depth=params.max_depth,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.room import require_room
 from stages.printing import by_figures, table
@@ -141,7 +142,8 @@ def stereo_disparity(
     if not 0 <= min_confidence <= 1:
         raise UsageError(
             USAGE_ARGUMENT_INVALID,
-            "min_confidence is {min_confidence:g}; it must be from 0 to 1.",
+            "is {min_confidence:g}; it must be from 0 to 1.",
+            Where(parameter="min_confidence"),
             min_confidence=min_confidence,
         )
     count = -(-(max_disparity - min_disparity + 1) // _LANES) * _LANES

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import TypedDict
 
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.stereo.matching import LARGEST_DISPARITY
@@ -270,12 +271,16 @@ class DepthParams:
         check(self)
         if self.block_size % 2 == 0:
             raise UsageError(
-                USAGE_VALUE_INVALID, "block_size is {block_size}; it must be odd.", block_size=self.block_size
+                USAGE_VALUE_INVALID,
+                "is {block_size}; it must be odd.",
+                Where(parameter="block_size"),
+                block_size=self.block_size,
             )
         if self.min_depth is not None and self.max_depth is not None and self.min_depth >= self.max_depth:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "min_depth is {min_depth:g} m; it must be below max_depth, {max_depth:g} m.",
+                "is {min_depth:g} m; it must be below max_depth, {max_depth:g} m.",
+                Where(parameter="min_depth"),
                 min_depth=self.min_depth,
                 max_depth=self.max_depth,
             )
@@ -284,7 +289,8 @@ class DepthParams:
         if self.penalties[0] >= self.penalties[1]:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "p1 is {penalties}; it must be below p2, {penalties_2}.",
+                "is {penalties}; it must be below p2, {penalties_2}.",
+                Where(parameter="p1"),
                 penalties=self.penalties[0],
                 penalties_2=self.penalties[1],
             )

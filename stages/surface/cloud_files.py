@@ -10,9 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError, UsageError
+from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import require_regular, said_of
 from stages.files.own_process import DiedError, asked
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.surface.codes import COMPARE_POINT_CLOUD, MESH_FILE_DAMAGED, USAGE_EXTENSION_UNKNOWN
 from stages.surface.formats.cloud_parts import collected
 from stages.surface.formats.ply import read_ply
@@ -59,7 +59,7 @@ def read_cloud(path: Path | str) -> Mesh:
         require_regular(path)
     except OSError as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "cannot be read: {said_of}.", path, said_of=said_of(error)
+            FILE_UNREADABLE, "cannot be read: {said_of}.", path, said_of=said_of(error)
         ) from error
     if suffix == ".ply":
         mesh = read_ply(path)
@@ -104,9 +104,9 @@ def _read_elsewhere(path: Path) -> Mesh:
     if missing:
         raise UsageError(
             COMPARE_POINT_CLOUD,
-            "{path}: {suffix} is read by {missing}",
+            "{suffix} is read by {missing}",
             remedy="install scanloom[clouds].",
-            path=path,
+            where=path,
             suffix=suffix,
             missing=" and ".join(missing),
         )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_png
 from stages.printing import counted, extent_in_words, line, table
@@ -61,6 +62,7 @@ class Mesh:
         differ, as along sharp edges, 0 where a corner has none; `normals` is then None or holds means.
     part_ids : (m,) int32 into `part_names`, -1 for none; or None. Objects and groups of OBJ, nodes of glTF.
     part_names : of the parts; names may repeat.
+    diagnostics : what the reader of the file, or a conversion, changed or left out.
     up : (3,) of length 1, the direction that is up, where that is known: glTF, which is y-up, is written so
         that it stands, and read back as it was. Positions do not follow it.
     """
@@ -73,8 +75,7 @@ class Mesh:
     corner_normals: NDArray[np.float64] | None = None
     part_ids: NDArray[np.int32] | None = None
     part_names: tuple[str, ...] = ()
-    # What a reader met on the way and a person should know: a missing image, polygons that were split.
-    notes: tuple[str, ...] = field(default=())
+    diagnostics: tuple[Diagnostic, ...] = field(default=())
     up: tuple[float, float, float] | None = None
 
     def __repr__(self) -> str:
@@ -92,7 +93,7 @@ class Mesh:
             "" if self.texture is None else counted(images, "texture image") or "texture without images",
             counted(0 if self.part_ids is None else len(self.part_names), "part"),
             extent_in_words(self.vertices),
-            counted(len(self.notes), "note"),
+            counted(len(self.diagnostics), "diagnostic"),
         )
 
     def _thumbnail(self) -> bytes | None:

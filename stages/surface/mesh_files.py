@@ -18,10 +18,9 @@ import numpy as np
 
 from stages.diagnostics.errors import InputError, UsageError, is_lack_of_memory
 from stages.files.blas_buffers import require_buffers
-from stages.files.codes import FILE_PATH_INVALID
+from stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.surface.codes import MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED, USAGE_EXTENSION_UNKNOWN
 from stages.surface.convert import as_mesh, to_trimesh
 from stages.surface.formats.gltf import read_gltf
@@ -172,7 +171,7 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         data = content_of(path)
     except OSError as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+            FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
     if extension == ".stl":
         _require_whole_stl(data, path)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.surface.mesh import Mesh
 
@@ -71,14 +72,18 @@ def direction_of(up: str) -> Floats | None:
     except ValueError:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "up is {up!r}; it must be one of {names}.",
+            "is {up!r}; it must be one of {names}.",
+            Where(parameter="up"),
             up=up,
             names=", ".join((*_AXES, "none")),
         ) from None
     length = float(np.linalg.norm(direction))
     if len(direction) != 3 or not 0 < length < math.inf:
         raise UsageError(
-            USAGE_VALUE_INVALID, "up is {up!r}; a direction is three numbers, not all of them 0.", up=up
+            USAGE_VALUE_INVALID,
+            "is {up!r}; a direction is three numbers, not all of them 0.",
+            Where(parameter="up"),
+            up=up,
         )
     return direction / length
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from stages.comparing.compare import ColorError, CompareParams, compare_surfaces
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
@@ -106,13 +107,15 @@ class BakeParams:
         if self.max_size & (self.max_size - 1):
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "max_size is {max_size} texels; it must be a power of two.",
+                "is {max_size} texels; it must be a power of two.",
+                Where(parameter="max_size"),
                 max_size=self.max_size,
             )
         if _SIDES_OF_PADDING * (self.padding or 0) > self.max_size:
             raise UsageError(
                 TEXTURE_ATLAS_TOO_SMALL,
-                "padding is {padding} texels; an image of {max_size} has no room beside it.",
+                "is {padding} texels; an image of {max_size} has no room beside it.",
+                Where(parameter="padding"),
                 padding=self.padding,
                 max_size=self.max_size,
             )

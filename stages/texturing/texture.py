@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.image_bytes import encoded_image
 from stages.params import check, param, resolve
@@ -123,7 +124,8 @@ class TextureParams:
         if self.max_size & (self.max_size - 1):
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "max_size is {max_size} texels; it must be a power of two.",
+                "is {max_size} texels; it must be a power of two.",
+                Where(parameter="max_size"),
                 max_size=self.max_size,
             )
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from stages.diagnostics.errors import InputError, StageError
+from stages.files.codes import FILE_PATH_INVALID
 from stages.files.opening import content_of
 from stages.picturing.codes import MACHINE_PORT_TAKEN
 from stages.picturing.page.files import INDEX
-from stages.scans.codes import SCAN_LAYOUT_UNKNOWN
 
 HOST = "127.0.0.1"
 # What is given, and as what; anything else is not found.
@@ -57,7 +57,7 @@ class FolderServer(ThreadingHTTPServer):
 
     def __init__(self, folder: Path, port: int = 0, more: Mapping[str, bytes] | None = None) -> None:
         if not folder.is_dir():
-            raise InputError(SCAN_LAYOUT_UNKNOWN, "there is no such folder.", folder)
+            raise InputError(FILE_PATH_INVALID, "there is no such folder.", folder)
         self.folder = folder.resolve()
         self.more = dict(more or {})
         try:

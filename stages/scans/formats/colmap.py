@@ -20,13 +20,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.codes import MACHINE_BUSY
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.files.codes import (
-    FILE_DAMAGED,
-    FILE_DEPTH_FORMAT,
-    FILE_TEXT_INVALID,
-    FILE_UNREADABLE,
-    RECORDING_DAMAGED,
-)
+from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_TEXT_INVALID, FILE_UNREADABLE
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import content_of, opened
 from stages.scans.codes import CAMERA_LENS_UNKNOWN, FILE_COLMAP_INVALID
@@ -433,7 +427,7 @@ def _mapped(path: Path) -> mmap.mmap | bytes:
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if path.stat().st_size else b""
     except OSError as error:
         raise InputError(
-            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+            FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
         ) from error
 
 

@@ -209,7 +209,7 @@ def _rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
     key = _first_key(table, ("rectification_matrix", "R", "r"))
     turn = np.eye(3) if key is None else matrix_in(table, key, path)
     if turn.shape != (3, 3):
-        raise InputError(CODE_UNKNOWN, "{key} must be 3x3.", path, key=key)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "{key} must be 3x3.", path, key=key)
     return turn
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.codes import MACHINE_BUSY
 from stages.diagnostics.errors import InputError
-from stages.files.codes import RECORDING_DAMAGED
+from stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.images import decode_color
 from stages.files.opening import opened
@@ -104,7 +104,7 @@ def read_sens(path: Path) -> Sens:
             return _read(file, path.stat().st_size, path)
     except OSError as error:
         raise InputError(
-            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+            FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
         ) from error
 
 

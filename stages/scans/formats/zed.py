@@ -14,7 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, CAMERA_PAIR_UNCALIBRATED
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_CALIBRATION_MISMATCH,
+    CAMERA_PAIR_UNCALIBRATED,
+)
 from stages.scans.formats.image_size import is_of_shape
 from stages.scans.formats.table_values import number_of
 
@@ -113,7 +117,7 @@ def _camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[st
     name = f"{side}_CAM_{mode}"
     table = values.get(name)
     if not isinstance(table, dict):
-        raise InputError(CODE_UNKNOWN, "[{name}] is missing.", path, name=name)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "[{name}] is missing.", path, name=name)
     fx, fy, cx, cy, *bent = (
         _stated(table, (key,), path, 0.0 if key[0] in "kp" else None) for key in _NUMBERS
     )
@@ -128,6 +132,6 @@ def _stated(
     name = next((name.lower() for name in names if name.lower() in table), None)
     if name is None:
         if otherwise is None:
-            raise InputError(CODE_UNKNOWN, "{names} is missing.", path, names=names[0])
+            raise InputError(CAMERA_CALIBRATION_INVALID, "{names} is missing.", path, names=names[0])
         return otherwise
     return number_of(table[name], name, path)

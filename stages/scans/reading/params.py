@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.scans.poses import AS_WRITTEN, CONVENTIONS
@@ -121,8 +122,8 @@ class ReadingParams:
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 (
-                    "intrinsics is {intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example "
-                    "525,525,319.5,239.5."
+                    "is {intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example 525,525,319.5,239.5.",
+                    Where(parameter="intrinsics"),
                 ),
                 intrinsics=self.intrinsics,
             )

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import opening, zstd_blocks
-from stages.files.codes import RECORDING_DAMAGED
+from stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
 from stages.scans.codes import RECORDING_ENCODING_UNKNOWN
 from stages.scans.ros.recording import LARGEST_MESSAGE, Messages, Recording
 
@@ -120,7 +120,7 @@ def opened(path: Path) -> Iterator[Span]:
             yield Span(file, 0, path.stat().st_size)
     except OSError as error:
         raise InputError(
-            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+            FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
         ) from error
 
 

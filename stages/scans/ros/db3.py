@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
-from stages.files.codes import RECORDING_DAMAGED
+from stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
 from stages.files.opening import opened, require_regular
 from stages.scans.codes import RECORDING_WRONG_KIND
 from stages.scans.ros.recording import LARGEST_MESSAGE, Messages, Recording, as_ros_1, unpacked
@@ -47,7 +47,7 @@ def read_db3(path: Path) -> Recording:
                 require_regular(beside)
     except OSError as error:
         raise InputError(
-            RECORDING_DAMAGED, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+            FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
         ) from error
     if not header.startswith(_SQLITE) or len(header) < _HEADER_BYTES:
         raise InputError(

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import RECORDING_CLOCKS_DIFFER
+from stages.scans.codes import RECORDING_CLOCKS_DIFFER, RECORDING_TOPIC_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
@@ -92,7 +92,7 @@ def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str |
         return realsense_streams(camera, options), recording.fault
     streams = topic_streams(recording, options) or topic_pair(recording, options)
     if streams is None:
-        raise InputError(CODE_UNKNOWN, _without_images(recording), place)
+        raise InputError(RECORDING_TOPIC_MISSING, _without_images(recording), place)
     return streams, recording.fault
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from stages import _kernels
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.simplification.certified.along_seams import run_along_seams
 from stages.simplification.certified.details import CertifiedDetails
@@ -49,7 +50,8 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     elif params.max_color is not None and not has_color(mesh):
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "max_color is given, but the mesh has neither image nor vertex colours",
+            "is given, but the mesh has neither image nor vertex colours",
+            Where(parameter="max_color"),
             remedy="leave it out.",
         )
     if not (np.isfinite(task.importance).all() and (task.importance >= 1).all()):

@@ -6,6 +6,7 @@ import math
 
 from stages import _kernels
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.simplification.in_sheets import run_in_sheets
 from stages.simplification.jia01.details import Jia01Details
@@ -58,7 +59,8 @@ def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     except _kernels.LimitError as error:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "resolution is {scales:g} m, and with edges no longer than that {error}",
+            "is {scales:g} m, and with edges no longer than that {error}",
+            Where(parameter="resolution"),
             remedy="give a coarser one.",
             scales=limits.scales[0],
             error=error,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import opened
 from stages.files.replacing import replacing
 from stages.files.room import require_room
@@ -78,7 +79,7 @@ def read_arrays(path: Path) -> Arrays:
             return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
     except OSError as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "cannot be read: {detail}.", path, detail=error.strerror or error
+            FILE_UNREADABLE, "cannot be read: {detail}.", path, detail=error.strerror or error
         ) from error
     except _DAMAGE as error:
         raise InputError(SIMPLIFY_RECORD_INVALID, "is damaged, or no record of collapses.", path) from error

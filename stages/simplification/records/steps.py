@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.printing import by_fields, table
@@ -150,7 +151,8 @@ class Steps:
             if params.collapses > most:
                 raise UsageError(
                     SIMPLIFY_RECORD_INVALID,
-                    "collapses is {collapses}, but the record holds only {most}.",
+                    "is {collapses}, but the record holds only {most}.",
+                    Where(parameter="collapses"),
                     collapses=params.collapses,
                     most=most,
                 )

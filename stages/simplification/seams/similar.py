@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.surface.equal_positions import equal_positions, first_members, position_keys, rank_labels
 from stages.surface.mesh import Triangles, Vertices
@@ -185,8 +186,9 @@ def _pairs_in_tree(positions: Vertices, distance: float) -> NDArray[np.integer[A
             raise UsageError(
                 USAGE_VALUE_INVALID,
                 (
-                    "similar_distance {distance:g} m is far more than the distance between "
-                    "vertices: {pairs_in_all:,} pairs of {count:,} vertices are closer"
+                    "{distance:g} m is far more than the distance between "
+                    "vertices: {pairs_in_all:,} pairs of {count:,} vertices are closer",
+                    Where(parameter="similar_distance"),
                 ),
                 remedy="give a smaller one.",
                 distance=distance,

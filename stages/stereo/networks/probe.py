@@ -111,8 +111,8 @@ def _of_image(processes: NetworkProcesses, base: Sidecar, channels: int) -> Prob
     if not np.isfinite(found).any():
         raise StageError(
             DEPTH_NETWORK_UNIDENTIFIED,
-            "{file}: it gives no number for an image, put as {said}.",
-            file=processes.file,
+            "it gives no number for an image, put as {said}.",
+            where=processes.file,
             said=_said(sidecar),
         )
     return Probed(sidecar, None)
@@ -136,11 +136,11 @@ def _of_pair(processes: NetworkProcesses, candidates: Sequence[Sidecar], progres
         raise StageError(
             DEPTH_NETWORK_UNIDENTIFIED,
             (
-                "{file}: in none of the usual ways does it give the shift of a known pair "
+                "in none of the usual ways does it give the shift of a known pair "
                 "within {right:g} px; the nearest, {said}, is off by {least:.3g} px."
             ),
             remedy="Write its sidecar by hand.",
-            file=processes.file,
+            where=processes.file,
             right=_RIGHT,
             said=_said(nearest),
             least=least,

@@ -54,9 +54,9 @@ class NetworkProcesses:
         if find_spec("onnxruntime") is None:
             raise UsageError(
                 DEPTH_NETWORK_UNUSABLE,
-                "{file}: networks are run by onnxruntime",
+                "networks are run by onnxruntime",
                 remedy="install scanloom[network].",
-                file=file,
+                where=file,
             )
         if not file.is_file():
             raise InputError(FILE_PATH_INVALID, "there is no such file.", file)

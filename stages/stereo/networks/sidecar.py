@@ -156,7 +156,7 @@ def read_sidecar(network: Path) -> Sidecar:
     try:
         return Sidecar(**{name: _checked(name, value) for name, value in values.items()}, file=path).checked()
     except InputError as error:
-        raise InputError(CODE_UNKNOWN, str(error), path) from None
+        raise error.at(path) from None
 
 
 def written(sidecar: Sidecar) -> str:

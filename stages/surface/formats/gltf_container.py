@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import content_of
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.surface.codes import MESH_COMPANION_MISSING, MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED
 from stages.surface.formats.textures import beside
 
@@ -193,7 +193,7 @@ def read_container(path: Path) -> Gltf:
         data = content_of(path)
     except OSError as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+            FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
     text, binary = _chunks(path, data) if path.suffix.lower() == ".glb" else (data, b"")
     try:

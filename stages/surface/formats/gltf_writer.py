@@ -348,9 +348,9 @@ def _write_one(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter
     if size >= _LARGEST:
         raise StageError(
             MACHINE_DISK_FAILED,
-            "{path}: would take {size:,} bytes, more than a GLB file can hold",
+            "would take {size:,} bytes, more than a GLB file can hold",
             remedy="write PLY.",
-            path=path,
+            where=path,
             size=size,
         )
     with replacing(path) as part, part.open("wb") as file:

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError, MeshError
+from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.files.text_numbers import parse_numbers, parse_whole_numbers
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 from stages.surface.codes import MESH_FILE_DAMAGED
 from stages.surface.formats.colors import to_uint8
 from stages.surface.formats.mtl import read_libraries, write_library
@@ -55,7 +55,7 @@ def read_obj(path: Path | str) -> Mesh:
         data = content_of(path)
     except OSError as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+            FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
     notes: list[str] = []
     statements = sorted_statements(data)

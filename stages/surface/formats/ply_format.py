@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import content_of, opened
 from stages.files.text_numbers import parse_numbers
-from stages.picturing.codes import REPORT_INCOMPLETE
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from stages.surface.codes import MESH_FILE_DAMAGED
 
 # Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
 _LONGEST_HEADER = 1 << 20
@@ -88,13 +88,13 @@ def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
         data = content_of(path)
     except OSError as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+            FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
     try:
         header = parse_header(data)
         return header, _read_body(header, data)
     except _MalformedError as error:
-        raise InputError(CODE_UNKNOWN, str(error), path) from None
+        raise error.at(path) from None
 
 
 def promised(path: Path, element: str) -> int:
@@ -110,10 +110,10 @@ def promised(path: Path, element: str) -> int:
             header = parse_header(file.read(_LONGEST_HEADER))
     except OSError as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+            FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
     except _MalformedError as error:
-        raise InputError(CODE_UNKNOWN, str(error), path) from None
+        raise error.at(path) from None
     return sum(one.count for one in header.elements if one.name == element)
 
 
@@ -140,7 +140,7 @@ class Rows:
                 file.seek(self.start + first * self.dtype.itemsize)
                 rows = np.frombuffer(file.read(count * self.dtype.itemsize), self.dtype)
             if len(rows) != count:
-                raise InputError(CODE_UNKNOWN, _DAMAGED, self.path)
+                raise InputError(MESH_FILE_DAMAGED, _DAMAGED, self.path)
             yield rows
 
 
@@ -164,10 +164,10 @@ def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
         size = path.stat().st_size
     except OSError as error:
         raise InputError(
-            SIMPLIFY_RECORD_INVALID, "cannot be read: {strerror}.", path, strerror=error.strerror
+            FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
     except _MalformedError as error:
-        raise InputError(CODE_UNKNOWN, str(error), path) from None
+        raise error.at(path) from None
     match header.elements:
         case [Element("vertex", vertices, columns), Element("face", faces, [Property() as corners])] if (
             header.encoding != "ascii"
@@ -179,12 +179,12 @@ def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
             face = np.dtype([(LENGTH, corners.length), (CORNERS, corners.dtype, (3,))])
         case _:
             raise InputError(
-                REPORT_INCOMPLETE, "it is not a binary file of vertices and triangles alone.", path
+                MESH_FILE_DAMAGED, "it is not a binary file of vertices and triangles alone.", path
             )
     end = header.size + vertices * row.itemsize
     if size != end + faces * face.itemsize:
         raise InputError(
-            REPORT_INCOMPLETE,
+            MESH_FILE_DAMAGED,
             "it is not as long as its header promises of triangles; {damaged}",
             path,
             damaged=_DAMAGED,
@@ -192,21 +192,21 @@ def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
     return Rows(path, row, header.size, vertices), Rows(path, face, end, faces)
 
 
-class _MalformedError(Exception):
-    """What is wrong with the bytes; the name of the file is put before it where it is known."""
+class _MalformedError(InputError):
+    """Error in the bytes of a file; its path is added where it is known."""
 
 
 def parse_header(data: bytes) -> Header:
     """Parse the lines up to `end_header`; a few variants of line ends and keywords are in use."""
     start = data[:_LONGEST_HEADER]
     if not re.match(rb"ply[ \t]*[\r\n]", start):
-        raise _MalformedError("is not a PLY file: it does not start with a line `ply`.")
+        raise _MalformedError(MESH_FILE_DAMAGED, "is not a PLY file: it does not start with a line `ply`.")
     # A binary body may begin with the byte of a line feed, so the first line tells how lines end; some
     # programs mix \n and \r\n.
     line_end = rb"\r?\n" if re.match(rb"[^\r\n]*\r?\n", start) else rb"\r"
     end = re.search(rb"[\r\n]end_header[ \t]*" + line_end, start)
     if end is None:
-        raise _MalformedError(f"its header has no line `end_header`; {_DAMAGED}")
+        raise _MalformedError(MESH_FILE_DAMAGED, f"its header has no line `end_header`; {_DAMAGED}")
     lines = re.split(r"\r?\n|\r", start[: end.start()].decode("latin-1"))
 
     encoding = ""
@@ -225,9 +225,13 @@ def parse_header(data: bytes) -> Header:
             case []:
                 pass
             case _:
-                raise _MalformedError(f"its header has the line {line[:80]!r}, which is not understood.")
+                raise _MalformedError(
+                    MESH_FILE_DAMAGED, f"its header has the line {line[:80]!r}, which is not understood."
+                )
     if encoding not in _BYTE_ORDERS:
-        raise _MalformedError(f"its format is {encoding!r}; {', '.join(_BYTE_ORDERS)} are known.")
+        raise _MalformedError(
+            MESH_FILE_DAMAGED, f"its format is {encoding!r}; {', '.join(_BYTE_ORDERS)} are known."
+        )
     return Header(
         encoding,
         tuple(Element(name, count, tuple(properties)) for name, count, properties in elements),
@@ -238,7 +242,7 @@ def parse_header(data: bytes) -> Header:
 
 def _parse_count(line: str, word: str) -> int:
     if not re.fullmatch(r"[0-9]{1,18}", word):
-        raise _MalformedError(f"its header line {line[:80]!r} has no usable count.")
+        raise _MalformedError(MESH_FILE_DAMAGED, f"its header line {line[:80]!r} has no usable count.")
     return int(word)
 
 
@@ -249,7 +253,9 @@ def _parse_property(line: str, words: list[str], encoding: str) -> Property:
             return Property(name, np.dtype(order + _TYPES[kind]))
         case ["list", length, kind, name] if length in _TYPES and kind in _TYPES:
             return Property(name, np.dtype(order + _TYPES[kind]), np.dtype(order + _TYPES[length]))
-    raise _MalformedError(f"its header has the line {line[:80]!r}, which is not understood.")
+    raise _MalformedError(
+        MESH_FILE_DAMAGED, f"its header has the line {line[:80]!r}, which is not understood."
+    )
 
 
 def _read_body(header: Header, data: bytes) -> dict[str, Table]:
@@ -271,7 +277,7 @@ def _numbers(text: bytes) -> NDArray[np.float64]:
     try:
         return parse_numbers(text)
     except ValueError as error:
-        raise _MalformedError(str(error)) from None
+        raise _MalformedError(MESH_FILE_DAMAGED, str(error)) from None
 
 
 def _as_stored(element: Element, encoding: str) -> Element:
@@ -293,7 +299,8 @@ def _require_size(header: Header, size: int) -> None:
     if needed > size + 1:
         promised = ", ".join(f"{e.count:,} × {e.name}" for e in header.elements)
         raise _MalformedError(
-            f"its header promises {promised}, at least {needed:,} bytes, but only {size:,} follow; {_DAMAGED}"
+            MESH_FILE_DAMAGED,
+            f"its header promises {promised}, at least {needed:,} bytes, but only {size:,} follow; {_DAMAGED}",
         )
 
 
@@ -327,8 +334,9 @@ def _decode_equal_rows(
         if lengths:
             return None
         raise _MalformedError(
+            MESH_FILE_DAMAGED,
             f"it ends after {(len(body) - at) // stride:,} of {element.count:,} {element.name} entries; "
-            f"{_DAMAGED}"
+            f"{_DAMAGED}",
         )
 
     decoded: list[NDArray[Any] | Lists] = []
@@ -424,11 +432,15 @@ def _struct_code(dtype: np.dtype[Any]) -> str:
 
 
 def _short(element: Element, row: int) -> _MalformedError:
-    return _MalformedError(f"it ends within {element.name} {row:,} of {element.count:,}; {_DAMAGED}")
+    return _MalformedError(
+        MESH_FILE_DAMAGED, f"it ends within {element.name} {row:,} of {element.count:,}; {_DAMAGED}"
+    )
 
 
 def _bad_length(element: Element, row: int, length: Any) -> _MalformedError:
-    return _MalformedError(f"{element.name} {row:,} holds a list of length {length:g}; {_DAMAGED}")
+    return _MalformedError(
+        MESH_FILE_DAMAGED, f"{element.name} {row:,} holds a list of length {length:g}; {_DAMAGED}"
+    )
 
 
 def _as_declared(column: NDArray[Any] | Lists, declared: Property, element: str) -> NDArray[Any] | Lists:
@@ -446,7 +458,8 @@ def _cast(values: NDArray[Any], declared: Property, element: str) -> NDArray[Any
     if not fits.all():
         bad = values[np.flatnonzero(~fits)[0]]
         raise _MalformedError(
+            MESH_FILE_DAMAGED,
             f"{declared.name} of a {element} is {bad:g}; the header declares whole numbers "
-            f"from {limits.min} to {limits.max}."
+            f"from {limits.min} to {limits.max}.",
         )
     return values.astype(declared.dtype)
