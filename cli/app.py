@@ -235,7 +235,8 @@ def _tell(failure: errors.Failure, error: BaseException | None, arguments: Seque
     try:
         sys.stderr.write(one_line(f"scanloom: {failure.sentence}") + "\n")
         if "--json" in arguments:
-            figures = {"error": failure.sentence, "exit_code": failure.exit_code}
+            told = [] if failure.diagnostic is None else [failure.diagnostic.figures()]
+            figures = {"error": failure.sentence, "exit_code": failure.exit_code, "diagnostics": told}
             sys.stdout.write(to_json(with_schema(figures)) + "\n")
             sys.stdout.flush()
     except BrokenPipeError:

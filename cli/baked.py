@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import stages
-from cli.mesh_arguments import tell_notes, write_file
+from cli.mesh_arguments import write_file
 from cli.output import Output, lines_of
 from stages import BakeParams, Mesh
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import ScanloomError
+from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
 
 # Formats that hold texture coordinates and an image.
 TEXTURED_SUFFIXES = (".glb", ".obj", ".ply")
@@ -40,7 +42,11 @@ def baked_or_told(target: Path, light: Mesh, original: Mesh, out: Output) -> dic
     try:
         return baked_to(target, light, original, BakeParams(), out)
     except ScanloomError as error:
-        out.warn(f"{target}: the image is left out; it could not be baked anew: {error}")
+        emit(
+            SIMPLIFY_IMAGES_NOT_BAKED.warning(
+                "the image is left out; it could not be baked anew: {reason}", target, reason=str(error)
+            )
+        )
         return None
 
 
@@ -48,7 +54,6 @@ def baked_to(target: Path, light: Mesh, original: Mesh, params: BakeParams, out:
     """Bake, write the textured mesh, and return the figures."""
     with out.progress("bake", "rows") as progress:
         baked = stages.bake(light, original, params, progress=progress)
-    tell_notes(target, baked.mesh.notes[len(light.notes) :], out)
     write_file(target, baked.mesh, out)
     return baked.figures()
 

@@ -10,6 +10,8 @@ import typer
 from cli.batch_watch import summary_text, tell_warnings
 from cli.exit_codes import BAD_INPUT
 from cli.output import Output
+from pipeline.batch.codes import BATCH_SCANS_NOT_DONE
+from stages.diagnostics.collector import emit
 
 if TYPE_CHECKING:
     from pipeline.batch.queue import Queue
@@ -38,7 +40,14 @@ def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
     if failed:
         states = {one.state for one in failed}
         kinds = ", ".join(f"{summary.counts[state]} {state}" for state in sorted(states))
-        out.unmet(f"{len(failed)} of {len(summary.records)} scans are not done: {kinds}; the table says why.")
+        emit(
+            BATCH_SCANS_NOT_DONE.unmet(
+                "{failed} of {scans} scans are not done: {kinds}; the table has the reasons.",
+                failed=len(failed),
+                scans=len(summary.records),
+                kinds=kinds,
+            )
+        )
     figures = {**summary.figures(), "cache": str(queue.cache), "files": written, **more}
     out.result(figures, summary_text(summary, written))
     if summary.is_unusable:

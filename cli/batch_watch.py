@@ -11,6 +11,7 @@ from cli.rendering import as_typed
 from pipeline.batch.records import DONE, RUNNING, WAITING, Record
 from pipeline.batch.summary import Summary
 from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, Told
+from stages.diagnostics.diagnostic import Severity
 
 
 @contextmanager
@@ -35,15 +36,12 @@ class _Watcher:
                 self._counted = (told.ended, told.total)
                 self._show()
             case JobEnded():
-                self.bar.close()
                 self._out.remark(line_of(told.record))
                 tell_warnings(self._out, told.record)
             case Noted():
-                self.bar.close()
                 self._out.remark(told.text)
             case JobBegun():
                 if told.attempt:
-                    self.bar.close()
                     self._out.remark(f"{told.name}: begun again, from what is in the cache")
             case JobAt():
                 self._show()
@@ -54,8 +52,9 @@ class _Watcher:
 
 def tell_warnings(out: Output, record: Record) -> None:
     """Tell the warnings of a scan, each with its name before it."""
-    for text in record.warnings:
-        out.warn(as_typed(f"{record.name}: {text}"))
+    for diagnostic in record.diagnostics:
+        if diagnostic.severity is Severity.WARNING:
+            out.report(diagnostic.within(scan=record.name))
 
 
 def line_of(record: Record) -> str:

@@ -28,3 +28,21 @@ with all their digits.
 """,
     "…: larger than the input, … bytes instead of ….",
 )
+MACHINE_LIBRARY_WARNING = Code(
+    "machine.library-warning",
+    "A warning of a library",
+    """
+A library that scanloom uses, or Python itself, has warned, mostly of a number that could not be computed.
+Please report it together with what `--debug` adds.
+""",
+    "RuntimeWarning: invalid value encountered in divide",
+)
+USAGE_OPTION_INVALID = Code(
+    "usage.option-invalid",
+    "An option that does not exist, or has a wrong value",
+    """
+The command line could not be understood: an option or command is misspelled, an argument is missing, or a
+value is not a number. `scanloom COMMAND --help` lists the options of a command with their units and ranges.
+""",
+    "No such option: --voxelsize Did you mean --voxel-size? See `scanloom fuse --help`.",
+)

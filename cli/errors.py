@@ -7,10 +7,14 @@ from dataclasses import dataclass
 
 import typer
 
+from cli.codes import USAGE_OPTION_INVALID
 from cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
 from cli.interrupts import SENTENCE
-from cli.rendering import as_typed
-from stages.diagnostics.errors import InputError, UsageError, bug_explained, is_lack_of_memory
+from cli.rendering import render
+from stages.diagnostics.codes import MACHINE_BUG, MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
+from stages.diagnostics.diagnostic import Code, Diagnostic, Severity
+from stages.diagnostics.errors import InputError, ScanloomError, UsageError, bug_explained, is_lack_of_memory
+from stages.files.codes import FILE_PATH_INVALID
 
 # What typer raises for a wrong command line; its base class has no public name of its own.
 TyperUsageError: type[Exception] = next(k for k in typer.BadParameter.__mro__ if k.__name__ == "UsageError")
@@ -35,12 +39,16 @@ _MACHINE_ERRORS = {
 }
 
 
+_EXIT_CODES = {UsageError: WRONG_USAGE, InputError: BAD_INPUT}
+
+
 @dataclass(frozen=True)
 class Failure:
     """What a person reads, and what the shell gets."""
 
     sentence: str
     exit_code: int
+    diagnostic: Diagnostic | None = None
 
 
 def failure_of(error: BaseException) -> Failure:
@@ -48,14 +56,13 @@ def failure_of(error: BaseException) -> Failure:
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
         return Failure(SENTENCE, INTERRUPTED)
     if isinstance(error, TyperUsageError):
-        return Failure(_usage_sentence(error), WRONG_USAGE)
-    if isinstance(error, UsageError):
-        return Failure(str(error), WRONG_USAGE)
-    if isinstance(error, InputError):
-        return Failure(as_typed(str(error)), BAD_INPUT)
+        return _failure(USAGE_OPTION_INVALID, WRONG_USAGE, _usage_sentence(error))
+    if isinstance(error, ScanloomError):
+        code = next((code for kind, code in _EXIT_CODES.items() if isinstance(error, kind)), FAILED)
+        return Failure(render(error.diagnostic), code, error.diagnostic)
     if is_lack_of_memory(error):
         advice = "choose a larger voxel size, or run on a machine with more memory"
-        return Failure(f"There is not enough memory; {advice}.", FAILED)
+        return _failure(MACHINE_OUT_OF_MEMORY, FAILED, f"There is not enough memory; {advice}.")
     if isinstance(error, OSError):
         return _system_failure(error)
     return Failure(str(error), FAILED)
@@ -63,7 +70,7 @@ def failure_of(error: BaseException) -> Failure:
 
 def bug_of(error: BaseException) -> Failure:
     """Return the sentence for an exception nobody foresaw."""
-    return Failure(bug_explained(error), FAILED)
+    return _failure(MACHINE_BUG, FAILED, bug_explained(error))
 
 
 def _usage_sentence(error: Exception) -> str:
@@ -76,8 +83,12 @@ def _usage_sentence(error: Exception) -> str:
 
 
 def _system_failure(error: OSError) -> Failure:
-    where = f"{error.filename}: " if error.filename is not None else ""
     if error.errno in _PATH_ERRORS:
-        return Failure(f"{where}{_PATH_ERRORS[error.errno]}.", BAD_INPUT)
+        return _failure(FILE_PATH_INVALID, BAD_INPUT, f"{_PATH_ERRORS[error.errno]}.", error.filename)
     reason = _MACHINE_ERRORS.get(error.errno or 0, error.strerror or str(error))
-    return Failure(f"{where}{reason}.", FAILED)
+    return _failure(MACHINE_DISK_FAILED, FAILED, f"{reason}.", error.filename)
+
+
+def _failure(code: Code, exit_code: int, message: str, file: str | None = None) -> Failure:
+    diagnostic = code.create(Severity.ERROR, message, file, "", {})
+    return Failure(render(diagnostic), exit_code, diagnostic)

@@ -54,6 +54,6 @@ def _text(figures: Mapping[str, Any]) -> str:
     for one in figures["by_level"]:
         distance = [f"{one['max_distance_m']:.4g}"] if measured else []
         rows.append([*(f"{one[key]:,}" for key in keys), *distance])
-    told = ("by_level", "warnings", "damage")
+    told = ("by_level", "damage")
     lines = lines_of({key: value for key, value in figures.items() if key not in told})
     return f"{table_of(rows)}\n\n{lines}"

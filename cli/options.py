@@ -18,8 +18,10 @@ from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin, get_t
 
 import typer
 
+from cli.codes import MACHINE_LIBRARY_WARNING
 from cli.output import Output
 from cli.rendering import option_name
+from stages.diagnostics.collector import listening
 from stages.params import Described, described, hints_of, kinds_of, row_length
 
 OUTPUT_PANEL = "Output"
@@ -91,7 +93,7 @@ def with_options(function: Callable[..., None], *, can_warn: bool = True) -> Cal
     @functools.wraps(function)
     def command(**values: Any) -> None:
         out = _output(values)
-        with _warnings_counted(out):
+        with listening(out.report), _warnings_counted(out):
             built = {name: builder(values) for name, builder in builders.items()}
             outputs = dict.fromkeys(takes_output, out)
             function(**built, **outputs, **{parameter.name: values[parameter.name] for parameter in kept})
@@ -215,11 +217,11 @@ def _output(values: dict[str, Any]) -> Output:
 
 @contextmanager
 def _warnings_counted(out: Output) -> Iterator[None]:
-    """Count warnings of Python, which the program shows."""
+    """Report warnings of libraries, which Python shows."""
     usual = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        out.count_warning(str(message))
+        out.count(MACHINE_LIBRARY_WARNING.warning(str(message)))
         usual(message, category, *where, **more)
 
     warnings.showwarning = show

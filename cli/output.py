@@ -10,13 +10,15 @@ import json
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from cli.exit_codes import DONE, FAILED
+from cli.rendering import render
 from pipeline.run.schema import SCHEMA
-from stages.printing import name_and_value
+from stages.diagnostics.diagnostic import Diagnostic, Severity
+from stages.printing import counted, name_and_value
 from stages.progress import Progress, silent
 
 # Control characters, among them line breaks and terminal escapes, and the line separators of Unicode.
@@ -26,14 +28,18 @@ _MAX_LINE = 2000
 
 
 class Output:
-    """One command's output; `result` is called once, last.
+    """Output of one command; `result` is called once, last.
 
     Parameters
     ----------
-    as_json : stdout gets one JSON object; stderr only warnings, what was not reached, and failures.
+    as_json : stdout gets one JSON object; stderr only warnings, unmet requirements and failures.
     quiet : no progress and no remarks; the result is still printed, and so are warnings.
     strict : warnings make the exit code 1.
-    can_warn : JSON has `warnings` also where there are none.
+    can_warn : JSON has `diagnostics` also where there are none.
+
+    Attributes
+    ----------
+    before_line : called before a line is written; a progress bar removes itself then.
     """
 
     def __init__(
@@ -41,69 +47,68 @@ class Output:
     ) -> None:
         self.as_json = as_json
         self.quiet = quiet or as_json
+        self.before_line: Callable[[], None] = _do_nothing
         self._strict = strict
         self._can_warn = can_warn
         # In order, each once.
-        self._warnings: dict[str, None] = {}
-        self._unmet: dict[str, None] = {}
+        self._diagnostics: dict[Diagnostic, None] = {}
 
     @property
     def exit_code(self) -> int:
-        """What the command that has given its result ends with."""
-        return FAILED if self._unmet or (self._strict and self._warnings) else DONE
+        """Return the exit code of a command that has printed its result."""
+        is_failed = self._count(Severity.UNMET) or (self._strict and self._count(Severity.WARNING))
+        return FAILED if is_failed else DONE
 
     def remark(self, text: str) -> None:
-        """Tell a person on stderr what is going on."""
+        """Print what is going on to stderr."""
         if not self.quiet:
-            _say(text)
+            self._print(text)
 
-    def warn(self, text: str) -> None:
-        """Tell what changes the result or may spoil it: on stderr, whatever is silenced, and in JSON."""
-        if text not in self._warnings:
-            self.count_warning(text)
-            _say(f"warning: {text}")
+    def report(self, diagnostic: Diagnostic) -> None:
+        """Print a diagnostic to stderr, once, and keep it for JSON and the exit code.
 
-    def warn_of(self, figures: Mapping[str, Any]) -> None:
-        """Tell the warnings among figures, if there are any."""
-        for warning in figures.get("warnings", ()):
-            self.warn(warning)
+        Warnings and unmet requirements are printed with --quiet, too.
+        """
+        if diagnostic in self._diagnostics:
+            return
+        self.count(diagnostic)
+        text = render(diagnostic)
+        if diagnostic.severity is Severity.INFO:
+            self.remark(text)
+        elif diagnostic.severity is Severity.WARNING:
+            self._print(f"warning: {text}")
+        else:
+            self._print(f"scanloom: {text}")
 
-    def count_warning(self, text: str) -> None:
-        """Take note of a warning that the person has before them already."""
-        self._warnings[text] = None
-
-    def unmet(self, text: str) -> None:
-        """Tell that what is written is not what was asked for; the exit code is then 1."""
-        # What was a warning before is known by now.
-        if text not in self._unmet and text not in self._warnings:
-            _say(f"scanloom: {text}")
-        self._unmet[text] = None
+    def count(self, diagnostic: Diagnostic) -> None:
+        """Keep a diagnostic that the user sees elsewhere."""
+        self._diagnostics[diagnostic] = None
 
     def result(self, figures: Mapping[str, Any], text: str | None = None) -> None:
-        """Print what came out: JSON for a program, `text` (or the figures, one a line) for a person.
-
-        Warnings among the figures are told first, if they were not before.
-        """
-        self.warn_of(figures)
+        """Print the result: JSON for a program, `text` (or the figures, one a line) for a person."""
         if self.as_json:
-            text = to_json(with_schema({**figures, **self._said()}))
+            told = [one.figures() for one in self._diagnostics]
+            text = to_json(
+                with_schema({**figures, **({"diagnostics": told} if told or self._can_warn else {})})
+            )
         elif text is None:
-            text = lines_of({name: value for name, value in figures.items() if name != "warnings"})
+            text = lines_of(figures)
         sys.stdout.write(text + "\n")
         # Here, not at exit, so that a full disk or a closed pipe is noticed while it can be reported.
         sys.stdout.flush()
-        if self._strict and self._warnings and not self._unmet:
-            count = f"{len(self._warnings)} warning{'s' * (len(self._warnings) != 1)}"
-            makes = "makes" if len(self._warnings) == 1 else "make"
-            _say(f"scanloom: with --strict, {count} {makes} the exit code 1; the result is written.")
+        warnings = self._count(Severity.WARNING)
+        if self._strict and warnings and not self._count(Severity.UNMET):
+            makes = "makes" if warnings == 1 else "make"
+            count = counted(warnings, "warning")
+            self._print(f"scanloom: with --strict, {count} {makes} the exit code 1; the result is written.")
 
-    def _said(self) -> dict[str, list[str]]:
-        said: dict[str, list[str]] = {}
-        if self._warnings or self._can_warn:
-            said["warnings"] = list(self._warnings)
-        if self._unmet:
-            said["unmet"] = list(self._unmet)
-        return said
+    def _count(self, severity: Severity) -> int:
+        return sum(one.severity is severity for one in self._diagnostics)
+
+    def _print(self, text: str) -> None:
+        self.before_line()
+        sys.stderr.write(one_line(text) + "\n")
+        sys.stderr.flush()
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
@@ -117,9 +122,8 @@ class Output:
             yield update
 
 
-def _say(text: str) -> None:
-    sys.stderr.write(one_line(text) + "\n")
-    sys.stderr.flush()
+def _do_nothing() -> None:
+    """Do nothing, where no progress bar is shown."""
 
 
 def one_line(text: str) -> str:

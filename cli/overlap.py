@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cli.output import Output
 from stages import Mesh
+from stages.comparing.codes import COMPARE_MESHES_APART
 from stages.comparing.measurable import gap_of_unrelated
+from stages.diagnostics.collector import emit
 
 
-def require_overlap(file: Path, mesh: Mesh, other_file: Path, other: Mesh, out: Output) -> None:
+def require_overlap(file: Path, mesh: Mesh, other_file: Path, other: Mesh) -> None:
     """Tell that two meshes that had to overlap do not, if so; the exit code of the command is then 1."""
     gap = gap_of_unrelated(mesh, other)
     if gap is not None:
-        out.unmet(
-            f"{file}: lies {gap:.3g} m from {other_file}, which is more than their size; give meshes of one "
-            "thing, in the same world and unit."
+        emit(
+            COMPARE_MESHES_APART.unmet(
+                "lies {gap:.3g} m from {other_file}, which is more than their size",
+                file,
+                remedy="give meshes of one thing, in the same world and unit.",
+                gap=gap,
+                other_file=other_file,
+            )
         )

@@ -16,6 +16,7 @@ class PassingBar:
         self._shown = ExitStack()
         self._label = ""
         self._update: Progress = silent
+        out.before_line = self.close
 
     def show(self, label: str, unit: str) -> Progress:
         """Draw the bar of a thing, and return the function that moves it."""

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.output import Output
 from pipeline.quality import QUALITIES, STANDARD
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.collector import emit
 
 if TYPE_CHECKING:
     from pipeline.config import Config
@@ -27,7 +28,7 @@ QualityOption = Annotated[
 ]
 
 
-def config_of(file: Path | None, quality: str | None, out: Output) -> Config:
+def config_of(file: Path | None, quality: str | None) -> Config:
     """Return the parameters of a file, and for all that it leaves open those of a quality.
 
     What the file keeps from the quality that was asked for is a warning.
@@ -44,7 +45,15 @@ def config_of(file: Path | None, quality: str | None, out: Output) -> Config:
         if getattr(getattr(config, section), name) != value
     ]
     if kept:
-        out.warn(f"--quality {quality} leaves {', '.join(kept)} as {file} sets them; leave them out there.")
+        emit(
+            USAGE_OPTIONS_CONFLICT.warning(
+                "--quality {quality} leaves {parameters} as {file} sets them",
+                remedy="leave them out there.",
+                quality=quality,
+                parameters=", ".join(kept),
+                file=file,
+            )
+        )
     return config
 
 

@@ -11,7 +11,6 @@ import typer
 
 from cli import completing
 from cli.codes import BATCH_OPTIONS_CONFLICT
-from cli.output import Output
 from cli.quality import config_of
 from stages.diagnostics.errors import UsageError
 
@@ -115,12 +114,11 @@ def run_config(
     scan: dict[str, Any],
     page: bool | None,
     report: bool | None,
-    out: Output,
 ) -> Config:
     """Return the configuration that options come to, checked as far as it can be without a scan."""
     from stages.simplification.auto import chosen
 
-    config = config_of(file, quality, out)
+    config = config_of(file, quality)
     switched = {"report.page": page, "report.enabled": report}
     switches = [f"{name}={str(on).lower()}" for name, on in switched.items() if on is not None]
     config = config.set((*(settings or ()), *switches))

@@ -8,10 +8,8 @@ from typing import Annotated
 import typer
 
 import stages
-from cli.output import Output
 from cli.paths import require_scan
-from cli.rendering import as_typed
-from cli.skipped import tell_skipped
+from pipeline.skipped import emit_skipped
 from stages import Scan, ScanParams
 
 ScanFolder = Annotated[
@@ -24,7 +22,7 @@ ScanFolder = Annotated[
 ]
 
 
-def read_scan(folder: Path, params: ScanParams, out: Output, *, complete: bool = True) -> Scan:
+def read_scan(folder: Path, params: ScanParams, *, complete: bool = True) -> Scan:
     """Return the scan of a folder; what is odd and what cannot be used is warned of.
 
     Parameters
@@ -32,8 +30,5 @@ def read_scan(folder: Path, params: ScanParams, out: Output, *, complete: bool =
     complete : refuse a scan without poses, depth or whatever else it needs.
     """
     scan = stages.read_scan(require_scan(folder), params, complete=complete)
-    for warning in scan.warnings:
-        out.warn(as_typed(warning))
-    skipped = [{"frame": one.name, "reason": one.reason} for one in scan.skipped]
-    tell_skipped(out, "the reader", skipped)
+    emit_skipped([one.figures() for one in scan.skipped])
     return scan

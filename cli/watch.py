@@ -10,7 +10,6 @@ from typing import Any
 
 from cli.output import Output
 from cli.passing_bar import PassingBar
-from cli.rendering import as_typed
 from pipeline.graph import find_stage
 from pipeline.run.events import (
     Event,
@@ -20,7 +19,6 @@ from pipeline.run.events import (
     StageProgress,
     StageStarted,
     Waiting,
-    Warned,
 )
 from stages.printing import at_most
 from stages.progress import Progress
@@ -54,21 +52,13 @@ class _Watcher:
             case StageProgress():
                 self._bar_of(event.stage)(event.done, event.total)
             case StageFinished():
-                self.bar.close()
                 self._out.remark(line_of(event, is_metric=self._is_metric))
-            case Warned():
-                self.bar.close()
-                self._out.warn(as_typed(event.text))
             case Waiting():
-                self.bar.close()
                 self._out.remark(event.text)
 
     def _started(self, event: RunStarted) -> None:
-        self.bar.close()
         self._is_metric = event.is_metric
         self._out.remark(f"{event.layout}, {event.frames:,} frames; stages: {', '.join(event.stages)}")
-        for warning in event.warnings:
-            self._out.warn(as_typed(warning))
 
     def _bar_of(self, stage: str) -> Progress:
         known = find_stage(stage)

@@ -196,7 +196,7 @@ class Sections:
         try:
             changed = dataclasses.replace(getattr(self, section), **changes)
         except UsageError as error:
-            raise UsageError.of(error.diagnostic.of_section(section, where)) from error
+            raise UsageError.of(error.diagnostic.within(section=section, file=where)) from error
         return dataclasses.replace(self, **{section: changed})  # type: ignore[type-var]
 
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-
-def said_of_skipped(skipped: Sequence[Mapping[str, Any]]) -> str:
-    """Return the warning: how many frames were left out, and why the first of them."""
-    first = skipped[0]
-    count = f"{len(skipped)} frame{'s' * (len(skipped) != 1)}"
-    return f"left out {count}; the first is {first['frame']}: {first['reason']}"
+from stages.diagnostics.collector import emit
+from stages.printing import counted
+from stages.scans.codes import SCAN_FRAMES_SKIPPED
 
 
-def warn_of_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Add a warning to the figures of a stage if it skipped frames."""
-    warnings = list(figures.get("warnings", ()))
-    skipped = figures["frames_skipped"]
+def emit_skipped(skipped: Sequence[Mapping[str, Any]]) -> None:
+    """Emit a warning if frames were left out: how many, and why the first of them."""
     if skipped:
-        warnings.append(said_of_skipped(skipped))
-    return {**figures, "warnings": warnings}
+        emit(
+            SCAN_FRAMES_SKIPPED.warning(
+                "left out {frames}; the first is {first}: {reason}",
+                frames=counted(len(skipped), "frame"),
+                first=skipped[0]["frame"],
+                reason=skipped[0]["reason"],
+            )
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
@@ -49,10 +49,6 @@ class Artifact:
     folder: Path
 
 
-def _no_requirements(params: Any, figures: Mapping[str, Any]) -> Sequence[str]:  # noqa: ARG001
-    return ()
-
-
 def _never_skipped(scan: Any, config: Any) -> str | None:  # noqa: ARG001
     return None
 
@@ -72,7 +68,7 @@ class Stage(Generic[Inputs, Params]):
     inputs : dataclass; each field is named after a source of the run or an artifact. A field with a default
         may be missing.
     writes : class of the artifact.
-    run : writes the files of the artifact and returns figures. `warnings` among them are shown to the user.
+    run : writes the files of the artifact and returns figures. What it emits is kept with the result.
     versions : from known inputs and configuration to the RESULT_VERSION of all code that `run` then uses, by
         name. It is called for every cache key.
     libraries : versions of distributions that decide the result, by name.
@@ -83,7 +79,6 @@ class Stage(Generic[Inputs, Params]):
     unread : inputs that are not read with a configuration.
     skip_reason : from scan and configuration to the reason why the stage is skipped, or None. The text
         continues a sentence that begins with the name of the stage.
-    unmet : from parameters and figures to one sentence for each requirement that was not reached.
     cost : estimate for the first run.
     headline : format of the line that sums up a result, or a function from figures to it. Fields are figures.
     progress_unit : what the progress callback counts.
@@ -103,7 +98,6 @@ class Stage(Generic[Inputs, Params]):
     when: Mapping[str, Callable[[Mapping[str, Any]], bool]] = field(default_factory=dict)
     unread: Callable[[Any], Collection[str]] = _reads_all
     skip_reason: Callable[[Scan, Any], str | None] = _never_skipped
-    unmet: Callable[[Params, Mapping[str, Any]], Sequence[str]] = _no_requirements
     cost: Cost = field(default_factory=Cost)
     headline: str | Callable[[Mapping[str, Any]], str] = ""
     progress_unit: str = "steps"

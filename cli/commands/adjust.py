@@ -39,7 +39,7 @@ def adjust(
     """
     from pipeline.artifacts.adjusted_cameras import write_adjusted
 
-    source = read_scan(folder, scan, out, complete=False)
+    source = read_scan(folder, scan, complete=False)
     if source.is_stereo or source.is_views:
         raise InputError(
             SCAN_DEPTH_MISSING,
@@ -54,5 +54,4 @@ def adjust(
     with new_folder(target) as draft, out.progress("adjust", "steps") as progress:
         found = stages.adjust(source, params, progress=progress)
         figures = write_adjusted(draft, found)
-    out.warn_of(figures)
     out.result({"output": str(target), **figures, "seconds": found.seconds})

@@ -41,7 +41,7 @@ def bake(
     Example: scanloom bake light.ply clean.ply light.glb
     """
     require_new_file(target, TEXTURED_SUFFIXES)
-    mesh, reference = read_file(light, out), read_file(original, out)
+    mesh, reference = read_file(light), read_file(original)
     figures = {"output": str(target), **baked_to(target, mesh, reference, params, out)}
-    require_overlap(light, mesh, original, reference, out)
+    require_overlap(light, mesh, original, reference)
     out.result(figures, baked_text(figures))

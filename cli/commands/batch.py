@@ -148,7 +148,7 @@ def batch(
             remedy="give --jobs, --threads, --memory and --disk to scanloom worker.",
         )
     _require_executor(executor, scheduler)
-    config = _portable(run_config(config_file, quality, settings, scan_options, page, report, out))
+    config = _portable(run_config(config_file, quality, settings, scan_options, page, report))
     _require_stages(until, force)
     folder, target = folder.resolve(), target.resolve()
     where = cache_folder(target, cache)
@@ -178,7 +178,7 @@ def batch(
     if dry_run:
         tell_dry_run(target, what, queued, config, more, out)
         return
-    queue = open_queue(target, what, queued, out.remark)
+    queue = open_queue(target, what, queued)
     withdraw_outputs(target)
     if queue_only:
         figures = {"out": str(target), "queued": len(queued), **more}

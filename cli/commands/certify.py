@@ -14,7 +14,9 @@ from cli.output import Output, table_of
 from cli.paths import require_new_file
 from cli.written_bounds import SaveBounds, write_bounds
 from stages import CertifyParams
+from stages.diagnostics.collector import emit
 from stages.printing import at_least, at_most
+from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
 
 
 def certify(
@@ -37,14 +39,14 @@ def certify(
     """
     if save_bounds is not None:
         require_new_file(save_bounds, (".ply",))
-    mesh, reference = read_file(result, out), read_file(original, out)
+    mesh, reference = read_file(result), read_file(original)
     with out.progress("certify", "pieces") as progress:
         found = stages.certify(mesh, reference, params, progress=progress)
     if save_bounds is not None:
         write_bounds(save_bounds, mesh, found.shape_bound, found.color_bound, out)
     figures = found.figures()
     if found.within_limits is False:
-        out.unmet(f"{result}: the limits are not proven to be kept.")
+        emit(SIMPLIFY_BOUND_NOT_PROVEN.unmet("the limits are not proven to be kept.", result))
     out.result(figures, None if out.as_json else _certificate_text(figures))
 
 

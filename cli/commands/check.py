@@ -14,6 +14,7 @@ from cli.output import Output, table_of
 from cli.paths import require_new_file
 from stages import Checked, CheckParams
 from stages.cleaning.check import CLASSES, REQUIREMENTS, require_answerable
+from stages.diagnostics.collector import emit
 from stages.files.replacing import replacing
 
 
@@ -44,18 +45,17 @@ def check(
     for path, suffix in ((save_places, ".json"), (save_ply, ".ply")):
         if path is not None:
             require_new_file(path, (suffix,))
-    mesh = read_file(source, out)
+    mesh = read_file(source)
     with about_file(source), out.progress("check", "triangles") as progress:
         found = stages.check(mesh, params, progress=progress)
-    unmet = found.unmet(wanted)
     if save_places is not None:
         save_places.parent.mkdir(parents=True, exist_ok=True)
         with replacing(save_places) as draft:
             draft.write_text(json.dumps(place_lists(found)) + "\n", encoding="utf-8", newline="\n")
     if save_ply is not None:
         write_coloured(save_ply, mesh, found, out)
-    for sentence in unmet:
-        out.unmet(f"{source}: {sentence}")
+    with about_file(source):
+        emit(*found.unmet(wanted))
     out.result(found.figures(), None if out.as_json else _text(found))
 
 

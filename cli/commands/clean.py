@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import stages
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, write_file
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
 from cli.output import Output, lines_of, table_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from stages import CleanParams
@@ -21,10 +21,9 @@ def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -
     Example: scanloom clean fused.ply clean.ply --repair
     """
     require_new_file(target, MESH_SUFFIXES)
-    mesh = read_file(source, out)
+    mesh = read_file(source)
     with about_file(source):
         cleaned = stages.clean(mesh, params)
-    tell_notes(source, cleaned.mesh.notes[len(mesh.notes) :], out)
     write_file(target, cleaned.mesh, out)
     figures = {"output": str(target), **cleaned.figures()}
     with_table = cleaned.repaired is not None and not out.as_json

@@ -143,7 +143,7 @@ def compare(
             b, alignment = stages.align(b, a)
     with about_file(reference, "first mesh"), about_file(other, "second mesh"):
         figures = stages.compare(a, b, params).figures()
-    require_overlap(other, b, reference, a, out)
+    require_overlap(other, b, reference, a)
     found = stages.deviations(a, b, told)
     if save_aligned is not None:
         write_file(save_aligned, b, out)
@@ -169,7 +169,7 @@ def compare(
     if page is not None:
         names = reference.name, other.name
         most_bytes = int(1e6 * page_size)
-        content = page_of_comparison(names, (a, b), found, moved, figures, most_bytes, out.warn, told.palette)
+        content = page_of_comparison(names, (a, b), found, moved, figures, most_bytes, told.palette)
         page.parent.mkdir(parents=True, exist_ok=True)
         with replacing(page) as draft:
             draft.write_bytes(content)

@@ -30,7 +30,7 @@ def config(
     """
     from pipeline.config import Config
 
-    chosen = config_of(file, quality, out)
+    chosen = config_of(file, quality)
     figures = {name: asdict(getattr(chosen, name)) for name in Config.types()}
     text = chosen.dumps().rstrip()
     out.result(figures, text if quality is None else f"{quality_toml(quality)}\n{text}")

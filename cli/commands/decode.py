@@ -12,6 +12,8 @@ from cli.mesh_arguments import NewMesh
 from cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file, require_writable
+from stages.diagnostics.collector import emit
+from stages.lod.codes import LEVELS_FILE_DAMAGED
 
 
 def decode(
@@ -42,6 +44,13 @@ def decode(
         require_writable(save_levels)
     found = stages.decode(require_file(source), level)
     if found.damage is not None:
-        out.warn(f"{source}: only levels 0 to {len(found.offsets)} are whole: {found.damage}")
+        emit(
+            LEVELS_FILE_DAMAGED.warning(
+                "only levels 0 to {level} are whole: {damage}",
+                source,
+                level=len(found.offsets),
+                damage=found.damage,
+            )
+        )
     write_normal_mesh(target, found, save_levels, out)
     tell_normal_mesh(target, found, out)

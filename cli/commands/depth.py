@@ -11,7 +11,7 @@ import stages
 from cli.output import Output
 from cli.paths import new_folder
 from cli.scan_argument import ScanFolder, read_scan
-from cli.skipped import tell_skipped
+from pipeline.skipped import emit_skipped
 from stages import DepthParams, ScanParams
 
 
@@ -34,10 +34,10 @@ def depth(
     """
     from pipeline.artifacts.depth_maps import choose_matcher, write_depth_maps
 
-    source = read_scan(folder, scan, out)
+    source = read_scan(folder, scan)
     # Depth that was measured needs no matching; a network may fill it in.
     measure = stages.depth_scan if params.model is None and not source.is_views else choose_matcher(source)
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
         figures = write_depth_maps(draft, measure(source, params, progress), source)
-    tell_skipped(out, "depth", figures["frames_skipped"])
+    emit_skipped(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

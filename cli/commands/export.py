@@ -50,13 +50,9 @@ def export(
     if target.is_dir():
         raise InputError(FILE_PATH_INVALID, "this is a folder", target, remedy="give the name of a file.")
     require_writable(target.parent)
-    mesh = read_standing(source, out)
+    mesh = read_standing(source)
     target.parent.mkdir(parents=True, exist_ok=True)
     with about_file(source):
         written = stages.export(mesh, target, wanted)
-    for note in written.notes:
-        out.warn(f"{target}: {note}.")
-    for sentence in written.unmet:
-        out.unmet(f"{source}: {sentence}")
     out.remark(f"{target}: {written.triangles:,} triangles, {written.bytes:,} bytes")
     out.result({**written.figures(), "output": str(target)})

@@ -12,7 +12,7 @@ from cli.mesh_arguments import write_file
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.scan_argument import ScanFolder, read_scan
-from cli.skipped import tell_skipped
+from pipeline.skipped import emit_skipped
 from stages import FuseParams, InputError, ScanParams
 from stages.inspecting.sanity import require_poses
 from stages.scans.codes import SCAN_DEPTH_MISSING
@@ -37,7 +37,7 @@ def fuse(
     Example: scanloom fuse my_scan fused.ply --voxel-size 0.01
     """
     require_new_file(target, MESH_SUFFIXES)
-    source = read_scan(folder, scan, out)
+    source = read_scan(folder, scan)
     if source.is_stereo or source.is_views:
         what = "stereo pairs" if source.is_stereo else "single views"
         raise InputError(
@@ -51,11 +51,10 @@ def fuse(
             folder=folder,
         )
     if scan.check_poses:
-        for doubt in require_poses(source):
-            out.warn(doubt)
+        require_poses(source)
     with out.progress("fuse", "frames") as progress:
         fused = stages.fuse(source, params, progress=progress)
     write_file(target, fused.mesh, out)
     figures = fused.figures()
-    tell_skipped(out, "fuse", figures["frames_skipped"])
+    emit_skipped(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

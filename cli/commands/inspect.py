@@ -13,6 +13,7 @@ from cli.paths import require_new_file, require_scan
 from cli.rendering import as_typed
 from cli.scan_argument import ScanFolder
 from stages import ScanParams
+from stages.diagnostics.collector import listening
 from stages.inspecting.picture import inspection_picture
 from stages.picturing.render import write_png
 
@@ -37,12 +38,11 @@ def inspect(
     """
     if picture is not None:
         require_new_file(picture, (".png",))
-    scan = stages.read_scan(require_scan(folder), params, complete=False)
-    inspection = stages.inspect(scan)
+    # The diagnostics are printed with the result.
+    with listening(out.count, forward=False):
+        scan = stages.read_scan(require_scan(folder), params, complete=False)
+        inspection = stages.inspect(scan)
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
         write_png(picture, inspection_picture(scan))
-    # What is odd is the answer here, and stands in it.
-    for warning in inspection.warnings:
-        out.count_warning(warning)
     out.result(inspection.figures(), as_typed("\n".join(inspection.lines())))

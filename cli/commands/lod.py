@@ -9,13 +9,15 @@ from typing import Annotated, Any
 import typer
 
 from cli.baked import TEXTURED_SUFFIXES, baked_or_told, baked_text, baked_to
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, read_standing, tell_notes, write_file
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, read_standing, write_file
 from cli.output import Output, size_of, table_of
 from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
 from stages import BakeParams, UsageError, lod
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from stages.diagnostics.collector import emit
 from stages.lod import Hierarchy, LodParams
+from stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
 from stages.printing import at_most
 from stages.simplification.regions import parse_region
 
@@ -36,10 +38,9 @@ def build(
     Example: scanloom lod build clean.ply clean.slod
     """
     require_new_file(target, (".slod",))
-    mesh = read_standing(source, out)
+    mesh = read_standing(source)
     with about_file(source), out.progress("lod", "triangles") as progress:
         hierarchy = lod.build(mesh, params, progress=progress)
-    tell_notes(source, hierarchy.notes[len(mesh.notes) :], out)
     target.parent.mkdir(parents=True, exist_ok=True)
     lod.write_slod(target, hierarchy)
     _tell(hierarchy, target, out)
@@ -51,7 +52,6 @@ def info(source: Slod, out: Output) -> None:
     Example: scanloom lod info clean.slod
     """
     hierarchy = lod.read_slod(require_file(source))
-    tell_notes(source, hierarchy.notes, out)
     _tell(hierarchy, source, out)
 
 
@@ -131,19 +131,28 @@ def cut(
     # A region of simplify has an effect; here it only says where.
     place = None if region is None else parse_region(f"{region} lock")
     hierarchy = lod.read_slod(require_file(source))
-    model = None if texture is None else read_file(texture, out)
+    model = None if texture is None else read_file(texture)
     found = hierarchy.cut(view, triangles=triangles, error_px=error_px, max_shape=max_shape, region=place)
-    tell_notes(source, hierarchy.notes, out)
     figures = found.figures()
     if triangles is not None and figures["triangles"] > triangles:
-        out.unmet(f"{source}: the coarsest level has {figures['triangles']:,} triangles.")
+        emit(
+            LEVELS_LEVEL_MISSING.unmet(
+                "the coarsest level has {triangles:,} triangles.", source, triangles=figures["triangles"]
+            )
+        )
     if max_shape is not None and figures["shape_bound_m"] > max_shape:
-        out.unmet(f"{source}: the finest level is proven within {at_most(figures['shape_bound_m'])} m alone.")
+        emit(
+            LEVELS_LEVEL_MISSING.unmet(
+                "the finest level is proven within {bound} m alone.",
+                source,
+                bound=at_most(figures["shape_bound_m"]),
+            )
+        )
     baked = None
     if texture is not None and model is not None:
         mesh = found.mesh if found.mesh.up is not None else found.mesh.with_(up=model.up)
         baked = baked_to(target, mesh, model, BakeParams(), out)
-        require_overlap(source, found.mesh, texture, model, out)
+        require_overlap(source, found.mesh, texture, model)
     elif image and hierarchy.model is not None and target.suffix.lower() in TEXTURED_SUFFIXES:
         baked = baked_or_told(target, found.mesh, hierarchy.model, out)
     if baked is None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.mesh_arguments import about_file, read_file, tell_notes
+from cli.mesh_arguments import about_file, read_file
 from cli.output import Output, size_of
 from cli.paths import require_file, require_writable
 from stages import UsageError, lod
@@ -63,13 +63,11 @@ def tiles(
     if texture is not None and not image:
         raise UsageError(USAGE_VALUE_INVALID, "--texture asks for images and --no-image for none.")
     hierarchy = lod.read_slod(require_file(source))
-    tell_notes(source, hierarchy.notes, out)
-    model = None if texture is None else read_file(texture, out)
+    model = None if texture is None else read_file(texture)
     if not image:
         hierarchy = replace(hierarchy, model_glb=None)
     with about_file(texture or source, "model"), out.progress("tiles", "tiles") as progress:
         written = lod.write_tiles(hierarchy, target, params, texture=model, images=images, progress=progress)
-    tell_notes(target, written.notes, out)
     full = sum(image.is_full for image in written.images)
     if full:
         out.remark(

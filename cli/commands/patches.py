@@ -26,7 +26,7 @@ def patches(source: MeshFile, target: NewMesh, params: PatchParams, out: Output)
     Example: scanloom patches clean.ply patches.ply --max-shape 0.02
     """
     require_new_file(target, MESH_SUFFIXES)
-    mesh = read_file(source, out)
+    mesh = read_file(source)
     with about_file(source), out.progress("patches", "triangles") as progress:
         found = stages.planar_patches(mesh, params, progress=progress)
     colored = colored_by_patch(mesh, found.triangle_patch)

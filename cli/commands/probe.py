@@ -10,9 +10,10 @@ import typer
 from cli.options import OUTPUT_PANEL
 from cli.output import Output
 from cli.paths import require_file
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
-from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
+from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID, DEPTH_NETWORK_UNIDENTIFIED
 from stages.stereo.networks.probe import probe_network
 from stages.stereo.networks.sidecar import sidecar_of, written
 
@@ -49,9 +50,11 @@ def probe(
         found = probe_network(network, progress=progress)
     text = written(found.sidecar)
     if found.error_px is None:
-        out.warn(
-            "of one image no shift is known: range, mean, std, unit and sign are the usual ones; compare "
-            "them with what the network's makers say"
+        emit(
+            DEPTH_NETWORK_UNIDENTIFIED.warning(
+                "of one image no shift is known: range, mean, std, unit and sign are the usual ones",
+                remedy="compare them with the documentation of the network",
+            )
         )
     if found.alike:
         out.remark(f"the pair does not tell it apart from {'; '.join(found.alike)}")

@@ -11,7 +11,7 @@ import stages
 from cli.output import Output
 from cli.paths import new_folder
 from cli.scan_argument import ScanFolder, read_scan
-from cli.skipped import tell_skipped
+from pipeline.skipped import emit_skipped
 from stages import InputError, RegisterParams, ScanParams
 from stages.scans.codes import SCAN_DEPTH_MISSING
 from stages.scans.read import require_complete
@@ -37,7 +37,7 @@ def register(
     """
     from pipeline.artifacts.poses import write_poses
 
-    source = read_scan(folder, scan, out, complete=False)
+    source = read_scan(folder, scan, complete=False)
     if source.is_stereo:
         raise InputError(
             SCAN_DEPTH_MISSING,
@@ -51,6 +51,5 @@ def register(
     require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:
         figures = write_poses(draft, stages.register(source, params, progress=progress))
-    tell_skipped(out, "register", figures["frames_skipped"])
-    out.warn_of(figures)
+    emit_skipped(figures["frames_skipped"])
     out.result({"output": str(target), **figures})

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 import stages
 from cli.baked import baked_by_default
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file
 from cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
 from cli.output import Output, size_of
 from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from stages import InputError, RemeshParams
-from stages.normal_meshes.unmet import unmet
-from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
-from stages.surface.codes import MESH_NO_SURFACE
-from stages.surface.formats.ply import CONFIDENCE_LOST, read_vertex_values
+from stages.diagnostics.collector import collecting, emit
+from stages.surface.codes import MESH_CONFIDENCE_LEFT_OUT, MESH_NO_SURFACE
+from stages.surface.formats.ply import read_vertex_values
 
 _SNM = (".snm",)
 
@@ -66,21 +65,18 @@ def remesh(
         require_new_file(save, _SNM)
     if save_levels is not None:
         require_writable(save_levels)
-    mesh = read_file(source, out, used=(CONFIDENCE_LOST,))
+    with collecting(forward=False) as diagnostics:
+        mesh = read_file(source)
+    # The confidence is used below.
+    emit(*(one for one in diagnostics if one.code != MESH_CONFIDENCE_LEFT_OUT.name))
     with about_file(source), out.progress("remesh", "levels") as progress:
         found = stages.remesh(mesh, params, confidence=_confidence(source), progress=progress)
     baked = baked_by_default(target, found.mesh, mesh, out) if bake else None
-    notes = found.mesh.notes[len(mesh.notes) :]
-    tell_notes(source, [note for note in notes if baked is None or TEXTURE_LEFT_OUT not in note], out)
     write_normal_mesh(target if baked is None else None, found, save_levels, out)
     if save is not None:
         save.parent.mkdir(parents=True, exist_ok=True)
         found.save(save)
         out.remark(f"{save}: {size_of(len(found.data))}")
-    figures = found.figures()
-    out.warn_of(figures)
-    for sentence in unmet(params.max_error, figures):
-        out.unmet(sentence)
     tell_normal_mesh(target, found, out, baked)
 
 

@@ -17,6 +17,7 @@ from cli.paths import require_new_file
 from cli.scan_argument import read_scan
 from stages import Frame, Mesh, ScanParams, UsageError, Viewpoint
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from stages.diagnostics.collector import emit
 from stages.params import check, param
 from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
 from stages.picturing.lettering import ScaleBar
@@ -166,8 +167,8 @@ def render(
             "how to read a scan is said, but no scan is given",
             remedy="name it with --scan.",
         )
-    frames = read_scan(scan, reading, out).frames if scan is not None else ()
-    meshes = [read_file(source, out) for source in sources]
+    frames = read_scan(scan, reading).frames if scan is not None else ()
+    meshes = [read_file(source) for source in sources]
     texts = _texts(sources, meshes, params, label)
     if is_video:
         views = _around(meshes[0], params, TurntableParams(**video))
@@ -180,7 +181,7 @@ def render(
     panels = Panels(meshes, texts)
     bar = panels.scale_bar(views[0]) if params.scale_bar else None
     if params.scale_bar and bar is None:
-        out.warn("there is no scale bar: nothing is seen in the picture")
+        emit(RENDER_NOTHING_TO_DRAW.warning("there is no scale bar: nothing is seen in the picture"))
     target.parent.mkdir(parents=True, exist_ok=True)
     figures: dict[str, Any] = {"output": str(target), "viewpoint": views[0].name}
     camera, shading = views[0].camera, params.shading

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import stages
-from cli.mesh_arguments import NewMesh, tell_notes, write_file
+from cli.mesh_arguments import NewMesh, write_file
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
 from stages import ReplayParams
@@ -31,7 +31,6 @@ def replay(
     """
     require_new_file(target, MESH_SUFFIXES)
     replayed = stages.load_record(require_file(record)).replay(params)
-    tell_notes(record, replayed.mesh.notes, out)
     write_file(target, replayed.mesh, out)
     figures = {"triangles": len(replayed.mesh.triangles), "vertices": len(replayed.mesh.vertices)}
     out.result({"output": str(target), **figures, "collapses": replayed.collapses})

@@ -12,7 +12,6 @@ from cli.output import Output, size_of, table_of
 from cli.paths import require_scan, require_writable
 from cli.plot_option import plot_option, require_plot
 from cli.quality import QualityOption
-from cli.rendering import as_typed
 from cli.run_options import (
     CacheOption,
     ConfigOption,
@@ -101,7 +100,7 @@ def run(
             USAGE_OPTIONS_CONFLICT, "--plot draws how long stages took; --dry-run writes nothing."
         )
     require_plot(plot)
-    config = run_config(config_file, quality, settings, scan_options, page, report, out)
+    config = run_config(config_file, quality, settings, scan_options, page, report)
     limits = Limits(bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk"))
     require_writable(target)
     how: dict[str, Any] = {
@@ -117,8 +116,6 @@ def run(
         result = run_pipeline(scan, target, config, **how, limits=limits, events=events)
     if plot is not None:
         _plot(plot, result)
-    for sentence in result.unmet:
-        out.unmet(sentence)
     out.result(result.figures(), _summary(result))
 
 
@@ -133,10 +130,6 @@ def _plot(path: Path, result: RunResult) -> None:
 
 def _tell_dry_run(found: DryRun, out: Output) -> None:
     """Print what a run would do; that it would be refused is a warning."""
-    for warning in found.warnings:
-        out.warn(as_typed(warning))
-    if found.refused is not None:
-        out.warn(f"the run would not begin: {found.refused}")
     figures = found.figures()
     rows = [["stage", "", "seconds", "memory", "expected from"]]
     for one in found.stages:
@@ -155,7 +148,7 @@ def _tell_dry_run(found: DryRun, out: Output) -> None:
             "",
             f"about {found.seconds:.0f} s, and {size_of(found.memory_bytes)} at the most",
         ]
-    out.result({**figures, "warnings": []}, "\n".join(lines))
+    out.result(figures, "\n".join(lines))
 
 
 # What an expectation rests on, in words.

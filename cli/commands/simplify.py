@@ -12,22 +12,22 @@ import typer
 
 import stages
 from cli.baked import TEXTURED_SUFFIXES, baked_text
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, tell_written, write_file
+from cli.codes import SIMPLIFY_FILE_LARGER
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
 from cli.output import Output, lines_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.rendering import option_name
 from cli.written_bounds import SaveBounds, write_bounds
 from stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.collector import emit
 from stages.exporting.export import GLTF
 from stages.exporting.same_packing import same_packing, stored_bytes
 from stages.params import resolve
 from stages.printing import at_most
 from stages.simplification.auto import chosen
-from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.methods import METHODS
 from stages.simplification.regions import parse_region
-from stages.simplification.unmet import unmet
 from stages.surface.formats.gltf_packing import lattice_of
 
 
@@ -109,7 +109,7 @@ def simplify(
                 how_to_prove=_how_to_prove(),
             )
     regions = [parse_region(text) for text in region or ()]
-    mesh = read_file(source, out)
+    mesh = read_file(source)
     packing = same_packing(source, mesh) if target.suffix.lower() in GLTF else ExportParams()
     params, packing = _fit_packing(mesh, params, packing)
     with about_file(source), out.progress("simplify", "triangles") as progress:
@@ -144,16 +144,14 @@ def simplify(
         **({"position_error_m": rounding} if rounding else {}),
     }
     if target_bytes > source_bytes and source.suffix.lower() == target.suffix.lower():
-        out.warn(f"{target}: larger than the input, {target_bytes:,} bytes instead of {source_bytes:,}.")
-    notes = simplified.mesh.notes[len(mesh.notes) :]
-    if not holds_texture:
-        # The format says that it has no colours.
-        notes = tuple(note for note in notes if TEXTURE_LEFT_OUT not in note)
-    tell_notes(source, notes, out)
-    for warning in simplified.warnings:
-        out.warn(warning)
-    for sentence in unmet(params, figures):
-        out.unmet(f"{target}: {sentence}")
+        emit(
+            SIMPLIFY_FILE_LARGER.warning(
+                "larger than the input, {output_bytes:,} bytes instead of {input_bytes:,}.",
+                target,
+                output_bytes=target_bytes,
+                input_bytes=source_bytes,
+            )
+        )
     text = _text(simplified, figures)
     if simplified.default_max_shape is not None:
         text += f"\n\n{_default_bound(simplified)}"
@@ -178,7 +176,7 @@ def simplify(
 def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
     """Return the figures for a person: warnings are said apart, and tables are for programs."""
     shown = {**figures, **simplified.details.figures()}
-    for name in ("details", "warnings", "baked", "default_max_shape_m"):
+    for name in ("details", "baked", "default_max_shape_m"):
         shown.pop(name, None)
     return lines_of({name: value for name, value in shown.items() if not _is_table(value)})
 

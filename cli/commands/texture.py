@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 import stages
 from cli.baked import TEXTURED_SUFFIXES
-from cli.mesh_arguments import about_file, read_file, tell_notes, write_file
+from cli.mesh_arguments import about_file, read_file, write_file
 from cli.output import Output
 from cli.paths import new_folder, require_new_file
 from cli.scan_argument import ScanFolder, read_scan
-from cli.skipped import tell_skipped
+from pipeline.skipped import emit_skipped
 from stages import Mesh, Scan, ScanParams, TextureParams
 from stages.surface.upright import direction_of
 from stages.texturing.maps import write_maps
@@ -67,29 +67,26 @@ def texture(
     """
     require_new_file(target, TEXTURED_SUFFIXES)
     given = None if up is None else direction_of(up)
-    mesh = read_file(mesh_file, out)
-    source = read_scan(folder, scan, out)
+    mesh = read_file(mesh_file)
+    source = read_scan(folder, scan)
     with out.progress("texture", "‰") as progress, about_file(mesh_file):
         textured = stages.texture(mesh, source, params, progress=progress)
-    tell_notes(target, textured.mesh.notes[len(mesh.notes) :], out)
-    standing = given if up is not None else _up_in(textured.mesh, source, out)
+    standing = given if up is not None else _up_in(textured.mesh, source)
     write_file(target, textured.mesh.with_(up=None if standing is None else tuple(standing.tolist())), out)
     if maps is not None:
         with new_folder(maps) as draft:
             write_maps(draft, textured)
     figures = textured.figures()
-    tell_skipped(out, "texture", figures["frames_skipped"])
+    emit_skipped(figures["frames_skipped"])
     told = None if standing is None else standing.tolist()
     out.result({"output": str(target), **figures, "up": told})
 
 
-def _up_in(mesh: Mesh, scan: Scan, out: Output) -> NDArray[np.float64] | None:
+def _up_in(mesh: Mesh, scan: Scan) -> NDArray[np.float64] | None:
     """Return what is up by the mesh itself, or by the scan; None if neither tells."""
     if mesh.up is not None:
         return np.array(mesh.up)
     from pipeline.steps.upright import up_in
 
     found = up_in(mesh, scan)
-    for text in () if found is None else found.warnings:
-        out.warn(f"{text}; --up AXIS states it")
     return None if found is None else found.direction

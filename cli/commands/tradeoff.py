@@ -14,6 +14,8 @@ from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.plot_option import plot_option, require_plot
 from stages import Tradeoff, TradeoffParams, UsageError
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.collector import emit
+from stages.simplification.codes import SIMPLIFY_TRADEOFF
 
 
 def tradeoff(
@@ -57,7 +59,7 @@ def tradeoff(
     if save_record is not None:
         require_new_file(save_record, (".npz",))
     wanted = [] if counts is None else [_count(word) for word in counts.split(",")]
-    mesh = read_file(source, out)
+    mesh = read_file(source)
     with about_file(source), out.progress("tradeoff", "meshes") as progress:
         found = stages.tradeoff(mesh, params, counts=wanted, progress=progress)
     if save is not None and found.suggested is not None:
@@ -71,7 +73,13 @@ def tradeoff(
         plot.parent.mkdir(parents=True, exist_ok=True)
         plot_tradeoff(plot, found)
     if found.suggested is None and params.within is not None:
-        out.unmet(f"none of these numbers keeps {found.why}; give more triangles with --counts.")
+        emit(
+            SIMPLIFY_TRADEOFF.unmet(
+                "none of these numbers keeps {bound}",
+                remedy="give more triangles with --counts.",
+                bound=found.why,
+            )
+        )
     out.result(found.figures(), _text(found))
 
 

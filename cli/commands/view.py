@@ -77,9 +77,9 @@ def view(
         return
     most_bytes = int(1e6 * page_size)
     if what.is_dir():
-        page = page_of_run(what, most_bytes, out.warn)
+        page = page_of_run(what, most_bytes)
     else:
-        page = page_of_mesh(what.resolve().stem, read_standing(what, out), most_bytes, out.warn)
+        page = page_of_mesh(what.resolve().stem, read_standing(what), most_bytes)
     if target is None:
         with TemporaryDirectory(prefix="scanloom-") as empty:
             _serve(Path(empty), {INDEX: page}, port, open_browser, out)

@@ -23,6 +23,7 @@ from cli.output import Output
 from cli.paths import require_writable
 from cli.run_options import DiskOption, MemoryOption, bytes_or_none
 from pipeline.batch.codes import BATCH_ALREADY_EXISTS
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 
 
@@ -68,7 +69,7 @@ def worker(
             target,
         )
     require_writable(queue.folder)
-    tell_version(queue.version, out)
+    require_version(queue.version)
     with ending_as_interrupted(), watching_batch(out) as tell:
         working = worker_of(queue, jobs, threads, *sizes, take_over_after, timeout, tell, out, stay=wait)
         out.remark(f"worker {working.name}, {len(queue.numbers):,} scans")
@@ -76,9 +77,15 @@ def worker(
     tell_batch(queue, out, {})
 
 
-def tell_version(version: str, out: Output) -> None:
+def require_version(version: str) -> None:
     """Warn of a queue that another version has written: its results may be other bytes."""
     from stages import __version__
 
     if version != __version__:
-        out.warn(f"the batch was begun by scanloom {version}, and this worker is {__version__}.")
+        emit(
+            BATCH_ALREADY_EXISTS.warning(
+                "the batch was begun by scanloom {batch_version}, and this worker is {version}.",
+                batch_version=version,
+                version=__version__,
+            )
+        )

@@ -85,7 +85,6 @@ def write_depth_maps(
     for name in ("color", "depth", "confidence"):
         (folder / name).mkdir()
     skipped: list[SkippedFrame] = []
-    warnings: dict[str, None] = {}
     count = len(scan.frames)
     budget = max(1, MAX_POINTS // max(1, count))
 
@@ -94,7 +93,6 @@ def write_depth_maps(
             if isinstance(result, SkippedFrame):
                 skipped.append(result)
             else:
-                warnings.update(dict.fromkeys(result.warnings))
                 yield number, frame, result
 
     def write(item: tuple[int, Frame, DepthMap]) -> _Written:
@@ -115,10 +113,9 @@ def write_depth_maps(
     write_ply_cloud(folder / "points.ply", points, np.concatenate([one.colors for one in written]))
     return {
         "frames_used": len(written),
-        "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in skipped],
+        "frames_skipped": [one.figures() for one in skipped],
         **_summary([one.figures for one in written]),
         "points": len(points),
-        "warnings": list(warnings),
     }
 
 

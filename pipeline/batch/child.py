@@ -25,10 +25,12 @@ from pipeline.batch.records import DONE, FAILED, UNMET, UNUSABLE
 from pipeline.cache.store import Cache
 from pipeline.config import Config
 from pipeline.failures import explained
-from pipeline.run.events import Event, RunStarted, StageProgress, StageStarted, Waiting, Warned
+from pipeline.run.events import Event, StageProgress, StageStarted, Waiting
 from pipeline.run.limits import Limits
 from pipeline.run.needs import expected_of
 from pipeline.run.run import RunResult, Wanted, run_wanted, wanted_of
+from stages.diagnostics.collector import listening
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError, ScanloomError, UsageError, bug_explained
 
 # Seconds between two lines of progress.
@@ -89,15 +91,15 @@ def _own_stdout() -> BinaryIO:
 def _ended(job: Mapping[str, Any], link: Link) -> dict[str, Any]:
     """Run a job, and return what became of it; nothing that it raises gets out, but an interruption."""
     started = time.perf_counter()
-    warned: dict[str, None] = {}
-    events = _Told(link, warned)
+    events = _Told(link)
     figures: dict[str, Any] = {}
+    diagnostics: list[Diagnostic] = []
     written = 0
     try:
         # What a run explains already goes through; what reading a scan may meet is explained here.
-        with explained(f"{job['name']} cannot be run"):
+        with explained(f"{job['name']} cannot be run"), listening(diagnostics.append):
             result = _run(job, link, events)
-        reason = " ".join(result.unmet)
+        reason = " ".join(map(str, result.unmet))
         state = UNMET if reason else DONE
         figures, written = figures_of(result), written_by(result)
     except ScanloomError as error:
@@ -110,7 +112,7 @@ def _ended(job: Mapping[str, Any], link: Link) -> dict[str, Any]:
         "state": state,
         "reason": reason,
         "seconds": seconds,
-        "warnings": [*warned],
+        "diagnostics": [one.figures() for one in dict.fromkeys(diagnostics)],
         "figures": figures,
         "written": written,
     }
@@ -118,7 +120,7 @@ def _ended(job: Mapping[str, Any], link: Link) -> dict[str, Any]:
 
 def _run(job: Mapping[str, Any], link: Link, events: _Told) -> RunResult:
     out = Path(job["out"])
-    cache = Cache(Path(job["cache"]), lambda text: events(Warned(text)))
+    cache = Cache(Path(job["cache"]))
     config = Config.loads(job["config"])
     wanted = wanted_of(job["scan"], out, config, job["until"], job["force"], cache)
     limits = _leave(wanted, cache, link)
@@ -141,19 +143,14 @@ def _leave(wanted: Wanted, cache: Cache, link: Link) -> Limits:
 
 
 class _Told:
-    """Takes what a run tells, passes on what a person who waits wants to see, and keeps warnings."""
+    """Passes on the progress of a run."""
 
-    def __init__(self, link: Link, warned: dict[str, None]) -> None:
+    def __init__(self, link: Link) -> None:
         self._link = link
-        self._warned = warned
         self._next = 0.0
 
     def __call__(self, event: Event) -> None:
         match event:
-            case RunStarted():
-                self._warned.update(dict.fromkeys(event.warnings))
-            case Warned():
-                self._warned[event.text] = None
             case StageStarted():
                 self._link.say(at=event.stage, share=0.0)
             case StageProgress():

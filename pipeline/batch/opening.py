@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.batch.claims import RELEASED, Claim, Claims
-from pipeline.batch.codes import BATCH_ALREADY_EXISTS
+from pipeline.batch.codes import BATCH_ALREADY_EXISTS, BATCH_SCANS_NOT_DONE
 from pipeline.batch.heartbeat import Watch
 from pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue, standing_queue
 from pipeline.batch.records import FAILED, Records
 from pipeline.failures import explained
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import InputError
 from stages.printing import counted
 
@@ -19,14 +22,10 @@ from stages.printing import counted
 _WATCHED, _PAUSE = 9.0, 0.1
 
 
-def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callable[[str], None]) -> Queue:
+def open_queue(out: Path, settings: Settings, jobs: Sequence[Job]) -> Queue:
     """Return the queue of a batch: one that is not finished is gone on with if it is of the same jobs.
 
     What failed in it is then tried again: the disk may have been full.
-
-    Parameters
-    ----------
-    note : told what is found there.
 
     Raises
     ------
@@ -41,16 +40,24 @@ def open_queue(out: Path, settings: Settings, jobs: Sequence[Job], note: Callabl
             standing = standing_queue(out)
         except InputError as error:
             # Its results are in the cache; only what was to be done is lost, and is written anew.
-            note(str(error))
+            emit(replace(error.diagnostic, severity=Severity.INFO))
             standing = None
         if standing is not None and not _is_finished(standing):
             if standing.is_of(settings, jobs):
-                note("a batch of the same scans was begun here; this goes on with it")
+                emit(
+                    BATCH_ALREADY_EXISTS.info(
+                        "a batch of the same scans was begun here; this goes on with it"
+                    )
+                )
                 again = _give_back_failed(standing)
                 if again:
-                    note(f"{counted(again, 'scan')} that failed: tried again")
+                    emit(
+                        BATCH_SCANS_NOT_DONE.info(
+                            "{scans} that failed: tried again", scans=counted(again, "scan")
+                        )
+                    )
                 return standing
-            _require_quiet(standing, note)
+            _require_quiet(standing)
         queue = new_queue(out, seen + 1, settings, jobs)
         if queue is not None:
             return queue
@@ -73,12 +80,16 @@ def _give_back_failed(queue: Queue) -> int:
     return len(failed)
 
 
-def _require_quiet(queue: Queue, note: Callable[[str], None]) -> None:
+def _require_quiet(queue: Queue) -> None:
     """Raise InputError if a worker of a queue lives: who has not said that it ended is watched."""
     watch = Watch(queue.folder / "workers")
     silent = watch.living()
     if silent:
-        note("another batch was begun here and not finished; its workers are watched for signs of life")
+        emit(
+            BATCH_ALREADY_EXISTS.info(
+                "another batch was begun here and not finished; its workers are watched for signs of life"
+            )
+        )
     end = time.monotonic() + _WATCHED
     first = {worker: watch.said(worker) for worker in silent}
     while silent and time.monotonic() < end:

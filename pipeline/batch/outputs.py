@@ -27,7 +27,8 @@ def write_outputs(summary: Summary, title: str) -> list[Path]:
     """
     rows = summary.rows()
     with_warnings = [
-        {**row, "warnings": list(record.warnings)} for row, record in zip(rows, summary.records, strict=True)
+        {**row, "warnings": [str(one) for one in record.warnings]}
+        for row, record in zip(rows, summary.records, strict=True)
     ]
     files = {
         PAGE: scans_page(title, with_warnings),

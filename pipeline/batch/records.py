@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from pipeline.batch.claims import Claim
 from pipeline.batch.whole import write_whole
+from stages.diagnostics.diagnostic import Diagnostic, Severity
 from stages.files.opening import text_in
 
 # The states of a job; what is UNMET is written, and is not what was asked for.
@@ -38,8 +39,13 @@ class Record:
     seconds: float = 0.0
     worker: str = ""
     attempt: int = 0
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def warnings(self) -> tuple[Diagnostic, ...]:
+        """Return the warnings alone."""
+        return tuple(one for one in self.diagnostics if one.severity is Severity.WARNING)
 
 
 class Records:
@@ -50,7 +56,8 @@ class Records:
 
     def write(self, record: Record) -> None:
         """Keep a record; another try at the same job has one of its own."""
-        text = json.dumps(asdict(record), ensure_ascii=False, allow_nan=False)
+        values = {**vars(record), "diagnostics": [one.figures() for one in record.diagnostics]}
+        text = json.dumps(values, ensure_ascii=False, allow_nan=False)
         write_whole(self._path(Claim(record.number, record.attempt)), text.encode())
 
     def withdraw(self, claim: Claim) -> None:
@@ -86,7 +93,8 @@ class Records:
         try:
             values = json.loads(text_in(self._path(claim), "utf-8"))
             known = {one.name: values[one.name] for one in fields(Record)}
-            return Record(**{**known, "warnings": tuple(known["warnings"])})
+            diagnostics = tuple(Diagnostic.from_figures(one) for one in known["diagnostics"])
+            return Record(**{**known, "diagnostics": diagnostics})
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             why = f"what became of it is not known: {self._path(claim)} is damaged; run the batch again."
             return Record(claim.number, "", FAILED, why, attempt=claim.attempt)

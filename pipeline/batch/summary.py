@@ -100,7 +100,7 @@ class Summary:
     def figures(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
         told = [
-            {**row, "warnings": list(one.warnings)}
+            {**row, "diagnostics": [told.figures() for told in one.diagnostics]}
             for row, one in zip(self.rows(), self.records, strict=True)
         ]
         return {"out": str(self.out), "scans": told, "counts": self.counts}

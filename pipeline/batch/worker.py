@@ -25,6 +25,7 @@ from pipeline.batch.supply import Supply
 from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, untold
 from pipeline.cache.store import Cache
 from pipeline.failures import explained
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import StageError
 
 # A process is replaced after so many jobs: what libraries leave behind in memory does not pile up.
@@ -232,7 +233,7 @@ class Worker:
             said["seconds"],
             self.name,
             work.claim.attempt,
-            tuple(said["warnings"]),
+            tuple(Diagnostic.from_figures(one) for one in said["diagnostics"]),
             said["figures"],
         )
         self._end(record)

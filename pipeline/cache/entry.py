@@ -2,7 +2,7 @@
 
     fuse/<key>/
       fused.ply …         what the stage wrote
-      manifest.json       the recipe, size and digest of every file, figures, a digest of itself
+      manifest.json       the recipe, size and digest of every file, figures, diagnostics, a digest of itself
       in-use.lock         see pipeline.cache.store
 
 The manifest is written last: a folder without one is no entry.
@@ -22,10 +22,11 @@ from pipeline.cache.digest import digest, file_digests
 from pipeline.cache.files import flush_all
 from pipeline.cache.locks import Lock
 from pipeline.cache.system import flush
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.files.opening import text_in
 
 # Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 MANIFEST = "manifest.json"
 IN_USE = "in-use.lock"
@@ -96,6 +97,11 @@ class Entry:
         """What the stage counted and measured."""
         figures: dict[str, Any] = self.manifest["figures"]
         return figures
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Return what the stage emitted when the result was made."""
+        return tuple(Diagnostic.from_figures(one) for one in self.manifest.get("diagnostics", ()))
 
     def close(self) -> None:
         """Let the entry go."""

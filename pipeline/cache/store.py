@@ -44,6 +44,7 @@ from pipeline.cache.machine_mark import is_of_another_machine, machine_mark
 from pipeline.cache.system import flush
 from pipeline.failures import explained
 from pipeline.own_paths import from_there
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import StageError
 from stages.files.moving import move
 from stages.files.opening import text_in
@@ -73,12 +74,10 @@ class Cache:
     Parameters
     ----------
     folder : made when the first entry is stored.
-    warn : called with a sentence for each damaged entry that is met and dropped.
     """
 
-    def __init__(self, folder: Path, warn: Callable[[str], None] | None = None) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._warn = warn or (lambda text: None)  # noqa: ARG005
         self._is_read_only = False
 
     def get(self, recipe: Recipe) -> Entry | None:
@@ -94,8 +93,12 @@ class Cache:
                     manifest = verified(place)
                 except DamagedError as error:
                     if self._drop(place, lock):
-                        self._warn(
-                            f"the cached result of {recipe.stage} is damaged ({error}); it is made anew."
+                        emit(
+                            MACHINE_CACHE_UNUSABLE.warning(
+                                "the cached result of {stage} is damaged ({reason}); it is made anew.",
+                                stage=recipe.stage,
+                                reason=str(error),
+                            )
                         )
                     continue
                 except BaseException:
@@ -216,14 +219,19 @@ class Cache:
 
         Parameters
         ----------
-        max_size : bytes. If what is left is more, `warn` is told.
+        max_size : bytes. If more is left, a warning is emitted.
         """
         self.prune(unused=False, max_size=max_size)
         total = sum(entry.size for entry in self.ls())
         if total > max_size:
-            self._warn(
-                f"the cache {self.folder} holds {total / 1e9:.3g} GB, more than cache.max_size of "
-                f"{max_size / 1e9:.3g} GB: all of it is of the latest run of an output folder, or in use."
+            emit(
+                MACHINE_CACHE_UNUSABLE.warning(
+                    "the cache {folder} holds {total_gb:.3g} GB, more than cache.max_size of {limit_gb:.3g} GB: "
+                    "all of it is of the latest run of an output folder, or in use.",
+                    folder=self.folder,
+                    total_gb=total / 1e9,
+                    limit_gb=max_size / 1e9,
+                )
             )
 
     def sole_run(self, out: Path, waiting: Callable[[], None]) -> Lock:
@@ -266,9 +274,12 @@ class Cache:
     def _say_read_only(self) -> None:
         if not self._is_read_only:
             self._is_read_only = True
-            self._warn(
-                f"the cache {self.folder} may only be read: what it holds is used, and what this run used is "
-                "not remembered."
+            emit(
+                MACHINE_CACHE_UNUSABLE.warning(
+                    "the cache {folder} may only be read: its entries are used, and what this run used is not "
+                    "remembered.",
+                    folder=self.folder,
+                )
             )
 
     def _place(self, recipe: Recipe) -> Path:
@@ -281,7 +292,11 @@ class Cache:
             return True
         if os.path.lexists(place):
             place.unlink()
-            self._warn(f"{place} was no folder; it is removed and the result is made anew.")
+            emit(
+                MACHINE_CACHE_UNUSABLE.warning(
+                    "{place} was no folder; it is removed and the result is made anew.", place=place
+                )
+            )
         return False
 
     def _places(self) -> Iterator[Path]:

@@ -13,7 +13,7 @@ from stages.comparing.change import Changes
 from stages.comparing.deviations import Deviations
 from stages.comparing.palette import colors_of
 from stages.picturing.page.one_file import PageScale
-from stages.picturing.page.packing import Shown, Warn, packed_page, turn_of_page
+from stages.picturing.page.packing import Shown, packed_page, turn_of_page
 from stages.picturing.spots import spots
 from stages.printing import place_in_words
 from stages.surface.cloud import is_cloud
@@ -40,7 +40,6 @@ def page_of_comparison(
     moved: Changes | None,
     figures: Mapping[str, Any],
     most_bytes: int,
-    warn: Warn,
     palette: str = "metrology",
 ) -> bytes:
     """Return the page of two meshes or clouds A and B, of so many bytes at most, if it can be.
@@ -66,7 +65,7 @@ def page_of_comparison(
     turn = turn_of_page(next(iter(models.values())).mesh)
     away = _NEAR * float(np.linalg.norm(np.ptp(found.painted.vertices, axis=0)))
     told = {"tables": list(_tables(figures, turn, away))}
-    return packed_page(f"{names[1]} beside {names[0]}", models, most_bytes, warn, told)
+    return packed_page(f"{names[1]} beside {names[0]}", models, most_bytes, told)
 
 
 def _shown(mesh: Mesh, up: tuple[float, float, float] | None, note: str = "") -> Shown:

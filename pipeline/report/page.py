@@ -24,7 +24,7 @@ from stages import Mesh
 from stages.diagnostics.errors import InputError
 from stages.files.documents import read_json
 from stages.picturing.codes import REPORT_INCOMPLETE
-from stages.picturing.page.packing import Paint, Shown, Warn, packed_page, turn_of_page
+from stages.picturing.page.packing import Paint, Shown, packed_page, turn_of_page
 from stages.surface.formats.ply_format import promised
 from stages.surface.mesh_files import standing
 from stages.surface.pieces import is_many
@@ -36,12 +36,12 @@ _NEAR = 0.25
 _SAME = 1e-5
 
 
-def page_of_mesh(name: str, mesh: Mesh, most_bytes: int, warn: Warn) -> bytes:
+def page_of_mesh(name: str, mesh: Mesh, most_bytes: int) -> bytes:
     """Return the page of a mesh, of so many bytes at most, if it can be."""
-    return packed_page(name, {name: Shown(mesh)}, most_bytes, warn)
+    return packed_page(name, {name: Shown(mesh)}, most_bytes)
 
 
-def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
+def page_of_run(folder: Path, most_bytes: int) -> bytes:
     """Return the page of the output folder of a run, of so many bytes at most, if it can be.
 
     What the report has measured is not measured again; where there is no report, it is.
@@ -61,7 +61,7 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
             remedy="give a mesh file, or the OUT of a run.",
             known=known,
         )
-    result = standing(folder / name, _read(folder / name, warn))
+    result = standing(folder / name, stages.read_mesh(folder / name))
     turn = turn_of_page(result)
     report, told = _reported(folder / REPORT)
     paints: dict[str, Paint] = {}
@@ -75,7 +75,7 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
                 folder / "clean.ply", result.up, "before simplification", is_metric=is_metric
             )
         else:
-            clean = _read(folder / "clean.ply", warn).with_(up=result.up)
+            clean = stages.read_mesh(folder / "clean.ply").with_(up=result.up)
             models["clean mesh"] = Shown(clean, "before simplification")
         kept = _deviations(folder / PICTURES, clean, result)
     if kept is not None:
@@ -102,7 +102,7 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
         paints["confidence"] = confidence
     models = {"result": Shown(_with_vertex_colors(folder, result), name, paints=paints), **models}
     cameras = cameras_of(folder / PICTURES, turn, skipped_in(report))
-    return packed_page(folder.resolve().name, models, most_bytes, warn, told, cameras)
+    return packed_page(folder.resolve().name, models, most_bytes, told, cameras)
 
 
 def _deviations(pictures: Path, clean: Mesh | None, result: Mesh) -> Kept | None:
@@ -151,13 +151,6 @@ def _is_same(vertices: np.ndarray, mesh: Mesh) -> bool:
 
 def _size(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-
-
-def _read(path: Path, warn: Warn) -> Mesh:
-    mesh = stages.read_mesh(path)
-    for note in mesh.notes:
-        warn(f"{path}: {note}")
-    return mesh
 
 
 def _reported(path: Path) -> tuple[Mapping[str, Any], dict[str, Any]]:

@@ -6,16 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from stages.diagnostics.diagnostic import Diagnostic, Severity
 from stages.printing import at_most, place_in_words
 
 
 def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return what report.json says, warnings first, as `one_file` takes it."""
     scan, ran = report.get("scan", {}), report.get("stages", {})
-    warnings = [str(text) for text in scan.get("warnings", [])]
-    for stage, about in ran.items():
-        said = [*at(about, "figures", "warnings", otherwise=[]), *about.get("unmet", [])]
-        warnings += [f"{stage}: {text}" for text in said]
+    figures = [*scan.get("diagnostics", []), *(one for about in ran.values() for one in about["diagnostics"])]
+    warnings = [str(Diagnostic.from_figures(one)) for one in figures if one["severity"] != Severity.INFO]
     tables = []
     if ran:
         rows = [

@@ -11,7 +11,7 @@ from pipeline.cache.store import Cache
 from pipeline.graph import STAGES
 from pipeline.report.file_names import REPORT
 from pipeline.run.asked import Asked
-from pipeline.run.events import Events, Warned, unwatched
+from pipeline.run.events import Events, unwatched
 from pipeline.run.run import RunResult, cache_folder, run
 from stages.diagnostics.errors import InputError
 from stages.inspecting.codes import COVERAGE_LIMITED
@@ -43,7 +43,7 @@ def run_again(
     UsageError
         If a parameter is out of range.
     """
-    asked = _asked(out, cache_dir, events)
+    asked = _asked(out, cache_dir)
     folder = asked.scan if scan is None else scan
     if not folder.exists():
         raise InputError(
@@ -61,15 +61,13 @@ def run_again(
     return run(folder, out, config, until=until, cache_dir=cache_dir, events=events)
 
 
-def _asked(out: Path, cache_dir: Path | None, events: Events) -> Asked:
+def _asked(out: Path, cache_dir: Path | None) -> Asked:
     if not out.exists():
         raise InputError(COVERAGE_LIMITED, "there is no such folder", out, remedy="give the OUT of a run.")
     if not out.is_dir():
         raise InputError(COVERAGE_LIMITED, "this is a file", out, remedy="give the OUT of a run, a folder.")
     cache = cache_folder(out.resolve(), cache_dir)
-    record = (
-        Cache(cache, lambda text: events(Warned(text))).latest_run(out.resolve()) if cache.is_dir() else {}
-    )
+    record = Cache(cache).latest_run(out.resolve()) if cache.is_dir() else {}
     asked = Asked.of(record.get("asked"))
     if asked is None and not (out / REPORT).is_file():
         raise InputError(

@@ -11,17 +11,25 @@ from typing import Any
 from pipeline.run.engine import Outcome
 from pipeline.run.schema import SCHEMA
 from stages import __version__
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.inspecting.libraries import installed
 from stages.scans.scan import Scan
 
 _LIBRARIES = ("numpy", "open3d", "opencv", "scipy", "scikit-image")
 
 
-def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], out: Path) -> dict[str, Any]:
+def compose(
+    scan: Scan,
+    diagnostics: Sequence[Diagnostic],
+    outcomes: Sequence[Outcome],
+    final: Mapping[str, Any],
+    out: Path,
+) -> dict[str, Any]:
     """Put together the content of report.json.
 
     Parameters
     ----------
+    diagnostics : of the scan and of the parameters.
     outcomes : what became of each stage of this run.
     final : figures of the report stage; empty if the run ended before it.
     out : the output folder, which results are named from.
@@ -34,8 +42,8 @@ def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], o
         "scan": {
             "layout": scan.layout,
             "frames": len(scan.frames),
-            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
-            "warnings": list(scan.warnings),
+            "frames_skipped": [one.figures() for one in scan.skipped],
+            "diagnostics": [one.figures() for one in diagnostics],
             # Where it is false, metres in all figures are units of the scan's world.
             "metric": scan.is_metric,
             "scale": scan.scale and scan.scale.figures(),
@@ -62,6 +70,6 @@ def _stage(outcome: Outcome, out: Path) -> dict[str, Any]:
         "peak_memory_mb": round(outcome.made["peak_memory_bytes"] / 1e6, 1),
         "params": outcome.params,
         "figures": {} if outcome.stage == "report" else outcome.figures,
-        "unmet": list(outcome.unmet),
+        "diagnostics": [one.figures() for one in outcome.diagnostics],
         "results": [path.relative_to(out).as_posix() for path in outcome.results],
     }

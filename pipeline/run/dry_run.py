@@ -18,7 +18,9 @@ from pipeline.run.results import Results
 from pipeline.run.run import Wanted, cache_folder, placed_by, wanted_of
 from pipeline.run.sources import sources_of
 from pipeline.stage import AnyStage
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_OUTPUT_REFUSED
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,6 @@ class DryRun:
     Attributes
     ----------
     refused : why it would not begin, a file in the output folder that it may not replace; or None.
-    warnings : what is odd about the scan.
     """
 
     out: Path
@@ -64,7 +65,6 @@ class DryRun:
     frames: int
     stages: tuple[Foreseen, ...]
     refused: str | None
-    warnings: tuple[str, ...]
 
     @property
     def seconds(self) -> float:
@@ -87,7 +87,6 @@ class DryRun:
             "expected_seconds": round(self.seconds, 1),
             "expected_memory_mb": round(self.memory_bytes / 1e6),
             "refused": self.refused,
-            "warnings": list(self.warnings),
         }
 
 
@@ -119,6 +118,7 @@ def foresee(
         results.require_replaceable(placed_by(wanted))
     except InputError as error:
         refused = str(error)
+        emit(FILE_OUTPUT_REFUSED.warning("the run would not begin: {reason}", reason=refused))
     return DryRun(
         out=wanted.out,
         cache=cache.folder,
@@ -126,7 +126,6 @@ def foresee(
         frames=len(wanted.scan.frames),
         stages=_foreseen(wanted, cache, results),
         refused=refused,
-        warnings=wanted.warnings,
     )
 
 

@@ -17,11 +17,14 @@ from pipeline.cache.entry import Entry, Recipe
 from pipeline.cache.store import Cache
 from pipeline.cache.system import peak_bytes, reset_peak
 from pipeline.failures import explained
-from pipeline.run.events import Events, StageFinished, StageProgress, StageStarted, Waiting, Warned
+from pipeline.own_paths import from_folder
+from pipeline.run.events import Events, StageFinished, StageProgress, StageStarted, Waiting
 from pipeline.run.reasons import reason
 from pipeline.run.results import Results
 from pipeline.sections import Sections
 from pipeline.stage import AnyStage, Context
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.surface.memory import give_back
 
 
@@ -52,7 +55,7 @@ class Outcome:
     seconds : spent in this run.
     made : when the result was made: `seconds`, and the peak memory of the process in `peak_memory_bytes`.
     folder : the cache entry.
-    unmet : what was asked for and is not reached, in plain sentences.
+    diagnostics : what the stage emitted when the result was made.
     """
 
     stage: str
@@ -64,7 +67,7 @@ class Outcome:
     made: Mapping[str, Any]
     folder: Path
     results: tuple[Path, ...]
-    unmet: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 class Guard(Protocol):
@@ -97,6 +100,7 @@ class Engine:
         events: Events,
         *,
         overwrite: bool = False,
+        scan_folder: Path | None = None,
         megapixels: float | None = None,
         guard: Guard | None = None,
     ) -> None:
@@ -107,6 +111,7 @@ class Engine:
         self._out = out
         self._events = events
         self._overwrite = overwrite
+        self._scan_folder = scan_folder
         self._megapixels = megapixels
         self._guard = guard
         self._entries: list[Entry] = []
@@ -166,9 +171,9 @@ class Engine:
         self._add(stage, entry)
         placed = self.results.place(stage.name, entry, stage.results, decided)
         seconds = time.perf_counter() - started
-        for text in entry.figures.get("warnings", ()):
-            self._events(Warned(f"{stage.name}: {text}"))
         self._events(StageFinished(stage.name, cached, seconds, why, entry.figures, placed))
+        diagnostics = tuple(one.within(stage=stage.name) for one in entry.diagnostics)
+        emit(*diagnostics)
         return Outcome(
             stage.name,
             cached,
@@ -179,7 +184,7 @@ class Engine:
             entry.manifest["made"],
             entry.folder,
             placed,
-            tuple(stage.unmet(getattr(self._config, stage.name), entry.figures)),
+            diagnostics,
         )
 
     def _recipe(self, stage: AnyStage) -> Recipe:
@@ -196,7 +201,8 @@ class Engine:
         give_back()
         reset_peak()
         started = time.perf_counter()
-        with explained(f"{stage.name} failed"):
+        # They are emitted when the stage has ended, as they are where its result is cached.
+        with explained(f"{stage.name} failed"), collecting(forward=False) as diagnostics:
             figures = stage.run(
                 stage.inputs(**{name: value for name, value in inputs.items() if name not in stage.labels}),
                 getattr(self._config, stage.name),
@@ -216,7 +222,8 @@ class Engine:
         }
         for name in inputs:
             self._sources[name].require_unchanged()
-        return {"figures": as_json(figures), "made": made}
+        told = {"figures": as_json(figures), "diagnostics": [one.figures() for one in diagnostics]}
+        return {**from_folder(told, self._scan_folder), "made": made}
 
     def _get_part(self, forced: bool, recipe: Recipe) -> Entry | None:
         entry = None if forced else self._cache.get(recipe)

@@ -1,4 +1,4 @@
-"""What a run tells while it works; whoever watches passes one function that takes these."""
+"""Progress of a run, for a function that watches it. Diagnostics are emitted, not told as events."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ class RunStarted:
 
     layout: str
     frames: int
-    warnings: tuple[str, ...]
     stages: tuple[str, ...]
     is_metric: bool = True
 
@@ -63,20 +62,13 @@ class StageFinished:
 
 
 @dataclass(frozen=True)
-class Warned:
-    """Something a person should know, such as a damaged cache entry that is made anew."""
-
-    text: str
-
-
-@dataclass(frozen=True)
 class Waiting:
     """Nothing goes on for a while, and `text` says why: another run works into the same folder."""
 
     text: str
 
 
-Event = RunStarted | StageStarted | StageProgress | StageFinished | Warned | Waiting
+Event = RunStarted | StageStarted | StageProgress | StageFinished | Waiting
 
 
 class Events(Protocol):

@@ -20,6 +20,7 @@ from pipeline.cache.system import peak_bytes
 from pipeline.config import Config
 from pipeline.expectation import BASE_BYTES, Expectation
 from pipeline.run.codes import BATCH_LIMIT_EXCEEDED
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import StageError
 
 # Seconds between two looks at what a stage has taken.
@@ -69,7 +70,6 @@ class LimitGuard:
     ----------
     expected : of each stage of the run, in order.
     by_voxels : the stages whose memory and disk follow from how fine the voxels are.
-    warn : told what may not fit.
     """
 
     def __init__(
@@ -78,14 +78,12 @@ class LimitGuard:
         config: Config,
         expected: Mapping[str, Expectation],
         by_voxels: Sequence[str],
-        warn: Callable[[str], None],
         peak: Callable[[], int] = peak_bytes,
     ) -> None:
         self._limits = limits
         self._config = config
         self._expected = expected
         self._by_voxels = by_voxels
-        self._warn = warn
         self._peak = peak
         self._written = 0
         self._told = 0
@@ -119,18 +117,22 @@ class LimitGuard:
         if self._limits.disk is not None:
             total = sum(self._expected[name].disk_bytes for name in to_come)
             if total > self._limits.disk - self._written:
-                why = (
-                    f"the run is expected to write {_size(total)}, and the limit leaves "
-                    f"{_size(self._limits.disk - self._written)} of {_size(self._limits.disk)}; raise it, or "
-                    f"make less: {self._lighter(total, self._limits.disk - self._written)}."
-                )
                 bases = {self._expected[name].basis for name in to_come}
-                self._end_or_warn(why, "estimated" if "estimated" in bases else "scaled")
+                self._end_or_warn(
+                    "the run is expected to write {total}, and the limit leaves {left} of {limit}; raise it, "
+                    "or make less: {lighter}.",
+                    "estimated" if "estimated" in bases else "scaled",
+                    total=_size(total),
+                    left=_size(self._limits.disk - self._written),
+                    limit=_size(self._limits.disk),
+                    lighter=self._lighter(total, self._limits.disk - self._written),
+                )
 
-    def _end_or_warn(self, why: str, basis: str) -> None:
+    def _end_or_warn(self, message: str, basis: str, **values: str) -> None:
         if basis != "estimated" or (self._limits.memory or math.inf) <= BASE_BYTES:
-            raise StageError(BATCH_LIMIT_EXCEEDED, why)
-        self._warn(f"{why} This is an estimate; the stage is stopped if it comes to that.")
+            raise StageError(BATCH_LIMIT_EXCEEDED, message, **values)
+        estimate = "This is an estimate; the stage is stopped if it comes to that."
+        emit(BATCH_LIMIT_EXCEEDED.warning(f"{message} {estimate}", **values))
 
     def during(self, stage: str, folder: Path, share: float) -> None:
         """Stop a stage that has taken more than it may.
@@ -164,9 +166,13 @@ class LimitGuard:
         limit, taken = self._limits.memory, self._peak()
         if limit is not None and taken > max(limit, self._told):
             self._told = taken
-            most = _size(limit)
-            self._warn(
-                f"{what} has taken {_size(taken)} of memory as it ended, more than the limit of {most}."
+            emit(
+                BATCH_LIMIT_EXCEEDED.warning(
+                    "{work} has taken {taken} of memory as it ended, more than the limit of {limit}.",
+                    work=what,
+                    taken=_size(taken),
+                    limit=_size(limit),
+                )
             )
 
     def _require_disk(self, stage: str, more: int, share: float = 1.0) -> None:

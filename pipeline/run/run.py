@@ -22,17 +22,20 @@ from pipeline.report.page import page_of_run
 from pipeline.run.asked import Asked, from_anywhere
 from pipeline.run.document import compose
 from pipeline.run.engine import Engine, Outcome
-from pipeline.run.events import Events, RunStarted, StageProgress, Warned, unwatched
+from pipeline.run.events import Events, RunStarted, StageProgress, unwatched
 from pipeline.run.limits import NO_LIMITS, LimitGuard, Limits, within
 from pipeline.run.needs import expected_of
 from pipeline.run.results import Results
 from pipeline.run.sources import sources_of
+from pipeline.skipped import emit_skipped
 from pipeline.stage import AnyStage
 from pipeline.steps.adjust import is_adjusted
 from pipeline.steps.codes import USAGE_STAGE_SKIPPED
 from pipeline.steps.register import is_registered
 from stages import __version__
 from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic, Severity
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.codes import FILE_OUTPUT_REFUSED
 from stages.files.opening import content_of
@@ -82,7 +85,7 @@ class RunResult:
             counted(len(self.stages), "stage"),
             f"{sum(one.cached for one in self.stages)} cached",
             counted((self.report["mesh"] or {"triangles": 0})["triangles"], "triangle"),
-            counted(len(self.unmet), "unmet wish", "unmet wishes"),
+            counted(len(self.unmet), "requirement not reached", "requirements not reached"),
         )
 
     def show(self, *, width: str = "100%", height: int = 640) -> Page:
@@ -101,9 +104,14 @@ class RunResult:
         return Page(title=self.out.name, html=html, width=width, height=height, warnings=())
 
     @property
-    def unmet(self) -> tuple[str, ...]:
-        """What was asked for and is not reached, in plain sentences."""
-        return tuple(f"{outcome.stage}: {text}" for outcome in self.stages for text in outcome.unmet)
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Return the diagnostics of all stages, of this run and of cached results."""
+        return tuple(one for outcome in self.stages for one in outcome.diagnostics)
+
+    @property
+    def unmet(self) -> tuple[Diagnostic, ...]:
+        """Return the requirements that are not reached."""
+        return tuple(one for one in self.diagnostics if one.severity is Severity.UNMET)
 
     def figures(self) -> dict[str, Any]:
         """Return the report, and where the results are."""
@@ -150,7 +158,7 @@ def run(
     StageError
         If a stage fails, or the machine runs out of disk or memory, or the run of what it may take.
     """
-    cache = Cache(cache_folder(Path(out).resolve(), cache_dir), lambda text: events(Warned(text)))
+    cache = Cache(cache_folder(Path(out).resolve(), cache_dir))
     wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
     return run_wanted(wanted, cache, overwrite=overwrite, limits=limits, events=events)
 
@@ -164,7 +172,7 @@ class Wanted:
     photos : other ones that the texture is made from.
     plan : the stages of the scan.
     planned : the names of those up to the last that is wanted.
-    warnings : what is odd about the scan.
+    diagnostics : of the scan and of the parameters.
     """
 
     scan: Scan
@@ -174,7 +182,7 @@ class Wanted:
     plan: Sequence[AnyStage]
     planned: tuple[str, ...]
     force: Collection[str]
-    warnings: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def wanted_of(
@@ -206,17 +214,17 @@ def wanted_of(
         if name in absent:
             raise UsageError(USAGE_STAGE_SKIPPED, "{name} {absent}.", name=name, absent=absent[name])
     names = [stage.name for stage in plan]
-    warnings = list(scan.warnings)
-    if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
-        warnings.append("register.refine has no effect: adjust refines poses where frames have colour")
-    if scan.skipped:
-        first = scan.skipped[0]
-        warnings.append(f"{len(scan.skipped)} frames cannot be used; the first, {first.name}: {first.reason}")
-    planned = tuple(names[: names.index(until) + 1])
-    photos = _photos(config, scan) if "texture" in planned else None
-    if photos is not None:
-        warnings += (f"texture.images: {text}" for text in photos.warnings)
-    return Wanted(scan, photos, out, config, plan, planned, force, tuple(warnings))
+    with collecting() as diagnostics:
+        if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
+            emit(
+                USAGE_STAGE_SKIPPED.warning(
+                    "register.refine has no effect: adjust refines poses where frames have colour"
+                )
+            )
+        emit_skipped([one.figures() for one in scan.skipped])
+        planned = tuple(names[: names.index(until) + 1])
+        photos = _photos(config, scan) if "texture" in planned else None
+    return Wanted(scan, photos, out, config, plan, planned, force, (*scan.diagnostics, *diagnostics))
 
 
 def _photos(config: Config, scan: Scan) -> Scan | None:
@@ -249,14 +257,14 @@ def run_wanted(
     """Run what `wanted_of` returned; see `run`."""
     scan, out, planned = wanted.scan, wanted.out, wanted.planned
     config = within(wanted.config, limits)
-    events(RunStarted(scan.layout, len(scan.frames), wanted.warnings, planned, scan.is_metric))
+    events(RunStarted(scan.layout, len(scan.frames), planned, scan.is_metric))
     with explained(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
     cache.remove_abandoned()
     sources = sources_of(
         scan, config, wanted.photos, lambda done, total: events(StageProgress("scan", done, total))
     )
-    guard = _guard(wanted, config, cache, limits, events)
+    guard = _guard(wanted, config, cache, limits)
     with Engine(
         wanted.plan,
         config,
@@ -265,6 +273,7 @@ def run_wanted(
         out,
         events,
         overwrite=overwrite,
+        scan_folder=scan.folder,
         megapixels=megapixels(scan),
         guard=guard,
     ) as engine:
@@ -274,7 +283,7 @@ def run_wanted(
         engine.results.withdraw_others([stage.name for stage in wanted.plan])
         outcomes = tuple(engine.run(planned[-1], wanted.force))
         final = engine.withdraw_outdated(planned[-1])
-        report = compose(scan, outcomes, {} if final is None else final.figures, out)
+        report = compose(scan, wanted.diagnostics, outcomes, {} if final is None else final.figures, out)
         written = engine.results.write_report(report)
         page = _page(out, config.report, written, engine.results, events, guard)
     if config.cache.max_bytes is not None:
@@ -282,12 +291,12 @@ def run_wanted(
     return RunResult(out, cache.folder, outcomes, written, page)
 
 
-def _guard(wanted: Wanted, config: Config, cache: Cache, limits: Limits, events: Events) -> LimitGuard | None:
+def _guard(wanted: Wanted, config: Config, cache: Cache, limits: Limits) -> LimitGuard | None:
     if not limits:
         return None
     expected = expected_of(wanted.scan, config, wanted.planned, cache.folder)
     by_voxels = [stage.name for stage in wanted.plan if stage.cost.by_voxels]
-    return LimitGuard(limits, wanted.config, expected, by_voxels, lambda text: events(Warned(text)))
+    return LimitGuard(limits, wanted.config, expected, by_voxels)
 
 
 def _page(
@@ -309,9 +318,9 @@ def _page(
     # What the last stage has left free in holes.
     give_back()
     try:
-        page = page_of_run(out, int(1e6 * params.page_size), lambda text: events(Warned(f"page: {text}")))
+        page = page_of_run(out, int(1e6 * params.page_size))
     except InputError as error:
-        events(Warned(f"there is no {PAGE}: {error}"))
+        emit(REPORT_INCOMPLETE.warning("there is no {page}: {reason}", page=PAGE, reason=str(error)))
         return None
     events(StageProgress("page", 1, 1))
     if guard is not None:

@@ -11,7 +11,6 @@ from pipeline.artifacts.depth_maps import DepthMaps
 from pipeline.artifacts.posed_frames import load_frames
 from pipeline.artifacts.poses import Poses
 from pipeline.expectation import Cost
-from pipeline.own_paths import from_folder
 from pipeline.result_versions import result_versions
 from pipeline.sections import Sections
 from pipeline.stage import Context, Stage
@@ -53,8 +52,8 @@ def _run(inputs: Inputs, params: AdjustParams, context: Context) -> Mapping[str,
     # Only the depth of a sensor is evidence: depth from pairs or views has errors in patches.
     are_given = inputs.poses is None and isinstance(inputs.frames, Scan)
     if checks_poses and are_given and not found.accepted:
-        figures = {**figures, "warnings": [*figures["warnings"], *pose_doubts(scan.frames)]}
-    return from_folder(figures, scan.folder)
+        pose_doubts(scan.frames)
+    return figures
 
 
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001

@@ -44,8 +44,7 @@ def _run(inputs: Inputs, params: CleanParams, context: Context) -> Mapping[str, 
         return clean_in_pieces(inputs.fused_mesh.path, result, params, progress=context.progress)
     cleaned = clean(inputs.fused_mesh.load(), params)
     write_ply(result, cleaned.mesh)
-    notes = {} if cleaned.repaired is None else {"warnings": list(cleaned.repaired.mesh.notes)}
-    return {**cleaned.figures(), **notes}
+    return cleaned.figures()
 
 
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001

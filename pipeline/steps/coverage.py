@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from pipeline.artifacts.posed_frames import PosedFrames
 from pipeline.artifacts.up_direction import Up, UpDirection
 from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from pipeline.own_paths import from_folder
 from pipeline.result_versions import always
 from pipeline.sections import Sections
-from pipeline.skipped import warn_of_skipped
+from pipeline.skipped import emit_skipped
 from pipeline.stage import Artifact, Context, Stage
 from pipeline.steps.clean import CleanMesh
+from stages.diagnostics.collector import emit
+from stages.inspecting.codes import COVERAGE_LIMITED
 from stages.inspecting.coverage.coverage import coverage
 from stages.inspecting.coverage.covered import Covered
 from stages.inspecting.coverage.evidence import Evidence
@@ -78,7 +79,8 @@ def _run(inputs: Inputs, params: CoverageSection, context: Context) -> Mapping[s
     scan = inputs.load_posed()
     mesh, up = inputs.clean_mesh.load_surface(), inputs.up_direction.load()
     figures = write_coverage(context.folder, mesh, scan.frames, params, up, context.progress)
-    return from_folder(warn_of_skipped(figures), scan.folder)
+    emit_skipped(figures["frames_skipped"])
+    return figures
 
 
 def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
@@ -99,7 +101,8 @@ def write_coverage(
     (folder / FILE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8", newline="\n")
     told = {**figures, "places": len(found.places)}
     if isinstance(mesh, Piecewise):
-        return {**told, "warnings": [_in_pieces(folder / MESH, found.covered)]}
+        _write_in_pieces(folder / MESH, found.covered)
+        return told
     rows = np.concatenate([part.probes for part in found.covered.painted()])
     values = dict(zip(VALUES, values_of(found.covered.evidence.at(rows)).T, strict=True))
     write_ply(folder / MESH, found.painted, vertex_values=values)
@@ -107,15 +110,22 @@ def write_coverage(
     return told
 
 
-def _in_pieces(path: Path, covered: Covered) -> str:
-    """Write a large mesh in its colours, and return what is left out."""
+def _write_in_pieces(path: Path, covered: Covered) -> None:
+    """Write a large mesh in its colours, and warn that there is no model for viewers."""
     pieces = (
         Written(part.vertices, part.colors, part.triangles, values_of(covered.evidence.at(part.probes)))
         for part in covered.painted()
     )
     count = covered.triangle_count
     write_by_pieces(path, covered.vertex_count, count, pieces, has_colors=True, values=VALUES)
-    return f"{MODEL} is left out: {count:,} triangles are too many for it; {path.name} has them."
+    emit(
+        COVERAGE_LIMITED.warning(
+            "{model} is left out: {triangles:,} triangles are too many for it; {file} has them.",
+            model=MODEL,
+            triangles=count,
+            file=path.name,
+        )
+    )
 
 
 def values_of(evidence: Evidence) -> NDArray[np.float32]:

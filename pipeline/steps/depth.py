@@ -9,10 +9,9 @@ from typing import Any
 
 from pipeline.artifacts.depth_maps import DepthMaps, choose_matcher, write_depth_maps
 from pipeline.expectation import Cost
-from pipeline.own_paths import from_folder
 from pipeline.result_versions import result_versions
 from pipeline.sections import Sections
-from pipeline.skipped import warn_of_skipped
+from pipeline.skipped import emit_skipped
 from pipeline.stage import Context, Stage
 from stages.inspecting.libraries import installed
 from stages.inspecting.view_poses import require_view_poses
@@ -47,8 +46,9 @@ def _run(inputs: Inputs, params: DepthParams, context: Context) -> Mapping[str, 
     if _checks_poses(scan, context.config):
         require_view_poses(scan)
     measured = choose_matcher(scan)(scan, params, context.progress)
-    figures = warn_of_skipped(write_depth_maps(context.folder, measured, scan))
-    return from_folder(figures, scan.folder)
+    figures = write_depth_maps(context.folder, measured, scan)
+    emit_skipped(figures["frames_skipped"])
+    return figures
 
 
 def _checks_poses(scan: Scan, config: Sections) -> bool:

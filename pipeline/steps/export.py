@@ -83,8 +83,7 @@ def write_models(folder: Path, mesh: Mesh, name: str | None, params: ExportSecti
         figures["plain"] = export(shaded, folder / name, ExportParams()).figures()
     if params.web:
         figures["web"] = export(mesh, folder / WEB, preset("web")).figures()
-    warnings = [note for of_file in figures.values() for note in of_file.pop("notes")]
-    return figures | {"warnings": warnings}
+    return figures
 
 
 STAGE = Stage(

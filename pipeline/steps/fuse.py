@@ -20,11 +20,11 @@ from pipeline.artifacts.posed_frames import PosedFrames
 from pipeline.artifacts.poses import Poses
 from pipeline.artifacts.up_direction import Up
 from pipeline.expectation import Cost
-from pipeline.own_paths import from_folder
 from pipeline.result_versions import result_versions
 from pipeline.sections import Sections
-from pipeline.skipped import warn_of_skipped
+from pipeline.skipped import emit_skipped
 from pipeline.stage import Context, Stage
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.documents import read_document
 from stages.fusion.fuse import Fused, fuse, fuse_to_file
@@ -33,6 +33,7 @@ from stages.fusion.params import FuseParams
 from stages.inspecting.libraries import installed
 from stages.inspecting.sanity import require_poses
 from stages.progress import Progress, silent
+from stages.registration.codes import REGISTER_NOT_CONNECTED
 from stages.scans.params import ScanParams
 from stages.scans.scan import Scan
 from stages.surface.formats.ply import write_ply
@@ -58,13 +59,14 @@ class FusedMesh(MeshFile):
 def _run(inputs: PosedFrames, params: FuseParams, context: Context) -> Mapping[str, Any]:
     given = inputs.load_scan()
     scan = inputs.apply_to(given)
-    warnings = require_poses(scan) if context.config.get(ScanParams).check_poses else []
+    if context.config.get(ScanParams).check_poses:
+        require_poses(scan)
     kept = KeptBricks(context, scan, _versions({}, context.config), installed("opencv"))
     figures = write_fused(context.folder, scan, params, kept, context.progress).figures()
     if inputs.poses is not None:
-        warnings += fuse_separate(context.folder, given, inputs.poses, params)
-    figures = warn_of_skipped({**figures, "warnings": [*warnings, *figures["warnings"]]})
-    return from_folder(figures, scan.folder)
+        fuse_separate(context.folder, given, inputs.poses, params)
+    emit_skipped(figures["frames_skipped"])
+    return figures
 
 
 def write_fused(
@@ -79,29 +81,41 @@ def write_fused(
     return fused
 
 
-def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) -> list[str]:
+def fuse_separate(folder: Path, scan: Scan, poses: Poses, params: FuseParams) -> None:
     """Fuse each group of frames that registration could not join to the others into a mesh of its own.
 
-    Returns warnings: each group has a world of its own, in which a box or centre has no meaning.
+    Each group has a world of its own, in which a box or centre has no meaning: it is not fused then.
     """
-    said = []
     for number, piece in poses.load_separate(scan).items():
         if params.box is not None or params.center is not None:
-            said.append(f"piece {number} is not fused: where the box or the center is in it is not known")
+            emit(
+                REGISTER_NOT_CONNECTED.warning(
+                    "piece {number} is not fused: where the box or the center is in it is not known",
+                    number=number,
+                )
+            )
             continue
         try:
-            fused = fuse(piece, params)
+            with collecting(forward=False) as diagnostics:
+                fused = fuse(piece, params)
         except (InputError, UsageError) as error:
-            said.append(f"piece {number} is not fused: {error}")
+            emit(
+                REGISTER_NOT_CONNECTED.warning(
+                    "piece {number} is not fused: {reason}", number=number, reason=str(error)
+                )
+            )
             continue
         pieces = folder / "pieces"
         pieces.mkdir(exist_ok=True)
         write_ply(pieces / f"fused-{number}.ply", fused.mesh)
-        said.append(
-            f"piece {number}, of {len(piece.frames)} frames, is fused apart: pieces/fused-{number}.ply"
+        emit(
+            REGISTER_NOT_CONNECTED.warning(
+                "piece {number}, of {frames} frames, is fused apart: pieces/fused-{number}.ply",
+                number=number,
+                frames=len(piece.frames),
+            ),
+            *(one.at(f"piece {number}") for one in diagnostics),
         )
-        said += (f"piece {number}: {warning}" for warning in fused.warnings)
-    return said
 
 
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001

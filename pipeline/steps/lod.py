@@ -14,7 +14,9 @@ from pipeline.result_versions import result_versions
 from pipeline.sections import Sections
 from pipeline.stage import Artifact, Context, Stage
 from pipeline.steps.clean import CleanMesh, is_clean_mesh_large
+from pipeline.steps.codes import LEVELS_MESH_LARGE, LEVELS_NOISE_UNKNOWN
 from pipeline.steps.simplify import SIMPLIFICATION, Proof, SimplifiedMesh, method_versions
+from stages.diagnostics.collector import emit
 from stages.fusion.noise import depth_noise
 from stages.inspecting.libraries import installed
 from stages.lod.build import LevelsParams, LodParams, build, further_off
@@ -118,18 +120,21 @@ def write_levels(
     mesh : the clean one.
     frames : with poses and depth, which tell the noise.
     """
-    error, noise, warnings = params.base_error, None, []
+    error, noise = params.base_error, None
     if error is None:
         noise = depth_noise(frames)
         error = _SHARE_OF_NOISE * noise
         if noise == 0:
-            warnings.append(
-                "the frames do not tell how exact their depth is; the finest level is the clean mesh itself, "
-                "and lod.base_error gives another."
+            emit(
+                LEVELS_NOISE_UNKNOWN.warning(
+                    "the noise of the frames' depth cannot be estimated; the finest level is the clean mesh "
+                    "itself.",
+                    remedy="lod.base_error gives another.",
+                )
             )
     hierarchy = _built(mesh, error, params, progress)
     source = "given" if noise is None else "noise"
-    return _written(folder, hierarchy, error, source, noise, [*warnings, *hierarchy.notes[len(mesh.notes) :]])
+    return _written(folder, hierarchy, error, source, noise)
 
 
 def write_levels_of_simplified(
@@ -151,21 +156,23 @@ def write_levels_of_simplified(
     off = 0.0 if proof is None else proof.shape_bound_m
     error = max((params.base_error or 0.0) - off, 0.0)
     hierarchy = _built(mesh, error, params, progress)
-    notes = hierarchy.notes[len(mesh.notes) :]
     if proof is None:
-        said = (
+        said = LEVELS_MESH_LARGE.warning(
             "the clean mesh is too large for levels of its own: they are those of the simplified mesh, and "
-            "how far that is from the clean one is not proven; with a bound, simplify.max_shape, it is."
+            "its distance from the clean one is not proven; with a bound, simplify.max_shape, it is."
         )
     else:
-        said = (
+        said = LEVELS_MESH_LARGE.warning(
             "the clean mesh is too large for levels of its own: they begin with the simplified mesh, proven "
-            f"to be within {at_most(off)} m of it, which counts in what is proven of each."
+            "to be within {distance} m of it, which is part of the bound of each level.",
+            distance=at_most(off),
         )
         hierarchy = further_off(hierarchy, off, proof.color_bound_levels or 0.0)
         hierarchy = replace(hierarchy, input_triangles=triangles)
-    hierarchy = replace(hierarchy, notes=(*hierarchy.notes, said))
-    return _written(folder, hierarchy, off + error, "simplified", None, [said, *notes])
+    emit(said)
+    # The file is opened without the run.
+    hierarchy = replace(hierarchy, diagnostics=(*hierarchy.diagnostics, said))
+    return _written(folder, hierarchy, off + error, "simplified", None)
 
 
 def _built(mesh: Mesh, error: float, params: LodSection, progress: Progress) -> Hierarchy:
@@ -179,7 +186,6 @@ def _written(
     error: float,
     source: str,
     noise: float | None,
-    warnings: Sequence[str],
 ) -> dict[str, Any]:
     write_slod(folder / FILE, hierarchy)
     return hierarchy.figures() | {
@@ -187,7 +193,6 @@ def _written(
         "base_error_source": source,
         "depth_noise_m": noise,
         "file_bytes": (folder / FILE).stat().st_size,
-        "warnings": list(warnings),
     }
 
 

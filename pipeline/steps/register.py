@@ -10,10 +10,9 @@ from pipeline.artifacts.depth_maps import DepthMaps
 from pipeline.artifacts.posed_frames import load_frames
 from pipeline.artifacts.poses import Poses, write_poses
 from pipeline.expectation import Cost
-from pipeline.own_paths import from_folder
 from pipeline.result_versions import always
 from pipeline.sections import Sections
-from pipeline.skipped import warn_of_skipped
+from pipeline.skipped import emit_skipped
 from pipeline.stage import Context, Stage
 from pipeline.steps.adjust import is_adjusted
 from stages.inspecting.libraries import installed
@@ -40,8 +39,9 @@ def is_registered(scan: Scan, config: Sections) -> bool:
 def _run(inputs: Inputs, params: RegisterParams, context: Context) -> Mapping[str, Any]:
     scan = load_frames(inputs.frames)
     found = register(scan, params, progress=context.progress)
-    figures = warn_of_skipped(write_poses(context.folder, found, scan.folder))
-    return from_folder(figures, scan.folder)
+    figures = write_poses(context.folder, found, scan.folder)
+    emit_skipped(figures["frames_skipped"])
+    return figures
 
 
 def _skip_reason(scan: Scan, config: Sections) -> str | None:

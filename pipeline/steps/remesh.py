@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from pipeline.stage import Artifact, Context, Stage
 from pipeline.steps.simplify import SIMPLIFICATION, SimplifiedMesh, method_versions
 from stages.inspecting.libraries import installed
 from stages.normal_meshes.remesh import RemeshParams, remesh
-from stages.normal_meshes.unmet import unmet
 from stages.params import param
 from stages.progress import Progress
 from stages.scans.scan import Scan
@@ -79,10 +78,6 @@ def _skip_reason(scan: Scan, config: Sections) -> str | None:  # noqa: ARG001
     return None if config.get(RemeshSection).enabled else "is not enabled; set remesh.enabled=true"
 
 
-def _unmet(params: RemeshSection, figures: Mapping[str, Any]) -> Sequence[str]:
-    return unmet(params.max_error, figures)
-
-
 STAGE = Stage(
     name="remesh",
     section=RemeshSection,
@@ -93,7 +88,6 @@ STAGE = Stage(
     libraries=installed("scanloom"),
     results=("remeshed.ply", "remeshed.snm", "levels/"),
     skip_reason=_skip_reason,
-    unmet=_unmet,
     cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=300e6),
     headline="{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
     "{exceptions:,} exceptions; {file_bytes:,} bytes",

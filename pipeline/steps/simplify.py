@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,6 @@ from stages.simplification.methods import METHODS
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import SimplifyParams, simplify
 from stages.simplification.simplify_in_pieces import InPieces, simplify_in_pieces
-from stages.simplification.unmet import unmet
 from stages.surface.formats.ply import write_ply
 from stages.texturing.bake import bake
 
@@ -109,10 +108,6 @@ def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
     }
 
 
-def _unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> Sequence[str]:
-    return unmet(params, figures)
-
-
 def _headline(figures: Mapping[str, Any]) -> str:
     return next((one.details.headline for one in METHODS if one.name == figures.get("method")), "")
 
@@ -126,7 +121,6 @@ STAGE = Stage(
     versions=_versions,
     libraries=installed("scanloom"),
     results=(SimplifiedMesh.FILE,),
-    unmet=_unmet,
     cost=Cost(seconds_per_megapixel=0.15, most_bytes=MAX_BYTES_IN_PARTS),
     headline=_headline,
     progress_unit="triangles",

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from pipeline.artifacts.posed_frames import PosedFrames
 from pipeline.artifacts.up_direction import Up, UpDirection
 from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from pipeline.own_paths import from_folder
 from pipeline.result_versions import always
 from pipeline.sections import Sections
-from pipeline.skipped import warn_of_skipped
+from pipeline.skipped import emit_skipped
 from pipeline.stage import Artifact, Context, Stage
 from pipeline.steps.simplify import SimplifiedMesh
 from stages.files.images import read_stored
@@ -89,7 +88,8 @@ def _run(inputs: Inputs, params: TextureSection, context: Context) -> Mapping[st
     scan = inputs.load_posed() if inputs.photos is None else inputs.photos
     mesh, up = inputs.simplified_mesh.load(), inputs.up_direction.load()
     figures = write_textured(context.folder, mesh, scan.frames, params, up, context.progress)
-    return from_folder(warn_of_skipped(figures), scan.folder)
+    emit_skipped(figures["frames_skipped"])
+    return figures
 
 
 def _unread(config: Sections) -> Collection[str]:

@@ -116,7 +116,7 @@ def write_tileset(
         compress=params.compress,
         progress=progress,
     )
-    return written.figures() | {"warnings": list(written.notes)}
+    return written.figures()
 
 
 STAGE = Stage(

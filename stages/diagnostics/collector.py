@@ -50,6 +50,20 @@ def collecting(*, forward: bool = True) -> Iterator[list[Diagnostic]]:
         yield collected
 
 
+@contextmanager
+def changing(change: Callable[[Diagnostic], Diagnostic]) -> Iterator[None]:
+    """Change the diagnostics of the block, such as their location, before outer blocks receive them."""
+    outer = _LISTENERS.get()
+
+    def forward(diagnostic: Diagnostic) -> None:
+        changed = change(diagnostic)
+        for listener in outer:
+            listener(changed)
+
+    with listening(forward, forward=False):
+        yield
+
+
 def emit(*diagnostics: Diagnostic) -> None:
     """Hand diagnostics to all blocks around the caller; without any, they become Python warnings."""
     listeners = _LISTENERS.get()

@@ -36,12 +36,16 @@ class Where:
     frame : name of a frame.
     parameter : name of a parameter, which begins the message: "voxel_size" + "is 0; …".
     section : of the configuration, which has the parameter.
+    stage : of the pipeline, in which it was emitted.
+    scan : name in a batch.
     """
 
     file: str | None = None
     frame: str | None = None
     parameter: str | None = None
     section: str | None = None
+    stage: str | None = None
+    scan: str | None = None
 
     def figures(self) -> dict[str, str]:
         """Return what is known, ready for JSON."""
@@ -50,7 +54,7 @@ class Where:
     def __str__(self) -> str:
         """Return the location as the beginning of a sentence."""
         frame = None if self.frame is None else f"frame {self.frame}"
-        place = "".join(f"{part}: " for part in (self.file, frame) if part is not None)
+        place = "".join(f"{part}: " for part in (self.scan, self.stage, self.file, frame) if part is not None)
         if self.parameter is None:
             return place
         section = "" if self.section is None else f"{self.section}."
@@ -91,9 +95,9 @@ class Diagnostic:
         """Return the diagnostic with another location."""
         return replace(self, where=_as_where(where))
 
-    def of_section(self, section: str, file: str | None = None) -> Diagnostic:
-        """Return the diagnostic of a parameter as one of a section of the configuration, and of a file."""
-        return replace(self, where=replace(self.where or Where(), section=section, file=file))
+    def within(self, **parts: str | None) -> Diagnostic:
+        """Return the diagnostic with some fields of its location replaced, such as `stage` or `section`."""
+        return replace(self, where=replace(self.where or Where(), **parts))
 
     def figures(self) -> dict[str, Any]:
         """Return the diagnostic ready for JSON."""
