@@ -9,11 +9,17 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import require_regular, said_of
 from stages.files.own_process import DiedError, asked
-from stages.surface.codes import COMPARE_POINT_CLOUD, MESH_FILE_DAMAGED, USAGE_EXTENSION_UNKNOWN
+from stages.surface.codes import (
+    MESH_CLOUD_DAMAGED,
+    MESH_CLOUD_LIBRARY_MISSING,
+    MESH_NO_SURFACE,
+    USAGE_EXTENSION_UNKNOWN,
+)
 from stages.surface.formats.cloud_parts import collected
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh, validated
@@ -63,11 +69,15 @@ def read_cloud(path: Path | str) -> Mesh:
         ) from error
     if suffix == ".ply":
         mesh = read_ply(path)
-        cloud = Mesh(mesh.vertices, mesh.triangles[:0], mesh.colors, mesh.normals, notes=mesh.notes)
+        cloud = Mesh(
+            mesh.vertices, mesh.triangles[:0], mesh.colors, mesh.normals, diagnostics=mesh.diagnostics
+        )
     else:
-        cloud = validated(_read_elsewhere(path).with_(up=(0.0, 0.0, 1.0)), str(path))
+        with collecting() as diagnostics:
+            cloud = validated(_read_elsewhere(path), str(path))
+        cloud = cloud.with_(up=(0.0, 0.0, 1.0), diagnostics=tuple(diagnostics))
     if len(cloud.vertices) == 0:
-        raise InputError(COMPARE_POINT_CLOUD, "holds no points.", path)
+        raise InputError(MESH_CLOUD_DAMAGED, "holds no points.", path)
     return cloud
 
 
@@ -86,7 +96,7 @@ def read_mesh_or_cloud(path: Path | str) -> Mesh:
     if suffix not in EXTENSIONS:
         known = ", ".join((*EXTENSIONS, *_READERS))
         raise InputError(
-            MESH_FILE_DAMAGED,
+            USAGE_EXTENSION_UNKNOWN,
             "is of an unknown format {path_suffix!r}; known are {known}.",
             path,
             path_suffix=path.suffix,
@@ -94,7 +104,7 @@ def read_mesh_or_cloud(path: Path | str) -> Mesh:
         )
     mesh = read_whatever_it_holds(path)
     if len(mesh.vertices) == 0:
-        raise InputError(MESH_FILE_DAMAGED, "holds no vertices.", path)
+        raise InputError(MESH_NO_SURFACE, "holds no vertices.", path)
     return mesh
 
 
@@ -103,7 +113,7 @@ def _read_elsewhere(path: Path) -> Mesh:
     missing = [name for name in _READERS[suffix] if find_spec(name) is None]
     if missing:
         raise UsageError(
-            COMPARE_POINT_CLOUD,
+            MESH_CLOUD_LIBRARY_MISSING,
             "{suffix} is read by {missing}",
             remedy="install scanloom[clouds].",
             where=path,
@@ -116,10 +126,10 @@ def _read_elsewhere(path: Path) -> Mesh:
             told = asked("stages.surface.formats.cloud_process", [str(path), folder], seconds)
         except DiedError as error:
             raise InputError(
-                COMPARE_POINT_CLOUD,
+                MESH_CLOUD_DAMAGED,
                 "cannot be read as {suffix}: it is damaged or cut short",
                 path,
                 remedy="get a whole copy.",
                 suffix=suffix[1:].upper(),
             ) from error
-        return collected(Path(folder), told)
+        return collected(Path(folder), told, path)

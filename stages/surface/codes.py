@@ -8,42 +8,62 @@ FUSE_TOO_LARGE = Code(
     "fuse.too-large",
     "A mesh too large for one piece",
     """
-More than 5 million triangles are cleaned, simplified, measured and drawn piece by piece, and what is
-missing is told of them so, so
-that a run goes to its end. `lod` begins with the simplified mesh, and says [how far that
-is](levels.md#levels-of-a-large-mesh) from
-the clean one; the page shows the result without the clean mesh and the colours of what is missing. Only
-`bake` reads all of it: in
-place of it, `texture` paints the simplified mesh from the photos. The table of pieces,
-`fused.pieces.json` or `clean.pieces.json`,
-stands beside the mesh in the cache, and goes with that one file alone.
+More than 5 million triangles are cleaned, simplified, measured and drawn piece by piece, and gaps are
+reported of them so, so that a run goes to its end. `lod` begins with the simplified mesh, and says
+[how far that is](levels.md#levels-of-a-large-mesh) from the clean one; the page shows the result without
+the clean mesh and the colours of gaps. Only `bake` reads all of it: in place of it, `texture` paints the
+simplified mesh from the photos. The table of pieces, `fused.pieces.json` or `clean.pieces.json`, stands
+beside the mesh in the cache, and goes with that one file alone.
 """,
     (
-        "… reads all of … at once, which has … triangles; it takes up to …. Give a "
-        "larger fuse.voxel_size, or fuse a part (fuse.box)."
+        "bake reads all of clean.ply at once, which has 7,412,306 triangles; it takes up to 5,000,000. "
+        "Give a larger fuse.voxel_size, or fuse a part (fuse.box)."
     ),
+)
+MESH_CLOUD_DAMAGED = Code(
+    "mesh.cloud-damaged",
+    "Clouds of points that are damaged or hold no points",
+    """
+LAS, LAZ and E57 files that are cut short, damaged or empty are refused; get a whole copy. Clouds of more than
+100 million points are refused, too: thin them out first.
+""",
+    "hall.laz: promises 12,000,000 points, more than it holds; it is damaged or cut short.",
+)
+MESH_CLOUD_LIBRARY_MISSING = Code(
+    "mesh.cloud-library-missing",
+    "A library for clouds of points that is missing",
+    """
+LAS, LAZ and E57 are read by libraries that are an extra: `pip install "scanloom[clouds]"`.
+""",
+    "hall.laz: .laz is read by laspy and lazrs; install scanloom[clouds].",
 )
 COMPARE_POINT_CLOUD = Code(
     "compare.point-cloud",
-    "Clouds of points",
+    "Clouds of points where surfaces are needed",
     """
 `compare` takes clouds as PLY, LAS, LAZ and E57, the latter three with `pip install "scanloom[clouds]"`.
-Files that are cut
-short or damaged are refused; get a whole copy. What a scanner marked as invalid or withheld does not
-count, and colours that
-are black throughout are none. Changes and views need surfaces; a cloud has distances alone.
+Points that a scanner marked as invalid or withheld do not count, and colours that are black throughout are
+none. Changes and views need surfaces; a cloud has distances alone.
 """,
-    "… needs two surfaces, and … is a cloud of points; leave it out.",
+    "--change needs two surfaces, and hall.laz is a cloud of points; leave it out.",
 )
 MESH_COMPANION_MISSING = Code(
     "mesh.companion-missing",
     "A companion that is missing",
     """
 glTF names its `.bin` and images, OBJ its `.mtl`, and that its images: copy them too, with their names and
-folders.
-Without an image the mesh is read with a warning, without its texture.
+folders. Without an image the mesh is read with a warning, without its texture.
 """,
-    "refers to the file …, which is missing.",
+    "chair.gltf: refers to the file chair.bin, which is missing.",
+)
+MESH_TEXTURE_DAMAGED = Code(
+    "mesh.texture-damaged",
+    "Images or texture coordinates that are damaged",
+    """
+The mesh is read with a warning, and is grey where its image cannot be decoded or its texture coordinates are
+missing. Write the image again as PNG or JPEG, or export the mesh anew.
+""",
+    "chair.obj: the texture image chair.png is of no known kind or damaged",
 )
 MESH_COMPRESSION_UNKNOWN = Code(
     "mesh.compression-unknown",
@@ -51,19 +71,18 @@ MESH_COMPRESSION_UNKNOWN = Code(
     """
 Draco is not read; files packed by meshoptimizer are. In Blender, switch *Compression* off on export.
 """,
-    "is compressed; write it again without compression.",
+    "chair.glb: is compressed; write it again without compression.",
 )
 MESH_COORDINATES_TOO_LARGE = Code(
     "mesh.coordinates-too-large",
     "Coordinates that are too large",
     """
 So far out that areas and volumes are beyond floating point, or positions beyond single precision. Mostly
-one stray
-vertex: take it out, or move the mesh to the origin.
+one stray vertex: take it out, or move the mesh to the origin.
 """,
     (
-        "vertex … is at (…), beyond ±… m (… such): its coordinates are too large; "
-        "take it out, or scale the mesh."
+        "chair.ply: vertex 8012 is at (1e+200, 0, 0), beyond ±1e+100 m (1 such): its coordinates are too "
+        "large; take it out, or scale the mesh."
     ),
 )
 MESH_FILE_DAMAGED = Code(
@@ -71,40 +90,112 @@ MESH_FILE_DAMAGED = Code(
     "Damaged, cut short, or of another kind",
     """
 The same check stands before every file that is written: a mesh whose positions, normals or texture
-coordinates are
-not finite is refused, and no file is left. Nothing is reserved for what a file only promises. Get a whole
-copy of it. If another program opens it, it may repair in
-silence what is named here: write it from there again.
+coordinates are not finite is refused, and no file is left. Nothing is reserved for sizes that a file only
+promises. Get a whole copy of it. If another program opens it, that program may repair it in silence: write
+it from there again.
 """,
-    "places more than … corners and vertices; it is damaged.",
+    "chair.glb: places more than 536,870,912 corners and vertices; it is damaged.",
+)
+MESH_POINTS_OUTSIDE = Code(
+    "mesh.points-outside",
+    "Points outside of the box that their file states",
+    """
+A warning. Packed points have no check sum: points that lie far from all others are a sign of damage. Get a
+whole copy.
+""",
+    "hall.laz: 312 points are not where its header says that all are: it may be damaged",
+)
+MESH_UNIT_NOT_METRES = Code(
+    "mesh.unit-not-metres",
+    "Coordinates in another unit than metres",
+    """
+A warning. The coordinates are used as they are: parameters that are lengths, and all lengths that are
+printed, are in the unit of the file. Convert the cloud to metres first.
+""",
+    "hall.las: its coordinates are in feet, and are taken as metres: all lengths are in that unit",
 )
 MESH_NO_SURFACE = Code(
     "mesh.no-surface",
     "No surface, or none that a stage can work on",
     """
 A point cloud, a file of lines, or triangles without area; or a surface that is no manifold, for a stage
-that needs one.
-`scanloom clean` makes an oriented manifold of whatever has surface.
+that needs one. `scanloom clean` makes an oriented manifold of whatever has surface.
 """,
-    "has … … (……); clean it first.",
+    "points.ply: holds 81,204 vertices but no triangles; a mesh is expected.",
 )
 MESH_LEFT_OUT = Code(
     "mesh.left-out",
-    "What a mesh does not hold",
+    "Parts of a file that a mesh does not hold",
     """
 Warnings: parts of a file that scanloom has no place for. The rest is read.
 """,
-    "… is left out: it is no rotation",
+    "chair.glb: animations are left out",
+)
+MESH_CONFIDENCE_LEFT_OUT = Code(
+    "mesh.confidence-left-out",
+    "The confidence of vertices that is left out",
+    """
+A warning. `remesh` carries the confidence of the vertices of a PLY file; other commands leave it out.
+""",
+    "chair.ply: the confidence of its vertices is left out: remesh carries it",
+)
+MESH_VALUES_REPLACED = Code(
+    "mesh.values-replaced",
+    "Colours that are replaced",
+    """
+A warning. Colours that are not finite become black. Where only some parts of a file have colours of vertices,
+the others become white.
+""",
+    "chair.obj: colours that are not finite are taken as 0",
+)
+MESH_POLYGONS_SPLIT = Code(
+    "mesh.polygons-split",
+    "Polygons that were split into triangles",
+    """
+Nothing is lost: a mesh consists of triangles here, and each corner of a polygon stays one.
+""",
+    "chair.obj: 5,120 polygons were split into triangles",
+)
+MESH_POLYGONS_NOT_SIMPLE = Code(
+    "mesh.polygons-not-simple",
+    "Polygons that cross themselves or have no area",
+    """
+A warning. Such polygons have no unique triangles, and are split as if they were convex. Triangulate the mesh
+in the program that made it.
+""",
+    "chair.obj: 2 polygons cross themselves or have no area, and were split as if convex",
+)
+MESH_CONVERSION_LOSS = Code(
+    "mesh.conversion-loss",
+    "Data that the mesh class of another library cannot hold",
+    """
+A warning of `to_open3d`, `to_open3d_legacy` and `to_trimesh`. Functions of `stages` take and return the Mesh
+itself, and `write_mesh` writes all of it.
+""",
+    (
+        "open3d.geometry.TriangleMesh cannot hold parts and the up direction of this mesh: left out. Pass "
+        "the Mesh itself, or write it with write_mesh as GLB, OBJ or PLY."
+    ),
+)
+SCALE_UP_CONTRADICTED = Code(
+    "scale.up-contradicted",
+    "An up direction that cameras and surface contradict",
+    """
+A warning. The up direction that is known, from the layout or from gravity, is used; results may lie on their
+side if it is wrong. `--set upright.up=+z` states it (an axis, or three numbers).
+""",
+    (
+        "what is up is taken from layout euroc, but cameras were held as if it were 88° off that; "
+        "upright.up=AXIS states it"
+    ),
 )
 USAGE_EXTENSION_UNKNOWN = Code(
     "usage.extension-unknown",
     "An extension that stands for no format",
     """
-The extension of the output decides the format. The sentence names what this command writes; `scanloom
-export` writes
-the most. USD needs an extra: `pip install "scanloom[usd]"`. STL and OFF hold the shape alone, and are
-refused where
-colours are the result.
+The extension of a file decides its format. The sentence names the formats that this command reads or writes;
+`scanloom export` writes the most. USD needs an extra: `pip install "scanloom[usd]"`. STL and OFF hold the
+shape alone, and are refused where colours are the result.
 """,
-    "…: the extension … stands for no format; use ….",
+    "chair.3ds: is of an unknown format '.3ds'; known are .ply, .obj, .off, .stl, .glb, .gltf.",
 )

@@ -1,26 +1,25 @@
-"""Warning about data that the mesh class of another library cannot hold."""
+"""Report of data that the mesh class of another library cannot hold."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 
+from stages.diagnostics.collector import emit
+from stages.surface.codes import MESH_CONVERSION_LOSS
 from stages.surface.mesh import Mesh
 
 
-class ConversionWarning(UserWarning):
-    """Data of a mesh that the target class of a conversion cannot hold."""
-
-
-def warn_of_losses(class_name: str, losses: Iterable[str]) -> None:
-    """Emit one ConversionWarning that names all data left out; none if there is no loss."""
+def report_losses(class_name: str, losses: Iterable[str]) -> None:
+    """Emit one warning that names all data left out; none if there is no loss."""
     found = list(losses)
     if found:
-        warnings.warn(
-            f"{class_name} cannot hold {' and '.join(found)} of this mesh: left out. "
-            "Pass the Mesh itself, or write it with write_mesh as GLB, OBJ or PLY.",
-            ConversionWarning,
-            stacklevel=3,
+        emit(
+            MESH_CONVERSION_LOSS.warning(
+                "{class_name} cannot hold {losses} of this mesh: left out.",
+                remedy="Pass the Mesh itself, or write it with write_mesh as GLB, OBJ or PLY.",
+                class_name=class_name,
+                losses=" and ".join(found),
+            )
         )
 
 

@@ -1,20 +1,22 @@
 """Meshes of other libraries in and out, without importing a library nobody used.
 
-The classes of Open3D are converted in `open3d_meshes`, that of trimesh in `trimesh_meshes`. A
-ConversionWarning names what a class cannot hold.
+The classes of Open3D are converted in `open3d_meshes`, that of trimesh in `trimesh_meshes`. Data that a class
+cannot hold is reported, with the code `mesh.conversion-loss`.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import MeshError
 from stages.surface.color import sampled, tinted
-from stages.surface.conversion_losses import ConversionWarning
 from stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TrimeshMesh
 from stages.surface.mesh import Mesh, validated
 from stages.surface.open3d_meshes import from_open3d, from_open3d_legacy, to_open3d, to_open3d_legacy
@@ -22,7 +24,6 @@ from stages.surface.texture import Image, Material
 from stages.surface.trimesh_meshes import from_trimesh, to_trimesh
 
 __all__ = [
-    "ConversionWarning",
     "MeshLike",
     "as_mesh",
     "to_open3d",
@@ -59,10 +60,15 @@ def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
     for cls in type(data).__mro__:
         module = cls.__module__
         if cls.__name__ == "TriangleMesh" and module.startswith("open3d."):
-            convert = from_open3d if ".t.geometry" in module else from_open3d_legacy
-            return validated(convert(other), where)
+            if ".t.geometry" not in module:
+                return validated(from_open3d_legacy(other), where)
+            with collecting() as diagnostics:
+                mesh = validated(from_open3d(other, where), where)
+            return mesh.with_(diagnostics=tuple(diagnostics))
         if cls.__name__ == "Trimesh" and module.startswith("trimesh."):
-            return from_trimesh(other, where)
+            with collecting() as diagnostics:
+                mesh = from_trimesh(other, where)
+            return mesh.with_(diagnostics=tuple(diagnostics))
     raise MeshError(
         USAGE_ARGUMENT_INVALID,
         (
@@ -80,19 +86,18 @@ def with_vertex_colors(mesh: Mesh) -> Mesh:
     Each textured corner samples its image bilinearly, beyond its edges as the material says, times the base
     colour; a vertex takes the mean of its corners, which differ along seams only. Where there is no image,
     vertices keep their colour, else take the base colour of their material, else become grey. A mesh
-    whose materials say nothing of colours gets none. A note names an image that cannot be decoded.
+    whose materials say nothing of colours gets none. An image that cannot be decoded is reported.
     """
     texture = mesh.texture
     if texture is None:
         return mesh
     count = len(mesh.vertices)
     sums, corners_of = np.zeros((count, 3)), np.zeros(count)
-    notes = list(mesh.notes)
     has_uvs = texture.has_uvs()
     for number, material in enumerate(texture.materials):
         chosen = texture.material_ids == number
         for rows, image in ((chosen & has_uvs, material.image), (chosen & ~has_uvs, None)):
-            samples = _corner_colors(material, image, texture.uvs[rows].reshape(-1, 2), notes)
+            samples = _corner_colors(material, image, texture.uvs[rows].reshape(-1, 2))
             if samples is None or (image is None and mesh.colors is not None):
                 continue
             corners = mesh.triangles[rows].reshape(-1)
@@ -104,18 +109,18 @@ def with_vertex_colors(mesh: Mesh) -> Mesh:
     if colored.any():
         colors = np.full((count, 3), _UNTEXTURED, np.uint8) if colors is None else colors.copy()
         colors[colored] = np.rint(sums[colored] / corners_of[colored, None]).astype(np.uint8)
-    return mesh.with_(colors=colors, texture=None, notes=tuple(notes))
+    return mesh.with_(colors=colors, texture=None)
 
 
 def _corner_colors(
-    material: Material, image: Image | None, uvs: NDArray[np.float64], notes: list[str]
+    material: Material, image: Image | None, uvs: NDArray[np.float64]
 ) -> NDArray[np.floating] | None:
     """Return (k, 3) colours 0..255 at texture coordinates (k, 2); None if nothing is known of them."""
     if image is not None and len(uvs):
         try:
             return tinted(sampled(image.pixels, uvs, material.wrap), material)
         except MeshError as error:
-            notes.append(str(error))
+            emit(replace(error.diagnostic, severity=Severity.WARNING))
     if material.base_color is None:
         return None
     return np.tile(np.array(material.base_color[:3]) * 255, (len(uvs), 1))

@@ -147,7 +147,7 @@ class MeshKeywords(TypedDict, total=False):
     corner_normals: NDArray[np.float64] | None
     part_ids: NDArray[np.int32] | None
     part_names: tuple[str, ...]
-    notes: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
     up: tuple[float, float, float] | None
 
 

@@ -16,12 +16,19 @@ from typing import Any, cast
 
 import numpy as np
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError, UsageError, is_lack_of_memory
 from stages.files.blas_buffers import require_buffers
 from stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
-from stages.surface.codes import MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED, USAGE_EXTENSION_UNKNOWN
+from stages.surface.codes import (
+    MESH_COMPRESSION_UNKNOWN,
+    MESH_FILE_DAMAGED,
+    MESH_LEFT_OUT,
+    MESH_NO_SURFACE,
+    USAGE_EXTENSION_UNKNOWN,
+)
 from stages.surface.convert import as_mesh, to_trimesh
 from stages.surface.formats.gltf import read_gltf
 from stages.surface.formats.gltf_writer import write_gltf
@@ -50,10 +57,10 @@ def read_mesh(path: Path | str) -> Mesh:
     path = Path(path)
     mesh = read_whatever_it_holds(path)
     if len(mesh.vertices) == 0:
-        raise InputError(MESH_FILE_DAMAGED, "holds no vertices.", path)
+        raise InputError(MESH_NO_SURFACE, "holds no vertices.", path)
     if len(mesh.triangles) == 0:
         raise InputError(
-            MESH_FILE_DAMAGED,
+            MESH_NO_SURFACE,
             "holds {vertices_count:,} vertices but no triangles; a mesh is expected.",
             path,
             vertices_count=len(mesh.vertices),
@@ -67,7 +74,7 @@ def read_whatever_it_holds(path: Path) -> Mesh:
     extension = path.suffix.lower()
     if extension not in EXTENSIONS:
         raise InputError(
-            MESH_FILE_DAMAGED,
+            USAGE_EXTENSION_UNKNOWN,
             "is of an unknown format {path_suffix!r}; known are {extensions}.",
             path,
             path_suffix=path.suffix,
@@ -83,7 +90,9 @@ def read_whatever_it_holds(path: Path) -> Mesh:
         return read_obj(path)
     if extension in (".glb", ".gltf"):
         return read_gltf(path)
-    return _read_with_trimesh(path, extension)
+    with collecting() as diagnostics:
+        mesh = _read_with_trimesh(path, extension)
+    return mesh.with_(diagnostics=tuple(diagnostics))
 
 
 def standing(path: Path, mesh: Mesh) -> Mesh:
@@ -200,35 +209,43 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         ) from error
     meshes = [as_mesh(part, str(path)) for part in parts if isinstance(part, trimesh.Trimesh)]
     if extension == ".stl":
-        joined = merge_vertices(_joined(meshes))
-        return joined.with_(notes=(*joined.notes, *_lost_of_stl(parts)))
-    joined = _joined(meshes)
-    return joined.with_(notes=(*joined.notes, *_lost_of_off(data)))
+        _report_lost_of_stl(parts, path)
+        return merge_vertices(_joined(meshes))
+    _report_lost_of_off(data, path)
+    return _joined(meshes)
 
 
-def _lost_of_off(data: bytes) -> list[str]:
-    """Return what is left out of an OFF file: what stands behind coordinates, or behind a face's corners."""
+def _report_lost_of_off(data: bytes, path: Path) -> None:
+    """Report numbers of an OFF file behind coordinates, or behind a face's corners, which are left out."""
     text = data.decode("utf-8", "replace").partition("OFF")[2]
     rows = [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
     vertices, faces = int(rows[0][0]), int(rows[0][1])
-    notes = []
     for called, there in (
         ("vertices", any(len(row) > 3 for row in rows[1 : 1 + vertices])),
         ("faces", any(len(row) > int(row[0]) + 1 for row in rows[1 + vertices : 1 + vertices + faces])),
     ):
         if there:
-            notes.append(f"numbers behind its {called}, such as colours, are left out")
-    return notes
+            emit(
+                MESH_LEFT_OUT.warning(
+                    "numbers behind its {called}, such as colours, are left out", path, called=called
+                )
+            )
 
 
-def _lost_of_stl(parts: list[Any]) -> list[str]:
-    """Return what is left out of the solids of an STL file."""
-    notes = []
+def _report_lost_of_stl(parts: list[Any], path: Path) -> None:
+    """Report the names and numbers of the solids of an STL file, which are left out."""
     if len(parts) > 1:
-        notes.append(f"the names of its {len(parts):,} solids are left out: they become one mesh")
+        emit(
+            MESH_LEFT_OUT.warning(
+                "the names of its {count:,} solids are left out: they become one mesh", path, count=len(parts)
+            )
+        )
     if any(np.any(part.face_attributes.get("stl", 0)) for part in parts):
-        notes.append("numbers beside triangles, which some programs take for colours, are left out")
-    return notes
+        emit(
+            MESH_LEFT_OUT.warning(
+                "numbers beside triangles, which some programs take for colours, are left out", path
+            )
+        )
 
 
 def _placed(scene: Any, node: str) -> Any:
@@ -249,7 +266,6 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     return Mesh(
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),
         triangles=np.concatenate(triangles).astype(np.int32),
-        notes=tuple(note for mesh in meshes for note in mesh.notes),
     )
 
 

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.surface.codes import MESH_LEFT_OUT
 from stages.surface.color import tinted
-from stages.surface.conversion_losses import find_material_losses, warn_of_losses
+from stages.surface.conversion_losses import find_material_losses, report_losses
 from stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TensorMap
 from stages.surface.formats.colors import to_uint8
 from stages.surface.mesh import Mesh
@@ -29,7 +31,7 @@ _IMAGE, _COLOR = "albedo", "base_color"
 _COUNT, _NO_COLOR = "material_count", "base_color_unset"
 
 
-def from_open3d(data: Open3DMesh) -> Mesh:
+def from_open3d(data: Open3DMesh, where: str) -> Mesh:
     """Convert an open3d.t.geometry.TriangleMesh; the result is not validated."""
 
     def array(attributes: TensorMap, name: str) -> Any:
@@ -37,7 +39,7 @@ def from_open3d(data: Open3DMesh) -> Mesh:
 
     vertices, triangles = array(data.vertex, "positions"), array(data.triangle, "indices")
     colors, uvs = array(data.vertex, "colors"), array(data.triangle, "texture_uvs")
-    materials, notes = _read_materials(data)
+    materials = _read_materials(data, where)
     texture = None
     if uvs is not None:
         texture = _build_texture(uvs, array(data.triangle, "material_ids"), materials)
@@ -51,7 +53,6 @@ def from_open3d(data: Open3DMesh) -> Mesh:
         corner_normals=array(data.triangle, "corner_normals"),
         part_ids=part_ids,
         part_names=() if part_ids is None else _name_parts(part_ids),
-        notes=notes,
     )
 
 
@@ -60,10 +61,10 @@ def _name_parts(part_ids: NDArray[Any]) -> tuple[str, ...]:
     return tuple(f"part {index}" for index in range(count))
 
 
-def _read_materials(data: Open3DMesh) -> tuple[tuple[Material, ...], tuple[str, ...]]:
-    """Return the materials of a tensor mesh, and notes on maps that are left out."""
+def _read_materials(data: Open3DMesh, where: str) -> tuple[Material, ...]:
+    """Return the materials of a tensor mesh; maps that are left out are reported."""
     if not data.has_valid_material():
-        return (), ()
+        return ()
     properties: Any = data.material
     maps, colors, numbers = (
         properties.texture_maps,
@@ -84,10 +85,15 @@ def _read_materials(data: Open3DMesh) -> tuple[tuple[Material, ...], tuple[str, 
             color = None
         materials.append(Material(image=image, base_color=cast("Any", color)))
     others = sorted(name for name, _ in maps.items() if not name.startswith(_IMAGE))
-    notes = (f"material images other than albedo are left out: {', '.join(others)}",) if others else ()
+    if others:
+        emit(
+            MESH_LEFT_OUT.warning(
+                "material images other than albedo are left out: {names}", where, names=", ".join(others)
+            )
+        )
     # A material of defaults says nothing.
     has_own = count > 1 or materials[0].image is not None or materials[0].base_color not in (None, _WHITE)
-    return (tuple(materials) if has_own or _COUNT in numbers else ()), notes
+    return tuple(materials) if has_own or _COUNT in numbers else ()
 
 
 def _indexed_name(name: str, index: int) -> str:
@@ -146,7 +152,8 @@ def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
     """Return an open3d.t.geometry.TriangleMesh: float64 positions and normals, int32 indices, uint8 colours.
 
     Its renderer shows the first material's image; those of further materials are kept as `albedo_1` etc.
-    Open3D's `clone` and `to_legacy` drop materials. A ConversionWarning names what has no place.
+    Open3D's `clone` and `to_legacy` drop materials. Data that has no place is reported
+    (`mesh.conversion-loss`).
     """
     from stages._open3d import open3d
 
@@ -170,7 +177,7 @@ def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
     losses = [*find_material_losses(mesh), *(["names of parts"] if any(mesh.part_names) else [])]
     if mesh.up is not None:
         losses.append("the up direction")
-    warn_of_losses("open3d.t.geometry.TriangleMesh", losses)
+    report_losses("open3d.t.geometry.TriangleMesh", losses)
     return cast("t.geometry.TriangleMesh", result)
 
 
@@ -192,7 +199,7 @@ def _set_tensor_materials(o3d: Any, target: Any, materials: tuple[Material, ...]
 def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
     """Return an open3d.geometry.TriangleMesh; colours become 0..1 floats that come back exactly.
 
-    Base colours are multiplied into the images. A ConversionWarning names what has no place.
+    Base colours are multiplied into the images. Data that has no place is reported (`mesh.conversion-loss`).
     """
     from stages._open3d import open3d
 
@@ -214,7 +221,7 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
         ("the up direction", mesh.up is not None),
     )
     losses = [*find_material_losses(mesh), *(name for name, is_lost in has if is_lost)]
-    warn_of_losses("open3d.geometry.TriangleMesh", losses)
+    report_losses("open3d.geometry.TriangleMesh", losses)
     return cast("geometry.TriangleMesh", result)
 
 

@@ -22,7 +22,7 @@ from stages.diagnostics.errors import InputError
 from stages.files.documents import read_document
 from stages.files.opening import opened
 from stages.files.replacing import replacing
-from stages.surface.codes import FUSE_TOO_LARGE
+from stages.surface.codes import MESH_FILE_DAMAGED
 from stages.surface.finite import require_finite
 from stages.surface.memory import give_back
 from stages.surface.mesh import NOT_WRITTEN, Mesh
@@ -106,7 +106,7 @@ class Pieces:
             has_colors, self.spacing = bool(document["has_colors"]), float(document["spacing_m"])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
-                FUSE_TOO_LARGE,
+                MESH_FILE_DAMAGED,
                 "this is no table of pieces: {error} is missing or wrong.",
                 table_of(path),
                 error=error,
@@ -121,7 +121,7 @@ class Pieces:
             is_it = file.read(len(header)) == header
         if not is_it or path.stat().st_size != size or not self._follow_each_other():
             raise InputError(
-                FUSE_TOO_LARGE, "the file is damaged, or not the one its table of pieces tells of.", path
+                MESH_FILE_DAMAGED, "the file is damaged, or not the one its table of pieces tells of.", path
             )
         self._row, self._starts = row, starts
         self.has_colors = has_colors
@@ -162,7 +162,9 @@ class Pieces:
         triangles = np.array(faces[slice(*extent.triangles)]["corners"], np.int64)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= self.vertex_count):
             raise InputError(
-                FUSE_TOO_LARGE, "the file is damaged: a triangle names a vertex that is not there.", self.path
+                MESH_FILE_DAMAGED,
+                "the file is damaged: a triangle names a vertex that is not there.",
+                self.path,
             )
         first, end = extent.vertices
         numbers, local = counted_from(first, end, triangles)

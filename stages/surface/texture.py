@@ -13,7 +13,7 @@ from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import decoded_image, encoded_png, kind_of, promised_size
 from stages.printing import counted, line
-from stages.surface.codes import MESH_COMPANION_MISSING, MESH_FILE_DAMAGED
+from stages.surface.codes import MESH_FILE_DAMAGED, MESH_TEXTURE_DAMAGED
 
 Pixels = NDArray[np.uint8]
 
@@ -55,7 +55,7 @@ class Image:
         pixels = None if self.encoded is None else decoded_image(self.encoded)
         if pixels is None:
             raise MeshError(
-                MESH_COMPANION_MISSING,
+                MESH_TEXTURE_DAMAGED,
                 "the texture image {detail} cannot be decoded.",
                 detail=self.name or "without a name",
             )

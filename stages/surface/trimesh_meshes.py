@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import MeshError
+from stages.surface.codes import MESH_LEFT_OUT
 from stages.surface.foreign_meshes import TrimeshMesh
 from stages.surface.formats.colors import srgb_from_linear, to_uint8
 from stages.surface.mesh import Mesh, validated
@@ -34,12 +36,11 @@ _OTHER_MAPS = ("normalTexture", "emissiveTexture", "occlusionTexture", "metallic
 def from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
     """Convert and validate a trimesh.Trimesh."""
     visual: Any = data.visual
-    notes: list[str] = []
     other: Any = data
     mesh = Mesh(
         vertices=np.array(data.vertices),
         triangles=np.array(data.faces),
-        colors=_read_vertex_colors(visual, len(data.vertices), notes),
+        colors=_read_vertex_colors(visual, len(data.vertices), where),
         # Reading the property would compute normals that were never given.
         normals=np.array(data.vertex_normals) if "vertex_normals" in data._cache else None,
         corner_normals=_read_attribute(other.face_attributes, "corner_normals", (len(data.faces), 3, 3)),
@@ -48,13 +49,13 @@ def from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
     mesh = mesh.with_(part_ids=part_ids, part_names=part_names, up=_read_up(other.metadata.get("up")))
     mesh = validated(mesh, where)
     if len(mesh.triangles) > 0 and visual.kind == "texture":
-        mesh = _add_texture(mesh, visual, notes, where)
-    return mesh.with_(notes=(*mesh.notes, *notes))
+        mesh = _add_texture(mesh, visual, where)
+    return mesh
 
 
-def _read_vertex_colors(visual: Any, count: int, notes: list[str]) -> NDArray[np.uint8] | None:
+def _read_vertex_colors(visual: Any, count: int, where: str) -> NDArray[np.uint8] | None:
     if visual.kind == "face":
-        notes.append("colours of faces are left out; only colours of vertices are used")
+        emit(MESH_LEFT_OUT.warning("colours of faces are left out; only colours of vertices are used", where))
     if visual.kind == "vertex":
         colors = np.array(visual.vertex_colors)
     elif visual.kind == "texture" and "color" in visual.vertex_attributes:
@@ -65,7 +66,7 @@ def _read_vertex_colors(visual: Any, count: int, notes: list[str]) -> NDArray[np
         return None
     levels = to_uint8(colors)
     if levels.shape[1] == 4 and levels[:, 3].min(initial=255) < 255:
-        notes.append("the transparency of vertex colours is left out")
+        emit(MESH_LEFT_OUT.warning("the transparency of vertex colours is left out", where))
     return np.ascontiguousarray(levels[:, :3])
 
 
@@ -90,18 +91,22 @@ def _read_up(given: Any) -> tuple[float, float, float] | None:
     return cast("Any", tuple(given)) if is_direction else None
 
 
-def _add_texture(mesh: Mesh, visual: Any, notes: list[str], where: str) -> Mesh:
+def _add_texture(mesh: Mesh, visual: Any, where: str) -> Mesh:
     held = visual.material
     several = list(held.materials) if hasattr(held, "materials") else [held]
     images: dict[int, Image] = {}
-    materials = tuple(_read_material(each, images, notes) for each in several)
+    materials = tuple(_read_material(each, images, where) for each in several)
     count = len(mesh.triangles)
     ids = _read_material_ids(visual.face_materials, count, len(materials))
     uvs = visual.uv
     has_uvs = uvs is not None and len(uvs) == len(mesh.vertices)
     if not has_uvs and not any(material.base_color is not None for material in materials):
         if any(material.image is not None for material in materials):
-            notes.append("texture images are left out: the mesh has no texture coordinates")
+            emit(
+                MESH_LEFT_OUT.warning(
+                    "texture images are left out: the mesh has no texture coordinates", where
+                )
+            )
         return mesh
     corner_uvs = np.array(uvs, np.float64)[:, :2][mesh.triangles] if has_uvs else np.zeros((count, 3, 2))
     if not any(material.image or material.base_color or material.name for material in materials):
@@ -119,7 +124,7 @@ def _read_material_ids(given: Any, count: int, materials: int) -> _Ids:
     return np.where((ids >= 0) & (ids < materials), ids, -1).astype(np.int32)
 
 
-def _read_material(data: Any, images: dict[int, Image], notes: list[str]) -> Material:
+def _read_material(data: Any, images: dict[int, Image], where: str) -> Material:
     """Convert a SimpleMaterial or a PBRMaterial; materials that share an image share the object."""
     name = str(getattr(data, "name", None) or "")
     if hasattr(data, "baseColorTexture"):
@@ -129,9 +134,14 @@ def _read_material(data: Any, images: dict[int, Image], notes: list[str]) -> Mat
         if color is not None:
             color = (*srgb_from_linear(np.array(color[:3])).tolist(), color[3])
         lost = sorted(name for name in _OTHER_MAPS if getattr(data, name, None) is not None)
-        note = f"material images other than the base colour are left out: {', '.join(lost)}"
-        if lost and note not in notes:
-            notes.append(note)
+        if lost:
+            emit(
+                MESH_LEFT_OUT.warning(
+                    "material images other than the base colour are left out: {names}",
+                    where,
+                    names=", ".join(lost),
+                )
+            )
         return Material(name, image, None if image is not None and color == (1, 1, 1, 1) else color)
     image = _read_image(getattr(data, "image", None), images)
     said = getattr(data, "kwargs", None) or {}

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
+from stages.surface.codes import SCALE_UP_CONTRADICTED
 from stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
@@ -117,12 +119,10 @@ class PlaceUp:
     ----------
     direction : (3,) float64 of length 1.
     source : what told it: `surface`, `plane`, `cameras`, or how it is known.
-    warnings : where these do not agree, in plain sentences.
     """
 
     direction: Floats
     source: str
-    warnings: tuple[str, ...] = ()
 
 
 def up_of_place(
@@ -133,7 +133,7 @@ def up_of_place(
 ) -> PlaceUp:
     """Return what is up in a scan of a place.
 
-    What is known counts; where neither the surface nor the cameras say the like, that is told. Else the
+    What is known counts; where neither the surface nor the cameras agree with it, that is reported. Else the
     surface tells it, else the cameras. An axis of the poses' world that is within a degree of it is taken for
     it: worlds that know of gravity have one there, and a floor is not known better.
 
@@ -152,7 +152,8 @@ def up_of_place(
         direction, source = (held, "cameras") if found is None else (found, told)
         return PlaceUp(_or_axis(direction), source)
     up = np.asarray(known[0], np.float64)
-    return PlaceUp(_or_axis(up), known[1], tuple(_doubts(up, known[1], found, poses)))
+    _report_doubts(up, known[1], found, poses)
+    return PlaceUp(_or_axis(up), known[1])
 
 
 def _or_axis(up: Floats) -> Floats:
@@ -160,17 +161,23 @@ def _or_axis(up: Floats) -> Floats:
     return np.array(nearest) if np.dot(nearest, up) > math.cos(math.radians(_SAME)) else up
 
 
-def _doubts(up: Floats, source: str, found: Floats | None, poses: Floats) -> list[str]:
-    """Say that neither the surface nor the cameras see what is known to be up, if so."""
+def _report_doubts(up: Floats, source: str, found: Floats | None, poses: Floats) -> None:
+    """Warn if neither the surface nor the cameras agree with the known up direction."""
     by_cameras = min(_degrees(up, held) for held in _up_of_cameras_on_any_side(poses))
     by_surface = math.inf if found is None else _degrees(up, found)
     if min(by_cameras, by_surface) <= _DOUBTFUL:
-        return []
+        return
     surface = "" if found is None else f", and most of the surface near that looks {by_surface:.0f}° off it"
-    return [
-        f"what is up is taken from {source}, but cameras were held as if it were {by_cameras:.0f}° off that"
-        f"{surface}"
-    ]
+    emit(
+        SCALE_UP_CONTRADICTED.warning(
+            "what is up is taken from {source}, but cameras were held as if it were {off:.0f}° off that"
+            "{surface}",
+            remedy="upright.up=AXIS states it",
+            source=source,
+            off=by_cameras,
+            surface=surface,
+        )
+    )
 
 
 def _degrees(first: Floats, second: Floats) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.picturing.codes import REPORT_INCOMPLETE
-from stages.surface.codes import FUSE_TOO_LARGE
+from stages.surface.codes import MESH_FILE_DAMAGED
 from stages.surface.formats.ply_format import CORNERS, LENGTH, Rows, rows_of_triangles
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats
@@ -143,7 +143,7 @@ def _triangles(faces: Rows, of: NDArray[np.int32], path: Path) -> NDArray[np.int
             raise InputError(REPORT_INCOMPLETE, "it has faces that are no triangles.", path)
         if corners.min() < 0 or corners.max() >= len(of):
             raise InputError(
-                FUSE_TOO_LARGE, "the file is damaged: a triangle names a vertex that is not there.", path
+                MESH_FILE_DAMAGED, "the file is damaged: a triangle names a vertex that is not there.", path
             )
         a, b, c = (of[corners[:, i]].astype(np.int64) for i in range(3))
         is_one = (a != b) & (b != c) & (c != a)

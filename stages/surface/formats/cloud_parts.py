@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
-from stages.surface.codes import COMPARE_POINT_CLOUD
+from stages.surface.codes import MESH_CLOUD_DAMAGED, MESH_LEFT_OUT
 from stages.surface.formats.colors import to_uint8
 from stages.surface.mesh import Mesh
 
@@ -41,21 +43,20 @@ class Parts:
         self._counts = dict.fromkeys(_TYPES, 0)
         self._brightest = 0
         self._promised = 0
-        self.notes: list[str] = []
 
     def promise(self, points: int) -> None:
         """Refuse a number of points that the file cannot hold, or that are too many; before they are read."""
         self._promised += points
         if self._promised > _MOST_PER_BYTE * self._path.stat().st_size:
             raise InputError(
-                COMPARE_POINT_CLOUD,
+                MESH_CLOUD_DAMAGED,
                 "promises {points:,} points, which do not fit in it; it is damaged or cut short.",
                 self._path,
                 points=points,
             )
         if self._promised > MOST_POINTS:
             raise InputError(
-                COMPARE_POINT_CLOUD,
+                MESH_CLOUD_DAMAGED,
                 "holds {promised:,} points; up to {most_points:,} are read. Thin it out first.",
                 self._path,
                 promised=self._promised,
@@ -76,27 +77,38 @@ class Parts:
 
     def told(self) -> dict[str, Any]:
         """Return what `collected` has to know."""
-        return {"counts": self._counts, "brightest": self._brightest, "notes": self.notes}
+        return {"counts": self._counts, "brightest": self._brightest}
 
 
-def collected(folder: Path, told: dict[str, Any]) -> Mesh:
-    """Return the cloud whose parts are in a folder: a mesh without triangles."""
-    counts, notes = told["counts"], list(told["notes"])
+def collected(folder: Path, told: dict[str, Any], path: Path) -> Mesh:
+    """Return the cloud whose parts are in a folder: a mesh without triangles.
+
+    Diagnostics of the process that read the file `path` are emitted again here.
+    """
+    emit(*(Diagnostic.from_figures(figures) for figures in told["diagnostics"]))
+    counts = told["counts"]
     count = counts[_POINTS]
     read = {name: _read(folder / name, kind, counts[name]) for name, kind in _TYPES.items() if counts[name]}
     for name, called in ((_COLORS, "colours"), (_NORMALS, "normals")):
         if name in read and counts[name] != count:
             del read[name]
-            notes.append(f"the {called} are left out: only {counts[name]:,} of {count:,} points have them")
+            emit(
+                MESH_LEFT_OUT.warning(
+                    "the {called} are left out: only {having:,} of {count:,} points have them",
+                    path,
+                    called=called,
+                    having=counts[name],
+                    count=count,
+                )
+            )
     colors = None
     if _COLORS in read:
-        colors = _levels(read[_COLORS], told["brightest"], notes)
+        colors = _levels(read[_COLORS], told["brightest"], path)
     return Mesh(
         read.get(_POINTS, np.zeros((0, 3))),
         np.zeros((0, 3), np.int32),
         colors,
         read.get(_NORMALS),
-        notes=tuple(notes),
     )
 
 
@@ -104,10 +116,10 @@ def _read(path: Path, kind: Any, count: int) -> NDArray[Any]:
     return np.fromfile(path, kind, 3 * count).reshape(-1, 3)
 
 
-def _levels(colors: NDArray[np.uint16], brightest: int, notes: list[str]) -> NDArray[np.uint8] | None:
+def _levels(colors: NDArray[np.uint16], brightest: int, path: Path) -> NDArray[np.uint8] | None:
     """Return 8-bit colours; None where all are 0, which stands for none."""
     if brightest == 0:
-        notes.append("its colours are left out: all of them are 0")
+        emit(MESH_LEFT_OUT.warning("its colours are left out: all of them are 0", path))
         return None
     if brightest <= np.iinfo(np.uint8).max:
         return colors.astype(np.uint8)

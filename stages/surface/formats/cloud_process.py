@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from stages.diagnostics.collector import collecting
 from stages.files.own_process import answer
 from stages.surface.formats.cloud_parts import Parts
 from stages.surface.formats.e57 import read_e57
@@ -19,5 +20,6 @@ def main() -> None:
 def _read(words: list[str]) -> dict[str, Any]:
     path, folder = map(Path, words)
     parts = Parts(folder, path)
-    (read_e57 if path.suffix.lower() == ".e57" else read_las)(path, parts)
-    return parts.told()
+    with collecting() as diagnostics:
+        (read_e57 if path.suffix.lower() == ".e57" else read_las)(path, parts)
+    return {**parts.told(), "diagnostics": [diagnostic.figures() for diagnostic in diagnostics]}

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.opening import opened, require_regular
-from stages.surface.codes import COMPARE_POINT_CLOUD
+from stages.surface.codes import MESH_CLOUD_DAMAGED, MESH_LEFT_OUT
 from stages.surface.formats.cloud_parts import PART, Parts
 
 _START = b"ASTM-E57"
@@ -42,7 +43,7 @@ def read_e57(path: Path, parts: Parts) -> None:
 
     with opened(path) as file:
         if file.read(len(_START)) != _START:
-            raise InputError(COMPARE_POINT_CLOUD, "is no E57 file: it does not start with `ASTM-E57`.", path)
+            raise InputError(MESH_CLOUD_DAMAGED, "is no E57 file: it does not start with `ASTM-E57`.", path)
     file = pye57.E57(str(require_regular(path)))
     invalid = 0
     for number in range(file.scan_count):
@@ -50,7 +51,11 @@ def read_e57(path: Path, parts: Parts) -> None:
         parts.promise(int(scan.point_count))
         invalid += _read_scan(file, scan, parts, path)
     if invalid:
-        parts.notes.append(f"{invalid:,} points are left out: they are marked as invalid")
+        emit(
+            MESH_LEFT_OUT.warning(
+                "{count:,} points are left out: they are marked as invalid", path, count=invalid
+            )
+        )
 
 
 def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
@@ -61,7 +66,7 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     places = next((names for names in (_CARTESIAN, _SPHERICAL) if fields.issuperset(names)), None)
     if places is None:
         raise InputError(
-            COMPARE_POINT_CLOUD,
+            MESH_CLOUD_DAMAGED,
             "its points have {fields}, and no coordinates.",
             path,
             fields=", ".join(sorted(fields))[:200],
@@ -93,7 +98,7 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     reader.close()
     if left > 0:
         raise InputError(
-            COMPARE_POINT_CLOUD,
+            MESH_CLOUD_DAMAGED,
             "ends {left:,} points before the {point_count:,} that it promises.",
             path,
             left=left,

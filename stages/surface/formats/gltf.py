@@ -16,8 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Code
 from stages.diagnostics.errors import InputError
-from stages.surface.codes import MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED
+from stages.surface.codes import (
+    MESH_COMPRESSION_UNKNOWN,
+    MESH_FILE_DAMAGED,
+    MESH_LEFT_OUT,
+    MESH_TEXTURE_DAMAGED,
+    MESH_VALUES_REPLACED,
+)
 from stages.surface.formats.colors import srgb_from_linear, to_uint8
 from stages.surface.formats.gltf_container import COMPRESSED, SCAN_FROM_WORLD, Gltf, Tree, read_container
 from stages.surface.formats.gltf_materials import MaterialReader, Placement
@@ -60,13 +68,11 @@ class _Reading:
     """What is gathered on the way."""
 
     gltf: Gltf
-    notes: list[str]
     materials: MaterialReader
     corners: int = 0
 
-    def note(self, sentence: str) -> None:
-        if sentence not in self.notes:
-            self.notes.append(sentence)
+    def warn(self, message: str, code: Code = MESH_LEFT_OUT, **values: Any) -> None:
+        emit(code.warning(message, self.gltf.path, **values))
 
 
 def read_gltf(path: Path | str) -> Mesh:
@@ -74,7 +80,7 @@ def read_gltf(path: Path | str) -> Mesh:
 
     Vertices of equal position and colour in one node's mesh become one, for the format doubles them along
     seams. Normals that differ there become normals of corners, and their mean the vertex's. Nodes become
-    parts. `Mesh.notes` says what was left out.
+    parts. `Mesh.diagnostics` says what was left out.
 
     Raises
     ------
@@ -86,8 +92,10 @@ def read_gltf(path: Path | str) -> Mesh:
     path = Path(path)
     try:
         gltf = read_container(path)
-        with np.errstate(all="ignore"):  # what is not finite is refused, or left out, where it ends up
-            return _read_scene(gltf)
+        # What is not finite is refused, or left out, where it ends up.
+        with np.errstate(all="ignore"), collecting() as diagnostics:
+            mesh = _read_scene(gltf)
+        return mesh.with_(diagnostics=tuple(diagnostics))
     # What a look-up in a damaged description leads to.
     except (
         KeyError,
@@ -107,21 +115,21 @@ def read_gltf(path: Path | str) -> Mesh:
 
 
 def _read_scene(gltf: Gltf) -> Mesh:
-    notes: list[str] = []
-    reading = _Reading(gltf, notes, MaterialReader(gltf, notes))
+    reading = _Reading(gltf, MaterialReader(gltf))
     for name in ("animations", "skins", "cameras"):
         if gltf.items(name):
-            reading.note(f"{name} are left out")
+            reading.warn("{name} are left out", name=name)
     extensions = gltf.tree.get("extensions")
     if isinstance(extensions, dict) and extensions:
-        reading.note(f"what the file has of {', '.join(sorted(extensions))} is left out")
+        names = ", ".join(sorted(extensions))
+        reading.warn("what the file has of {names} is left out", names=names)
     parts: list[_Part] = []
     turn = _scan_from_world(reading)
     nodes = _placed_nodes(gltf, np.eye(4) if turn is None else turn)
     for number, (node, matrix) in enumerate(nodes):
         mesh = gltf.item("meshes", node["mesh"])
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
-            reading.note("copies of EXT_mesh_gpu_instancing are left out; one is kept")
+            reading.warn("copies of EXT_mesh_gpu_instancing are left out; one is kept")
         name = str(node.get("name") or mesh.get("name") or ("" if len(nodes) == 1 else f"node {number}"))
         found = (_part(reading, primitive, matrix, number, name) for primitive in mesh["primitives"])
         parts += [part for part in found if part is not None]
@@ -140,7 +148,7 @@ def _scan_from_world(reading: _Reading) -> Floats | None:
         return None
     matrix = _turn(given)
     if matrix is None:
-        reading.note(f"{SCAN_FROM_WORLD} is left out: it is no rotation")
+        reading.warn("{name} is left out: it is no rotation", name=SCAN_FROM_WORLD)
     return matrix
 
 
@@ -204,7 +212,7 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
     mode = primitive.get("mode", _TRIANGLES)
     attributes = primitive["attributes"]
     if mode not in (_TRIANGLES, _STRIP, _FAN) or "POSITION" not in attributes:
-        reading.note("points and lines are left out")
+        reading.warn("points and lines are left out")
         return None
     compressed = any(key in COMPRESSED for key in primitive.get("extensions", {}))
     if compressed and "bufferView" not in gltf.item("accessors", attributes["POSITION"]):
@@ -212,12 +220,12 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
             MESH_COMPRESSION_UNKNOWN, "is compressed", gltf.path, remedy="write it again without compression."
         )
     if "targets" in primitive:
-        reading.note("morph targets are left out")
+        reading.warn("morph targets are left out")
     if "TANGENT" in attributes:
-        reading.note("tangents are left out: programs derive them from normals and texture coordinates")
+        reading.warn("tangents are left out: programs derive them from normals and texture coordinates")
     others = [name for name in attributes if not _KNOWN.fullmatch(name)]
     if others:
-        reading.note(f"attributes {', '.join(sorted(others))} are left out")
+        reading.warn("attributes {names} are left out", names=", ".join(sorted(others)))
     vertices = gltf.array(attributes["POSITION"])[:, :3].astype(np.float64)
     triangles = _triangles(gltf, primitive, mode, len(vertices))
     reading.corners += triangles.size + len(vertices)
@@ -284,7 +292,7 @@ def _attribute(reading: _Reading, attributes: Tree, name: str, columns: int, cou
         return None
     values = reading.gltf.array(attributes[name])
     if len(values) != count or values.shape[1] < columns:
-        reading.note(f"{name} is left out: it does not fit the vertices")
+        reading.warn("{name} is left out: it does not fit the vertices", name=name)
         return None
     return values
 
@@ -297,9 +305,9 @@ def _colors(reading: _Reading, attributes: Tree, count: int) -> NDArray[np.uint8
     if values is None:
         return None
     if not np.isfinite(values).all():
-        reading.note("colours that are not finite are taken as 0")
+        reading.warn("colours that are not finite are taken as 0", MESH_VALUES_REPLACED)
     if values.shape[1] == 4 and (values[:, 3] < 1).any():
-        reading.note("the transparency of vertices is left out")
+        reading.warn("the transparency of vertices is left out")
     unit = np.nan_to_num(values[:, :3].astype(np.float64), nan=0, posinf=0, neginf=0).clip(0, 1)
     generator = str(reading.gltf.tree["asset"].get("generator", ""))
     return to_uint8(unit if generator.startswith(_DISPLAYED) else srgb_from_linear(unit))
@@ -315,7 +323,7 @@ def _normals(reading: _Reading, attributes: Tree, matrix: Floats, count: int) ->
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals /= np.where(length == 0, 1, length)
     if not np.isfinite(normals).all():
-        reading.note("normals that are not finite are left out")
+        reading.warn("normals that are not finite are left out")
         normals[~np.isfinite(normals).all(axis=1)] = 0
     return normals
 
@@ -325,7 +333,7 @@ def _uvs(reading: _Reading, attributes: Tree, placement: Placement, count: int) 
     wanted = f"TEXCOORD_{placement.uv_set}"
     others = sorted(set(sets) - {wanted})
     if others:
-        reading.note(f"texture coordinates {', '.join(others)} are left out: one set is kept")
+        reading.warn("texture coordinates {names} are left out: one set is kept", names=", ".join(others))
     uvs = _attribute(reading, attributes, wanted, 2, count)
     if uvs is None:
         return None
@@ -346,7 +354,7 @@ def _assembled(reading: _Reading, parts: list[_Part]) -> Mesh:
     triangles = np.concatenate(placed).astype(np.int32)
     colors = _filled([part.colors for part in parts], counts, 255)
     if any(part.colors is None for part in parts) and colors is not None:
-        reading.note("vertices of parts without vertex colours are white")
+        reading.warn("vertices of parts without vertex colours are white", MESH_VALUES_REPLACED)
     normals = _filled([part.normals for part in parts], counts, 0)
     corner_normals = None if normals is None else normals[triangles]
     names = list(dict.fromkeys((part.node, part.name) for part in parts if part.name))
@@ -360,7 +368,6 @@ def _assembled(reading: _Reading, parts: list[_Part]) -> Mesh:
         texture=_texture(reading, parts),
         part_ids=part_ids if names else None,
         part_names=tuple(name for _, name in names),
-        notes=tuple(reading.notes),
     )
     mesh = merge_vertices(mesh, apart=np.repeat([part.node for part in parts], counts))
     if corner_normals is None or mesh.normals is None:
@@ -386,7 +393,11 @@ def _texture(reading: _Reading, parts: list[_Part]) -> Texture | None:
     finite = np.isfinite(uvs).all(axis=(1, 2))
     if not finite.all():
         lost = np.count_nonzero(~finite)
-        reading.note(f"{lost:,} triangles lose their texture: their texture coordinates are not finite")
+        reading.warn(
+            "{count:,} triangles lose their texture: their texture coordinates are not finite",
+            MESH_TEXTURE_DAMAGED,
+            count=lost,
+        )
         uvs[~finite] = 0
     return Texture(uvs, ids, materials)
 

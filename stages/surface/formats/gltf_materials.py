@@ -7,7 +7,6 @@ names, for writing it back. glTF gives colours as amounts of light; ours are as 
 from __future__ import annotations
 
 import copy
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,8 +15,10 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_png, kind_of
+from stages.surface.codes import MESH_LEFT_OUT, MESH_TEXTURE_DAMAGED
 from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
 from stages.surface.formats.gltf_container import Gltf, Tree, data_of_uri, natural
 from stages.surface.formats.textures import read_texture
@@ -81,9 +82,8 @@ class Placement:
 class MaterialReader:
     """Reads each material and image of a file once, when it is first used."""
 
-    def __init__(self, gltf: Gltf, notes: list[str]) -> None:
+    def __init__(self, gltf: Gltf) -> None:
         self._gltf = gltf
-        self._notes = notes
         self._images: dict[int, Image | None] = {}
         self._found: dict[int, tuple[int, Placement]] = {}
         self.materials: list[Material] = []
@@ -118,9 +118,14 @@ class MaterialReader:
             is_there = "index" in info and _placement(info) == placement
             found = self._texture(info["index"]) if is_there else None
             if found is None:
-                self._notes.append(
-                    f"{key} of material {name!r} is left out: its image is missing, or its coordinates are "
-                    "not those of the base colour"
+                emit(
+                    MESH_LEFT_OUT.warning(
+                        "{key} of material {name!r} is left out: its image is missing, or its coordinates "
+                        "are not those of the base colour",
+                        self._gltf.path,
+                        key=key,
+                        name=name,
+                    )
                 )
                 del holder[key]
                 continue
@@ -162,10 +167,16 @@ class MaterialReader:
         else:
             embedded = data_of_uri(uri)
             if embedded is None:
-                return read_texture(self._gltf.path.parent, unquote(uri), self._notes)
+                return read_texture(self._gltf.path, unquote(uri))
             data = embedded
         if not kind_of(data, name)[0]:
-            self._notes.append(f"the texture image {name or number} is of no known kind or damaged")
+            emit(
+                MESH_TEXTURE_DAMAGED.warning(
+                    "the texture image {name} is of no known kind or damaged",
+                    self._gltf.path,
+                    name=name or number,
+                )
+            )
             return None
         return Image(name, data)
 
@@ -321,7 +332,7 @@ class MaterialWriter:
             try:
                 data, mime = encoded_png(image.pixels), "image/png"
             except MeshError as error:
-                logging.getLogger(__name__).warning("%s It is left out.", error)
+                emit(MESH_TEXTURE_DAMAGED.warning("{reason} It is left out.", reason=str(error)))
                 return None
         self.images.append((data, mime, image.name))
         return len(self.images) - 1

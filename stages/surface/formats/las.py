@@ -7,16 +7,22 @@ its own: see `cloud_process`. What the header promises is checked here first.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.opening import opened
-from stages.surface.codes import COMPARE_POINT_CLOUD
+from stages.surface.codes import (
+    MESH_CLOUD_DAMAGED,
+    MESH_LEFT_OUT,
+    MESH_POINTS_OUTSIDE,
+    MESH_UNIT_NOT_METRES,
+)
 from stages.surface.formats.cloud_parts import PART, Parts
 
 # Of a header, with how many points there are as it has been told since version 1.4; and of a record that says
@@ -42,7 +48,7 @@ def read_las(path: Path, parts: Parts) -> None:
 
     parts.promise(_checked_points(path))
     with laspy.open(opened(path), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as reader:
-        parts.notes += _unit_notes(reader.header)
+        _report_unit(reader.header, path)
         names = {name.lower(): name for name in reader.header.point_format.dimension_names}
         left_out = outside = 0
         for part in reader.chunk_iterator(PART):
@@ -55,10 +61,18 @@ def read_las(path: Path, parts: Parts) -> None:
             columns = (_columns(part, names, ("red", "green", "blue")), _normals(part, names))
             parts.append(points[keep], *(None if column is None else column[keep] for column in columns))
         if left_out:
-            parts.notes.append(f"{left_out:,} points are left out: they are marked as withheld")
+            emit(
+                MESH_LEFT_OUT.warning(
+                    "{count:,} points are left out: they are marked as withheld", path, count=left_out
+                )
+            )
         if outside:
-            parts.notes.append(
-                f"{outside:,} points are not where its header says that all are: it may be damaged"
+            emit(
+                MESH_POINTS_OUTSIDE.warning(
+                    "{count:,} points are not where its header says that all are: it may be damaged",
+                    path,
+                    count=outside,
+                )
             )
 
 
@@ -68,10 +82,10 @@ def _checked_points(path: Path) -> int:
     with opened(path) as file:
         head = file.read(_LONG_HEADER)
     if head[:4] != b"LASF":
-        raise InputError(COMPARE_POINT_CLOUD, "is no LAS or LAZ file: it does not start with `LASF`.", path)
+        raise InputError(MESH_CLOUD_DAMAGED, "is no LAS or LAZ file: it does not start with `LASF`.", path)
     if len(head) < _SHORTEST_HEADER:
         raise InputError(
-            COMPARE_POINT_CLOUD, "is cut short within its header", path, remedy="get a whole copy of it."
+            MESH_CLOUD_DAMAGED, "is cut short within its header", path, remedy="get a whole copy of it."
         )
     header_size, start, records, kind, length, points = struct.unpack_from("<HIIBHI", head, 94)
     if head[25] >= 4 and len(head) == _LONG_HEADER:
@@ -80,7 +94,7 @@ def _checked_points(path: Path) -> int:
     is_short = start > size or header_size + _RECORD * records > size
     if is_short or (not kind & _PACKED and points > held):
         raise InputError(
-            COMPARE_POINT_CLOUD,
+            MESH_CLOUD_DAMAGED,
             "promises {points:,} points, more than it holds; it is damaged or cut short.",
             path,
             points=points,
@@ -107,17 +121,26 @@ def _normals(part: Any, names: Mapping[str, str]) -> NDArray[Any] | None:
     return next((columns for columns in found if columns is not None), None)
 
 
-def _unit_notes(header: Any) -> Iterator[str]:
-    """Say so where the file has its coordinates in another unit than metres."""
-    words = "its coordinates are in {}, and are taken as metres: all lengths are in that unit"
+def _report_unit(header: Any, path: Path) -> None:
+    """Warn of coordinates in another unit than metres."""
+
+    def report(unit: str) -> None:
+        emit(
+            MESH_UNIT_NOT_METRES.warning(
+                "its coordinates are in {unit}, and are taken as metres: all lengths are in that unit",
+                path,
+                unit=unit,
+            )
+        )
+
     for record in header.vlrs:
         keys = {key.id: key.value_offset for key in getattr(record, "geo_keys", ())}
         if keys.get(_KIND_KEY) == _ANGLES:
-            yield words.format("degrees")
+            report("degrees")
         elif any(keys.get(key, _METRE) != _METRE for key in _UNIT_KEYS):
-            yield words.format("a unit other than metres")
+            report("a unit other than metres")
         text = str(getattr(record, "string", "")).upper()
         if text.startswith(("GEOGCS", "GEOGCRS")):
-            yield words.format("degrees")
+            report("degrees")
         elif "FOOT" in text or "FEET" in text:
-            yield words.format("feet")
+            report("feet")

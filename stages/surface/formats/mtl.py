@@ -11,8 +11,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stages.diagnostics.collector import emit
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
+from stages.surface.codes import MESH_COMPANION_MISSING, MESH_LEFT_OUT
 from stages.surface.formats.textures import beside, read_texture, write_images
 from stages.surface.texture import Image, Material
 
@@ -53,24 +55,26 @@ def text_of(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def read_libraries(
-    folder: Path, libraries: Iterable[str], names: Iterable[str], notes: list[str]
-) -> tuple[Material, ...]:
-    """Return the materials of these names, each once, from the libraries an OBJ file in `folder` names.
+def read_libraries(path: Path, libraries: Iterable[str], names: Iterable[str]) -> tuple[Material, ...]:
+    """Return the materials of these names, each once, from the libraries that the OBJ file `path` names.
 
-    A library or an image that is missing gives a note. A material no library has is one of a name alone.
+    A library or an image that is missing gives a warning. A material no library has is one of a name alone.
     """
     statements: dict[str, list[str]] = {}
-    for library in _files(folder, libraries):
-        found = _statements(folder, library)
+    for library in _files(path.parent, libraries):
+        found = _statements(path.parent, library)
         if found is None:
-            notes.append(f"the material library {library} is missing or cannot be read")
+            emit(
+                MESH_COMPANION_MISSING.warning(
+                    "the material library {library} is missing or cannot be read", path, library=library
+                )
+            )
             continue
         for name, lines in found.items():
             statements.setdefault(name, lines)
     images: dict[str, Image | None] = {}
     return tuple(
-        _material(folder, name, statements[name], images, notes) if name in statements else Material(name)
+        _material(path, name, statements[name], images) if name in statements else Material(name)
         for name in dict.fromkeys(names)
     )
 
@@ -109,9 +113,7 @@ def _statements(folder: Path, library: str) -> dict[str, list[str]] | None:
     return found
 
 
-def _material(
-    folder: Path, name: str, lines: list[str], images: dict[str, Image | None], notes: list[str]
-) -> Material:
+def _material(path: Path, name: str, lines: list[str], images: dict[str, Image | None]) -> Material:
     diffuse: list[float] | None = None
     alpha = 1.0
     of_line: dict[str, Image] = {}
@@ -124,7 +126,7 @@ def _material(
             alpha = (_numbers(words[1:]) or [alpha])[0]
         elif words[0].startswith(_MAPS) and (found := _map(line)) is not None:
             if found.file not in images:
-                images[found.file] = read_texture(folder, found.file, notes)
+                images[found.file] = read_texture(path, found.file)
             image = images[found.file]
             if image is not None:
                 of_line[found.file] = image
@@ -132,7 +134,13 @@ def _material(
                 main = found
     image = of_line.get(main.file) if main else None
     if main and image and any(option in main.options for option in _PLACING):
-        notes.append(f"-o, -s and -t of the image {main.file} are kept, but colours are read without them")
+        emit(
+            MESH_LEFT_OUT.warning(
+                "-o, -s and -t of the image {image} are kept, but colours are read without them",
+                path,
+                image=main.file,
+            )
+        )
     color = None
     if image is None and diffuse is not None:
         color = (diffuse[0], diffuse[1], diffuse[2], min(max(alpha, 0.0), 1.0))

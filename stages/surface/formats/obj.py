@@ -14,12 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError, MeshError
 from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.files.text_numbers import parse_numbers, parse_whole_numbers
-from stages.surface.codes import MESH_FILE_DAMAGED
+from stages.surface.codes import (
+    MESH_FILE_DAMAGED,
+    MESH_LEFT_OUT,
+    MESH_TEXTURE_DAMAGED,
+    MESH_VALUES_REPLACED,
+)
 from stages.surface.formats.colors import to_uint8
 from stages.surface.formats.mtl import read_libraries, write_library
 from stages.surface.formats.obj_statements import NO_PART, Statements, sorted_statements, words_of_lines
@@ -41,7 +47,7 @@ def read_obj(path: Path | str) -> Mesh:
 
     Colours after the positions (0..1, or 0..255) are kept if every vertex has them. Normals are those of
     vertices if they agree at every vertex, else of corners. Materials come from the libraries that are there,
-    images as they are. `Mesh.notes` says what was changed, left out or missing.
+    images as they are. `Mesh.diagnostics` says what was changed, left out or missing.
 
     Raises
     ------
@@ -50,30 +56,35 @@ def read_obj(path: Path | str) -> Mesh:
     MeshError
         For a vertex that is not finite or an index out of range.
     """
-    path = Path(path)
+    with collecting() as diagnostics:
+        mesh = _read(Path(path))
+    return mesh.with_(diagnostics=tuple(diagnostics))
+
+
+def _read(path: Path) -> Mesh:
     try:
         data = content_of(path)
     except OSError as error:
         raise InputError(
             FILE_UNREADABLE, "cannot be read: {strerror}.", path, strerror=error.strerror
         ) from error
-    notes: list[str] = []
     statements = sorted_statements(data)
     if statements.others:
-        notes.append(f"{' and '.join(sorted(statements.others))} are left out")
+        others = " and ".join(sorted(statements.others))
+        emit(MESH_LEFT_OUT.warning("{others} are left out", path, others=others))
     try:
-        vertices, colors = _positions(statements.positions, notes)
+        vertices, colors = _positions(statements.positions, path)
         lengths, references = _references(statements.faces, statements.seen)
         uvs, _ = _rows(statements.uvs, 2)
         normals, _ = _rows(statements.normals, 3)
     except ValueError as error:
         raise InputError(MESH_FILE_DAMAGED, "cannot be parsed: {error}", path, error=error) from None
-    corners, source = split_polygons(lengths, references[:, 0], vertices, notes)
+    corners, source = split_polygons(lengths, references[:, 0], vertices, path)
     corner_references = references[corners]
     triangles: Any = corner_references[..., 0]  # 64 bits until the range is checked
     mesh = validated(Mesh(vertices, triangles, colors), str(path))
-    texture = _texture(corner_references[..., 1], uvs, source, statements, path.parent, notes)
-    of_vertices, of_corners = _normals(mesh, corner_references[..., 2], normals, notes)
+    texture = _texture(corner_references[..., 1], uvs, source, statements, path)
+    of_vertices, of_corners = _normals(mesh, corner_references[..., 2], normals, path)
     part_names = tuple(name for name in _used(statements.parts, len(lengths)) if name != NO_PART)
     return mesh.with_(
         normals=of_vertices,
@@ -81,19 +92,18 @@ def read_obj(path: Path | str) -> Mesh:
         texture=texture,
         part_ids=_ids(statements.parts, part_names, source) if part_names else None,
         part_names=part_names,
-        notes=tuple(notes),
     )
 
 
-def _positions(text: bytes, notes: list[str]) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+def _positions(text: bytes, path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
     table, counts = _rows(text, 3)
     if table.shape[1] in (6, 7):
         colors = table[:, -3:]
         if not np.isfinite(colors).all():
-            notes.append("colours that are not finite are taken as 0")
+            emit(MESH_VALUES_REPLACED.warning("colours that are not finite are taken as 0", path))
         return table[:, :3], to_uint8(colors)
     if (counts >= 6).any():
-        notes.append("colours are left out: some vertices have none")
+        emit(MESH_LEFT_OUT.warning("colours are left out: some vertices have none", path))
     return table[:, :3], None
 
 
@@ -159,7 +169,7 @@ def _references(text: bytes, seen: NDArray[np.int64]) -> tuple[NDArray[np.int64]
 
 
 def _normals(
-    mesh: Mesh, references: NDArray[np.int64], normals: NDArray[np.float64], notes: list[str]
+    mesh: Mesh, references: NDArray[np.int64], normals: NDArray[np.float64], path: Path
 ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
     """Return normals of the vertices, or of the corners where a vertex has several; 0 where one has none."""
     given = (references >= 0) & (references < len(normals))
@@ -169,7 +179,7 @@ def _normals(
     of_corners[~given] = 0
     finite = np.isfinite(of_corners).all(axis=2)
     if not finite.all():
-        notes.append("normals that are not finite are left out")
+        emit(MESH_LEFT_OUT.warning("normals that are not finite are left out", path))
         of_corners[~finite] = 0
     of_vertices = np.full((len(mesh.vertices), 3), np.nan)
     of_vertices[mesh.triangles] = of_corners
@@ -199,11 +209,10 @@ def _texture(
     uvs: NDArray[np.float64],
     source: NDArray[np.int64],
     statements: Statements,
-    folder: Path,
-    notes: list[str],
+    path: Path,
 ) -> Texture | None:
     names = _used(statements.materials, len(statements.seen))
-    materials = read_libraries(folder, statements.libraries, names, notes)
+    materials = read_libraries(path, statements.libraries, names)
     # A name of no library that stands for no material.
     materials = tuple(m for m in materials if m.kept is not None or m.name not in _NO_MATERIAL)
     names = tuple(material.name for material in materials)
@@ -218,8 +227,12 @@ def _texture(
     has_image = np.array([material.image is not None for material in materials] + [False])
     lost = np.count_nonzero(has_image[material_ids] & ~(given & finite)) or np.count_nonzero(~finite)
     if lost:
-        notes.append(
-            f"{lost:,} triangles lose their texture: their texture coordinates are missing or not finite"
+        emit(
+            MESH_TEXTURE_DAMAGED.warning(
+                "{count:,} triangles lose their texture: their texture coordinates are missing or not finite",
+                path,
+                count=lost,
+            )
         )
     return Texture(corner_uvs, material_ids, materials)
 

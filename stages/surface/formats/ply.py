@@ -12,9 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
-from stages.surface.codes import MESH_FILE_DAMAGED
+from stages.surface.codes import (
+    MESH_CONFIDENCE_LEFT_OUT,
+    MESH_FILE_DAMAGED,
+    MESH_LEFT_OUT,
+    MESH_VALUES_REPLACED,
+)
 from stages.surface.formats.colors import to_uint8
 from stages.surface.formats.ply_format import Header, Lists, Table, read_tables
 from stages.surface.formats.ply_texture import (
@@ -27,8 +33,6 @@ from stages.surface.formats.ply_texture import (
 from stages.surface.formats.polygons import split_polygons
 from stages.surface.mesh import Mesh, require_writable, validated
 
-# Told of a file that has it, where a command does not read it with `read_vertex_values`.
-CONFIDENCE_LOST = "the confidence of its vertices is left out: remesh carries it"
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 # Told of elsewhere, or used: by element, what it is called and its properties.
 _OF_VERTICES = ("x", "y", "z", "nx", "ny", "nz", "alpha", "a", "s", "t", "u", "v", "texture_u", "texture_v")
@@ -53,7 +57,7 @@ def read_ply(path: Path | str) -> Mesh:
     Polygons are split into triangles and triangle strips are unrolled; colours may be bytes or
     floats. Texture coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture, with the
     images the file names, as they are. A cloud is a mesh without triangles. Colours of faces, alpha,
-    and properties and elements of other names are left out; `Mesh.notes` says what was changed or lost.
+    and properties and elements of other names are left out; `Mesh.diagnostics` says what was changed or lost.
 
     Raises
     ------
@@ -62,38 +66,41 @@ def read_ply(path: Path | str) -> Mesh:
     MeshError
         For a vertex that is not finite or an index out of range.
     """
-    path = Path(path)
+    with collecting() as diagnostics:
+        mesh = _read(Path(path))
+    return mesh.with_(diagnostics=tuple(diagnostics))
+
+
+def _read(path: Path) -> Mesh:
     header, tables = read_tables(path)
     vertex = tables.get("vertex", {})
     vertices = _columns(vertex, ("x", "y", "z"))
     if vertices is None:
         raise InputError(MESH_FILE_DAMAGED, "has no element `vertex` with x, y and z.", path)
-    notes: list[str] = []
     face = tables.get("face", {})
     vertices = vertices.astype(np.float64)
-    corners, source, used = _polygons(face, vertices, notes)
+    corners, source, used = _polygons(face, vertices, path)
     triangles = used[corners] if len(used) else np.zeros((0, 3), np.int32)
     if _STRIPS in tables and len(triangles) == 0:
         triangles = _unrolled_strips(tables[_STRIPS])
     mesh = Mesh(
         vertices=vertices,
         triangles=triangles,
-        colors=_vertex_colors(vertex, notes),
-        normals=_normals(vertex, notes),
+        colors=_vertex_colors(vertex, path),
+        normals=_normals(vertex, path),
     )
     if any(name in face for name in ("red", "diffuse_red", "r")):
-        notes.append("colours of faces are left out; only colours of vertices are used")
-    _note_transparency(vertex, notes)
-    _note_others(header, notes)
+        emit(MESH_LEFT_OUT.warning("colours of faces are left out; only colours of vertices are used", path))
+    _report_transparency(vertex, path)
+    _report_others(header, path)
     mesh = validated(mesh, str(path))
-    texture = read_texture_of_ply(header, vertex, face, mesh.triangles, corners, source, path.parent, notes)
+    texture = read_texture_of_ply(header, vertex, face, mesh.triangles, corners, source, path)
     part_ids, part_names = read_parts(header, face, source, len(mesh.triangles))
     return mesh.with_(
         texture=texture,
         corner_normals=read_corner_normals(face, corners),
         part_ids=part_ids,
         part_names=part_names,
-        notes=tuple(notes),
     )
 
 
@@ -104,53 +111,64 @@ def _columns(table: Table, names: tuple[str, ...]) -> NDArray[Any] | None:
     return np.stack(columns, axis=1)  # type: ignore[arg-type]
 
 
-def _vertex_colors(vertex: Table, notes: list[str]) -> NDArray[np.uint8] | None:
+def _vertex_colors(vertex: Table, path: Path) -> NDArray[np.uint8] | None:
     for names in _COLORS:
         values = _columns(vertex, names)
         if values is not None:
             if not np.isfinite(values).all():
-                notes.append("colours that are not finite are taken as 0")
+                emit(MESH_VALUES_REPLACED.warning("colours that are not finite are taken as 0", path))
             return to_uint8(values)
     return None
 
 
-def _note_transparency(vertex: Table, notes: list[str]) -> None:
+def _report_transparency(vertex: Table, path: Path) -> None:
     for name in ("alpha", "a"):
         alpha = _columns(vertex, (name,))
         if alpha is None or not alpha.size:
             continue
         if alpha.min() < (255 if alpha.dtype.kind in "iu" else 1):
-            notes.append("the transparency of vertices is left out")
+            emit(MESH_LEFT_OUT.warning("the transparency of vertices is left out", path))
 
 
-def _note_others(header: Header, notes: list[str]) -> None:
-    """Say which elements, and properties of vertices and faces, are passed over."""
+def _report_others(header: Header, path: Path) -> None:
+    """Report which elements, and properties of vertices and faces, are passed over."""
     for element in header.elements:
         if element.count == 0 or element.name == _STRIPS:
             continue
         if element.name not in _READ:
-            notes.append(f"what the file has of {element.name!r} is left out")
+            emit(MESH_LEFT_OUT.warning("what the file has of {name!r} is left out", path, name=element.name))
             continue
         called, read = _READ[element.name]
         others = [one.name for one in element.properties if one.name not in read]
         if called == "vertices" and "confidence" in others:
             others.remove("confidence")
-            notes.append(CONFIDENCE_LOST)
+            emit(
+                MESH_CONFIDENCE_LEFT_OUT.warning(
+                    "the confidence of its vertices is left out: remesh carries it", path
+                )
+            )
         if others:
             more = f" and {len(others) - _NAMED:,} more" if len(others) > _NAMED else ""
-            notes.append(f"properties of its {called} are left out: {', '.join(others[:_NAMED])}{more}")
+            emit(
+                MESH_LEFT_OUT.warning(
+                    "properties of its {called} are left out: {names}",
+                    path,
+                    called=called,
+                    names=", ".join(others[:_NAMED]) + more,
+                )
+            )
 
 
-def _normals(vertex: Table, notes: list[str]) -> NDArray[np.float64] | None:
+def _normals(vertex: Table, path: Path) -> NDArray[np.float64] | None:
     normals = _columns(vertex, ("nx", "ny", "nz"))
     if normals is not None and not np.isfinite(normals).all():
-        notes.append("normals are left out: some are not finite")
+        emit(MESH_LEFT_OUT.warning("normals are left out: some are not finite", path))
         return None
     return normals
 
 
 def _polygons(
-    face: Table, vertices: NDArray[np.float64], notes: list[str]
+    face: Table, vertices: NDArray[np.float64], path: Path
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
     """Return what split_polygons does, and the vertex indices of all polygons, end to end."""
     lists = face.get("vertex_indices", face.get("vertex_index"))
@@ -158,7 +176,7 @@ def _polygons(
         nothing = np.zeros(0, np.int64)
         return nothing.reshape(0, 3), nothing, nothing
     indices = lists.values.astype(np.int64)
-    return (*split_polygons(lists.lengths, indices, vertices, notes), indices)
+    return (*split_polygons(lists.lengths, indices, vertices, path), indices)
 
 
 def _unrolled_strips(strips: Table) -> NDArray[np.int64]:

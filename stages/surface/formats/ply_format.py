@@ -300,7 +300,12 @@ def _require_size(header: Header, size: int) -> None:
         promised = ", ".join(f"{e.count:,} × {e.name}" for e in header.elements)
         raise _MalformedError(
             MESH_FILE_DAMAGED,
-            f"its header promises {promised}, at least {needed:,} bytes, but only {size:,} follow; {_DAMAGED}",
+            "its header promises {promised}, at least {needed:,} bytes, but only {size:,} follow; "
+            "the file is damaged or cut short",
+            remedy="get a whole copy of it.",
+            promised=promised,
+            needed=needed,
+            size=size,
         )
 
 

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.surface.codes import MESH_TEXTURE_DAMAGED
 from stages.surface.formats.ply_format import Header, Lists, Table
 from stages.surface.formats.textures import read_texture, write_images
 from stages.surface.texture import WRAPS, Image, Material, Texture
@@ -34,8 +36,7 @@ def read_texture_of_ply(
     triangles: Ids,
     corners: NDArray[np.int64],
     source: NDArray[np.int64],
-    folder: Path,
-    notes: list[str],
+    path: Path,
 ) -> Texture | None:
     """Return the texture; None if the file has neither coordinates nor materials.
 
@@ -51,9 +52,15 @@ def read_texture_of_ply(
     finite = np.isfinite(uvs).all(axis=(1, 2))
     if not finite.all():
         lost = np.count_nonzero(~finite)
-        notes.append(f"{lost:,} triangles lose their texture: their texture coordinates are not finite")
+        emit(
+            MESH_TEXTURE_DAMAGED.warning(
+                "{count:,} triangles lose their texture: their texture coordinates are not finite",
+                path,
+                count=lost,
+            )
+        )
         uvs[~finite] = 0
-    images = [(name, read_texture(folder, name, notes)) for name in names]
+    images = [(name, read_texture(path, name)) for name in names]
     materials = _own_materials(header, images)
     ids = _of_triangles(face, "material_index", source, len(materials), count)
     if ids is None:

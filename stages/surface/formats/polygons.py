@@ -13,6 +13,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Location
+from stages.surface.codes import MESH_LEFT_OUT, MESH_POLYGONS_NOT_SIMPLE, MESH_POLYGONS_SPLIT
+
 # Below this share of the polygon's area a triangle counts as flat, and areas count as equal.
 _NO_AREA = 1e-10
 _SAME_AREA = 1e-6
@@ -22,17 +26,18 @@ Points = NDArray[np.float64]
 
 
 def split_polygons(
-    lengths: Indices, indices: Indices, vertices: Points, notes: list[str]
+    lengths: Indices, indices: Indices, vertices: Points, where: Location
 ) -> tuple[Indices, Indices]:
     """Split polygons into triangles that turn as the polygons do.
+
+    Polygons that are split, cross themselves, have no area or have too few corners are reported.
 
     Parameters
     ----------
     lengths : (p,) the number of corners of each polygon.
     indices : (c,) the vertex of each corner, all polygons end to end; may be out of range.
     vertices : (n, 3) float64.
-    notes : gets a sentence if polygons were split, cross themselves or have no area, or are left out for
-        want of corners.
+    where : file that diagnostics begin with.
 
     Returns
     -------
@@ -47,15 +52,23 @@ def split_polygons(
     first = (np.cumsum(lengths) - lengths)[source]
     corners = np.stack((first, first + within + 1, first + within + 2), axis=1)
     if (fan > 1).any():
-        notes.append(f"{np.count_nonzero(fan > 1):,} polygons were split into triangles")
-        _cut_concave(corners, source, fan, indices, vertices, notes)
+        split_count = np.count_nonzero(fan > 1)
+        emit(
+            MESH_POLYGONS_SPLIT.info("{count:,} polygons were split into triangles", where, count=split_count)
+        )
+        _cut_concave(corners, source, fan, indices, vertices, where)
     if (fan == 0).any():
-        notes.append(f"{np.count_nonzero(fan == 0):,} faces of fewer than three corners are left out")
+        left_out = np.count_nonzero(fan == 0)
+        emit(
+            MESH_LEFT_OUT.warning(
+                "{count:,} faces of fewer than three corners are left out", where, count=left_out
+            )
+        )
     return corners, source
 
 
 def _cut_concave(
-    corners: Indices, source: Indices, fan: Indices, indices: Indices, vertices: Points, notes: list[str]
+    corners: Indices, source: Indices, fan: Indices, indices: Indices, vertices: Points, where: Location
 ) -> None:
     """Replace, in place, the fans that turn back on themselves."""
     split = np.flatnonzero((fan > 1)[source])
@@ -82,7 +95,13 @@ def _cut_concave(
         else:
             corners[rows] = start + triangles
     if left:
-        notes.append(f"{left:,} of them cross themselves or have no area, and were split as if convex")
+        emit(
+            MESH_POLYGONS_NOT_SIMPLE.warning(
+                "{count:,} polygons cross themselves or have no area, and were split as if convex",
+                where,
+                count=left,
+            )
+        )
 
 
 def _cut_quads(corners: Indices, first: Indices, normal: Points, indices: Indices, vertices: Points) -> int:

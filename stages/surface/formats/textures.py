@@ -7,9 +7,11 @@ import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+from stages.diagnostics.collector import emit
 from stages.files.image_bytes import kind_of
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
+from stages.surface.codes import MESH_COMPANION_MISSING, MESH_TEXTURE_DAMAGED
 from stages.surface.texture import Image
 
 # Bytes that file systems take; some are for what is put before or after.
@@ -39,19 +41,27 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def read_texture(folder: Path, name: str, notes: list[str]) -> Image | None:
-    """Return the image file that a mesh file in `folder` names, its bytes as they are.
+def read_texture(path: Path, name: str) -> Image | None:
+    """Read the image file that the mesh file `path` names, its bytes as they are.
 
-    A missing file and one that is no image give None and a note.
+    A missing file and one that is no image give None and a warning.
     """
-    file = beside(folder, name)
+    file = beside(path.parent, name)
     try:
         data = content_of(file)
     except (OSError, ValueError):
-        notes.append(f"the texture image {name} is missing or cannot be read")
+        emit(
+            MESH_COMPANION_MISSING.warning(
+                "the texture image {name} is missing or cannot be read", path, name=name
+            )
+        )
         return None
     if not kind_of(data, file.name)[0]:
-        notes.append(f"the texture image {name} is of no known kind or damaged")
+        emit(
+            MESH_TEXTURE_DAMAGED.warning(
+                "the texture image {name} is of no known kind or damaged", path, name=name
+            )
+        )
         return None
     return Image(file.name, data)
 

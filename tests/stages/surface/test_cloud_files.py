@@ -32,7 +32,7 @@ def test_points_and_colours_come_back(name: str, made: Mesh, tmp_path: Path) -> 
     path = write_cloud(tmp_path / name.lower(), made, FAR).rename(tmp_path / name)
     read = read_cloud(path)
     assert len(read.triangles) == 0
-    assert read.notes == ()
+    assert read.diagnostics == ()
     np.testing.assert_allclose(read.vertices, made.vertices, atol=5.1e-5, rtol=0)
     np.testing.assert_array_equal(read.colors, made.colors)
     assert read.up == (None if name == "a.ply" else (0, 0, 1))
@@ -50,8 +50,8 @@ def test_what_las_says_of_its_points_counts(made: Mesh, tmp_path: Path) -> None:
     read = read_cloud(tmp_path / "a.las")
     assert len(read.vertices) == len(made.vertices) - 7
     assert read.colors is None
-    assert any("7 points are left out" in note for note in read.notes)
-    assert any("all of them are 0" in note for note in read.notes)
+    assert any("7 points are left out" in one.message for one in read.diagnostics)
+    assert any("all of them are 0" in one.message for one in read.diagnostics)
 
 
 def test_colours_of_8_bits_and_coordinates_in_feet_are_known(made: Mesh, tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_colours_of_8_bits_and_coordinates_in_feet_are_known(made: Mesh, tmp_pat
     data.write(str(tmp_path / "a.las"))
     read = read_cloud(tmp_path / "a.las")
     np.testing.assert_array_equal(read.colors, made.colors)
-    assert any("in feet" in note for note in read.notes)
+    assert any("in feet" in one.message for one in read.diagnostics)
 
 
 def test_e57_in_directions_and_distances(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_e57_in_directions_and_distances(tmp_path: Path) -> None:
     turned = places[4:, [0, 2, 1]] * (1, -1, 1) + (10, 20, 30)
     np.testing.assert_allclose(read.vertices[:46], turned, atol=2e-7)
     np.testing.assert_allclose(read.vertices[46:], places + np.array((10, 0, 0)), atol=1e-5)
-    assert any("4 points are left out" in note for note in read.notes)
+    assert any("4 points are left out" in one.message for one in read.diagnostics)
 
 
 def test_a_mesh_gives_its_vertices_and_stays_one_where_either_may_be(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_a_damaged_file_is_one_sentence(name: str, how: str, made: Mesh, tmp_pat
 def test_damage_that_has_no_check_sum_is_seen_by_where_points_are(made: Mesh, tmp_path: Path) -> None:
     path = write_cloud(tmp_path / "a.las", made, FAR)
     path.write_bytes(damaged(bytearray(path.read_bytes()), "noise"))
-    assert any("it may be damaged" in note for note in read_cloud(path).notes)
+    assert any("it may be damaged" in one.message for one in read_cloud(path).diagnostics)
 
 
 def test_what_is_missing_or_no_cloud_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,15 +2,16 @@
 
 import subprocess
 import sys
-import warnings
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from varied_meshes import varied_meshes
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import MeshError
 from stages.surface import convert
+from stages.surface.codes import MESH_CONVERSION_LOSS
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
@@ -98,7 +99,7 @@ def test_open3d_finds_texture_rows_where_its_own_reader_puts_them(shared_data):
     from stages.surface.formats.textures import read_texture
 
     folder = shared_data / "meshes" / "fuze"
-    image = read_texture(folder, "fuze uv.jpg", []).pixels
+    image = read_texture(folder / "fuze.obj", "fuze uv.jpg").pixels
     read = open3d().io.read_triangle_mesh(str(folder / "fuze.obj"), True)
     np.testing.assert_array_equal(convert.as_mesh(read).texture.images[0].pixels, image)
     # Before 0.20 its tensor reader leaves textures of OBJ files out.
@@ -186,15 +187,14 @@ def test_colors_of_faces_are_told():
     mesh.visual.face_colors = [255, 0, 0, 255]
     converted = convert.as_mesh(mesh)
     assert converted.colors is None
-    assert "faces" in converted.notes[0]
+    assert str(converted.diagnostics[0]).startswith("mesh: colours of faces are left out")
 
 
 def converted(way, mesh: Mesh) -> tuple[Mesh, str]:
     """Return a mesh after a round trip, and the text of the warning about losses."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", convert.ConversionWarning)
+    with collecting() as found:
         back = convert.as_mesh(way(mesh))
-    losses = [str(one.message) for one in caught if one.category is convert.ConversionWarning]
+    losses = [str(one) for one in found if one.code == MESH_CONVERSION_LOSS.name]
     assert len(losses) <= 1
     return back, "".join(losses)
 
@@ -361,7 +361,7 @@ def test_trimesh_images_beside_the_base_colour_are_reported():
         uv=np.random.default_rng(0).random((len(box.vertices), 2)),
         material=trimesh.visual.material.PBRMaterial(baseColorTexture=image, normalTexture=image),
     )
-    assert any("normalTexture" in note for note in convert.as_mesh(box).notes)
+    assert any("normalTexture" in one.message for one in convert.as_mesh(box).diagnostics)
 
 
 def test_transparent_vertex_colours_are_reported():
@@ -369,4 +369,4 @@ def test_transparent_vertex_colours_are_reported():
 
     box = trimesh.creation.box()
     box.visual.vertex_colors = np.full((len(box.vertices), 4), 100, np.uint8)
-    assert any("transparency" in note for note in convert.as_mesh(box).notes)
+    assert any("transparency" in one.message for one in convert.as_mesh(box).diagnostics)

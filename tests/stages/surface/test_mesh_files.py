@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from stages.diagnostics.errors import InputError, MeshError, UsageError
 from stages.surface.formats.obj import read_obj
-from stages.surface.formats.ply import CONFIDENCE_LOST
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import EXTENSIONS, lost_with, read_mesh, write_mesh
 from stages.surface.texture import Image, Material, Texture
@@ -262,22 +261,24 @@ def test_a_mesh_of_nothing_is_written_in_every_format(tmp_path, extension):
         read_mesh(tmp_path / f"nothing{extension}")
 
 
-def _notes_of(tmp_path, name, text):
+def _messages_of(tmp_path, name, text):
     path = tmp_path / name
     path.write_text(text)
-    return read_mesh(path).notes
+    mesh = read_mesh(path)
+    assert all(str(one) == f"{path}: {one.message}" for one in mesh.diagnostics)
+    return tuple(one.message for one in mesh.diagnostics)
 
 
 def test_what_a_reader_passes_over_is_told(tmp_path):
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-    assert _notes_of(tmp_path, "a.obj", triangle) == ()
-    assert _notes_of(tmp_path, "b.obj", triangle + "l 1 2\np 3\n") == ("lines and points are left out",)
+    assert _messages_of(tmp_path, "a.obj", triangle) == ()
+    assert _messages_of(tmp_path, "b.obj", triangle + "l 1 2\np 3\n") == ("lines and points are left out",)
     head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     more = "property float quality\nproperty float confidence\nelement face 1\n"
     faces = "property list uchar int vertex_indices\nproperty int label\nelement edge 1\nproperty int a\n"
     rows = "end_header\n0 0 0 1 1\n1 0 0 1 1\n0 1 0 1 1\n3 0 1 2 7\n5\n"
-    assert _notes_of(tmp_path, "a.ply", head + more + faces + rows) == (
-        CONFIDENCE_LOST,
+    assert _messages_of(tmp_path, "a.ply", head + more + faces + rows) == (
+        "the confidence of its vertices is left out: remesh carries it",
         "properties of its vertices are left out: quality",
         "properties of its faces are left out: label",
         "what the file has of 'edge' is left out",
@@ -285,18 +286,18 @@ def test_what_a_reader_passes_over_is_told(tmp_path):
     rows = "vertex {0} 0 0\nvertex {1} 0 0\nvertex 0 {1} 0\n"
     facet = f"facet normal 0 0 1\nouter loop\n{rows}endloop\nendfacet\n"
     solids = "".join(f"solid s{i}\n{facet.format(i, i + 1)}endsolid s{i}\n" for i in range(2))
-    assert _notes_of(tmp_path, "a.stl", solids) == (
+    assert _messages_of(tmp_path, "a.stl", solids) == (
         "the names of its 2 solids are left out: they become one mesh",
     )
 
 
 def test_numbers_behind_the_rows_of_an_off_file_are_told(tmp_path):
     plain = "OFF # one\n\n3 1 0\n0 0 0\n1 0 0 # b\n0 1 0\n3 0 1 2\n"
-    assert _notes_of(tmp_path, "a.off", plain) == ()
-    assert _notes_of(tmp_path, "b.off", plain.replace("1 2\n", "1 2 255 0 0\n")) == (
+    assert _messages_of(tmp_path, "a.off", plain) == ()
+    assert _messages_of(tmp_path, "b.off", plain.replace("1 2\n", "1 2 255 0 0\n")) == (
         "numbers behind its faces, such as colours, are left out",
     )
-    assert _notes_of(tmp_path, "c.off", "C" + plain.replace("0 1 0\n", "0 1 0 9 9 9 255\n")) == (
+    assert _messages_of(tmp_path, "c.off", "C" + plain.replace("0 1 0\n", "0 1 0 9 9 9 255\n")) == (
         "numbers behind its vertices, such as colours, are left out",
     )
 
@@ -310,12 +311,12 @@ def test_off_in_its_binary_form_is_not_called_damaged(tmp_path):
 def test_numbers_beside_the_triangles_of_a_binary_stl_are_told(tmp_path):
     write_mesh(tmp_path / "plain.stl", cube())
     data = bytearray((tmp_path / "plain.stl").read_bytes())
-    assert read_mesh(tmp_path / "plain.stl").notes == ()
+    assert read_mesh(tmp_path / "plain.stl").diagnostics == ()
     data[84 + 48 : 84 + 50] = (31).to_bytes(2, "little")
     (tmp_path / "red.stl").write_bytes(bytes(data))
-    assert read_mesh(tmp_path / "red.stl").notes == (
+    assert [one.message for one in read_mesh(tmp_path / "red.stl").diagnostics] == [
         "numbers beside triangles, which some programs take for colours, are left out",
-    )
+    ]
 
 
 def test_what_a_format_of_the_shape_alone_loses():

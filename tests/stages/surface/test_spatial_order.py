@@ -88,7 +88,7 @@ def test_what_is_no_manifold_is_split_in_the_given_rows(scattered):
     broken = scattered.with_(triangles=np.concatenate([scattered.triangles, extra[None]]))
     assert is_scattered(broken)
     light = simplify(broken, ratio=0.05)
-    assert any("split into sheets" in note for note in light.mesh.notes)
+    assert any("split into sheets" in str(one) for one in light.diagnostics)
     # Where the sheets touch they stay, under the numbers that were given.
     ends = np.isin(light.vertex_source, extra[:2])
     assert set(light.vertex_source[ends]) == set(extra[:2])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stages.diagnostics.collector import collecting
 from stages.surface.mesh import Mesh
 from stages.surface.upright import up_of_place, up_of_surface
 
@@ -71,7 +72,7 @@ def test_what_is_known_is_taken_where_the_scan_agrees() -> None:
     tilt = Rotation.from_euler("xyz", (0, 4, 0), degrees=True).apply((0, 0, 1))
     found = up_of_place(room(0.8), looking(), (tilt, "gravity of the IMU"))
     np.testing.assert_array_equal(found.direction, tilt)
-    assert (found.source, found.warnings) == ("gravity of the IMU", ())
+    assert found.source == "gravity of the IMU"
     # An axis that is within a degree is meant.
     near = Rotation.from_euler("xyz", (0.5, 0.5, 0), degrees=True).apply((0, 0, 1))
     np.testing.assert_array_equal(up_of_place(room(0.8), looking(), (near, "known")).direction, (0, 0, 1))
@@ -80,20 +81,22 @@ def test_what_is_known_is_taken_where_the_scan_agrees() -> None:
 @pytest.mark.parametrize("known", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
 def test_what_is_known_is_taken_and_doubted_where_nothing_agrees(known: tuple[float, float, float]) -> None:
     # Turned about by more than a half, so that no side of the images always looks one way.
-    found = up_of_place(room(0.8), looking(across=300), (known, "layout other: wrong"))
+    with collecting() as diagnostics:
+        found = up_of_place(room(0.8), looking(across=300), (known, "layout other: wrong"))
     np.testing.assert_array_equal(found.direction, known)
-    (said,) = found.warnings
+    (doubt,) = diagnostics
     off = 180 if known[2] else 90
-    assert said.startswith(
+    assert str(doubt) == (
         f"what is up is taken from layout other: wrong, but cameras were held as if it were {off}° off that, "
-        f"and most of the surface near that looks {off}° off it"
+        f"and most of the surface near that looks {off}° off it; upright.up=AXIS states it"
     )
 
 
 @pytest.mark.parametrize("roll", [90, -90])
 def test_a_phone_held_in_portrait_is_no_doubt(roll: float) -> None:
-    found = up_of_place(room(0.8), looking(roll=roll), ((0.0, 0.0, 1.0), "layout polycam: y up"))
-    assert found.warnings == ()
+    with collecting() as diagnostics:
+        up_of_place(room(0.8), looking(roll=roll), ((0.0, 0.0, 1.0), "layout polycam: y up"))
+    assert diagnostics == []
     # Without that knowledge its side is up.
     assert up_of_place(room(0.8), looking(roll=roll)).direction @ (0, 0, 1) < 0.5
 

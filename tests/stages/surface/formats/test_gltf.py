@@ -193,15 +193,15 @@ def test_materials_textures_and_their_rest(tmp_path):
     assert blue.base_color == (0, 0, 1, 1)
     # Scaled to (2, 3), turned counter-clockwise in an image with v down, moved; then v up.
     np.testing.assert_allclose(mesh.texture.uvs[0], [(0.5, 1), (0.5, 3), (3.5, 1)], atol=1e-12)
-    notes = " ".join(mesh.notes)
+    messages = " ".join(one.message for one in mesh.diagnostics)
     for word in ("gone.png", "normalTexture", "clearcoatTexture", "TEXCOORD_1"):
-        assert word in notes
+        assert word in messages
 
     for name in ("again.glb", "a gain.gltf"):
         (tmp_path / "out").mkdir(exist_ok=True)
         write_gltf(tmp_path / "out" / name, mesh)
         back = read_gltf(tmp_path / "out" / name)
-        assert back.notes == ()
+        assert back.diagnostics == ()
         assert_same(back, mesh)
         tree = json_of(tmp_path / "out" / name)
         written = tree["materials"][0]
@@ -331,7 +331,7 @@ def test_what_no_standard_knows_of_a_material_goes_no_further(tmp_path):
     strange = {"normalTexture": {"scale": "not a number"}, "someday": {"index": 3}}
     kept = {"name": "a", "doubleSided": True, "extras": {"own": 1}}
     mesh = make.read(tmp_path, materials=[{**strange, **kept}])
-    assert any("normalTexture of material 'a' is left out" in note for note in mesh.notes)
+    assert any("normalTexture of material 'a' is left out" in one.message for one in mesh.diagnostics)
     write_gltf(tmp_path / "a.glb", mesh)
     (material,) = json_of(tmp_path / "a.glb")["materials"]
     assert {name: material.pop(name) for name in kept} == kept
@@ -443,7 +443,7 @@ def test_what_is_no_triangle_is_told(tmp_path):
     )
     mesh = make.read(tmp_path)
     assert len(mesh.triangles) == 2
-    assert mesh.notes == ("points and lines are left out",)
+    assert [one.message for one in mesh.diagnostics] == ["points and lines are left out"]
 
 
 def test_what_a_file_has_beside_its_meshes_is_told(tmp_path):
@@ -453,7 +453,7 @@ def test_what_a_file_has_beside_its_meshes_is_told(tmp_path):
     lights = {"KHR_lights_punctual": {"lights": []}}
     camera = {"type": "perspective", "perspective": {"yfov": 1, "znear": 1}}
     mesh = make.read(tmp_path, extensions=lights, cameras=[camera])
-    assert mesh.notes == (
+    assert tuple(one.message for one in mesh.diagnostics) == (
         "cameras are left out",
         "what the file has of KHR_lights_punctual is left out",
         "attributes _FEATURE_ID_0 are left out",

@@ -115,7 +115,7 @@ def test_coordinates_may_be_in_steps_of_texels(tmp_path, way, steps):
     # The image has 32 × 32 texels.
     assert given["KHR_texture_transform"]["scale"] == [1 / (32 * steps)] * 2
     back = read_mesh(tmp_path / "a.glb")
-    assert back.notes == ()
+    assert back.diagnostics == ()
 
     def placed(one):
         rows = np.concatenate([one.vertices[one.triangles], one.texture.uvs], axis=2).reshape(-1, 5)

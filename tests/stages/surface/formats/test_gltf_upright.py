@@ -66,7 +66,7 @@ def test_a_file_comes_back_in_the_axes_of_its_scan_to_the_bit(tmp_path, suffix, 
     np.testing.assert_array_equal(back.vertices, mesh.vertices)
     np.testing.assert_array_equal(back.triangles, mesh.triangles)
     np.testing.assert_allclose(back.up, np.array(up) / np.linalg.norm(up), atol=1e-12)
-    assert back.notes == ()
+    assert back.diagnostics == ()
     # And so again: nothing wanders.
     write_mesh(tmp_path / f"b{suffix}", back)
     np.testing.assert_array_equal(read_mesh(tmp_path / f"b{suffix}").vertices, mesh.vertices)
@@ -109,7 +109,7 @@ def test_a_turn_that_is_none_is_told_and_left_out(tmp_path, given):
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     back = read_mesh(tmp_path / "a.gltf")
     assert back.up is None
-    assert any("scan_from_world" in note for note in back.notes)
+    assert any("scan_from_world" in one.message for one in back.diagnostics)
     # As the file places it.
     np.testing.assert_allclose(back.vertices, sheet().vertices * (1, -1, -1))
 

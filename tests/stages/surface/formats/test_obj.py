@@ -5,6 +5,8 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
+from stages.diagnostics.collector import collecting
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import encoded_png
 from stages.surface.convert import with_vertex_colors
@@ -82,7 +84,7 @@ def test_materials_groups_and_polygons(folder):
     assert mesh.part_ids.tolist() == [0, 0, 1, 1, 2]
     assert mesh.normals is None
     assert mesh.corner_normals[:, 0, 2].tolist() == [1, 1, -1, 0, 0]
-    assert mesh.notes == (
+    assert tuple(one.message for one in mesh.diagnostics) == (
         "1 polygons were split into triangles",
         "the material library none.mtl is missing or cannot be read",
         "-o, -s and -t of the image my wall.png are kept, but colours are read without them",
@@ -180,7 +182,7 @@ def test_an_image_that_cannot_be_read_leaves_the_rest(folder, kind):
     wall = mesh.texture.materials[0]
     assert wall.image is None
     assert wall.base_color == (0.8, 0.8, 0.8, 1)
-    assert any("my wall.png" in note for note in mesh.notes)
+    assert any("my wall.png" in one.message for one in mesh.diagnostics)
     write_obj(folder / "out.obj", mesh)
     assert "map_Kd -s 1 1 1 -clamp on my wall.png" in (folder / "out.mtl").read_text()
 
@@ -189,8 +191,10 @@ def test_an_image_that_cannot_be_decoded_passes_through(folder):
     damaged = RED[:40] + bytes(60)
     (folder / "my wall.png").write_bytes(damaged)
     mesh = read_obj(folder / "made.obj")
-    colored = with_vertex_colors(mesh)
-    assert any("my wall.png cannot be decoded" in note for note in colored.notes)
+    with collecting() as found:
+        with_vertex_colors(mesh)
+    assert any("my wall.png cannot be decoded" in str(one) for one in found)
+    assert [one.severity for one in found] == [Severity.WARNING]
     (folder / "out").mkdir()
     write_obj(folder / "out" / "made.obj", mesh)
     assert (folder / "out" / "my wall.png").read_bytes() == damaged
@@ -202,7 +206,7 @@ def test_coordinates_that_are_no_numbers(tmp_path):
     mesh = read_obj(path)
     assert mesh.texture.has_uvs().tolist() == [False, True]
     assert mesh.texture.uvs[1].tolist() == [[0, 1], [0, 1], [1, 1]]  # no area, and kept
-    assert "1 triangles lose their texture" in mesh.notes[0]
+    assert "1 triangles lose their texture" in mesh.diagnostics[0].message
 
 
 def test_several_libraries_in_one_statement(tmp_path):
@@ -216,7 +220,7 @@ def test_several_libraries_in_one_statement(tmp_path):
     ):
         (tmp_path / "m.obj").write_text(f"{statement}\n{start}")
         mesh = read_obj(tmp_path / "m.obj")
-        assert mesh.notes == ()
+        assert mesh.diagnostics == ()
         assert [m.base_color for m in mesh.texture.materials] == [(1, 0, 0, 1), (0, 1, 0, 1)]
 
 

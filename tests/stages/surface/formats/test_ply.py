@@ -89,7 +89,7 @@ def test_texture_round_trip(tmp_path):
     back = read_ply(tmp_path / "mesh.ply")
     np.testing.assert_array_equal(back.texture.uvs, texture.uvs)
     assert len(back.texture.images) == 1
-    assert "mesh_1.png" in back.notes[0]
+    assert "mesh_1.png" in back.diagnostics[0].message
 
 
 def test_other_programs_read_what_is_written(tmp_path):
@@ -154,9 +154,9 @@ def test_all_encodings_with_mixed_polygons_and_strange_columns(tmp_path, encodin
     assert mesh.vertices[0].tolist() == [0.1, 0, 0]
     assert mesh.colors[:, 0].tolist() == [10, 11, 12, 13, 14]
     assert mesh.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [4, 3, 2], [0, 1, 2], [0, 2, 3], [0, 3, 4]]
-    assert mesh.notes == (
+    assert tuple(one.message for one in mesh.diagnostics) == (
         "2 polygons were split into triangles",
-        "1 of them cross themselves or have no area, and were split as if convex",
+        "1 polygons cross themselves or have no area, and were split as if convex",
         "1 faces of fewer than three corners are left out",
         "what the file has of 'marker' is left out",
         "properties of its vertices are left out: quality",
@@ -197,7 +197,7 @@ def test_colors_of_all_types(make, kind, written, read):
     header = f"element vertex 1\n{XYZ}" + "".join(f"property {kind} {c}\n" for c in ("red", "green", "blue"))
     mesh = read_ply(make(header, f"0 0 0 {' '.join(map(str, written))}\n".encode()))
     assert mesh.colors.tolist() == [list(read)]
-    assert bool(mesh.notes) == ("nan" in written)
+    assert bool(mesh.diagnostics) == ("nan" in written)
 
 
 def test_texture_coordinates_per_vertex(make):
@@ -212,8 +212,8 @@ def test_colors_of_faces_and_odd_normals_are_told(make):
     header = f"element vertex 3\n{XYZ}{normals}element face 1\n{FACE}property uchar red\n"
     mesh = read_ply(make(header, b"0 0 0 nan 0 1 1 0 0 0 0 1 0 1 0 0 0 1 3 0 1 2 9"))
     assert mesh.normals is None
-    assert any("normals" in note for note in mesh.notes)
-    assert any("faces" in note for note in mesh.notes)
+    assert any("normals" in one.message for one in mesh.diagnostics)
+    assert any("faces" in one.message for one in mesh.diagnostics)
 
 
 FOUR_BILLION = 4_294_967_296
@@ -441,7 +441,7 @@ def test_coordinates_of_vertices_and_a_missing_image(tmp_path, names):
     assert mesh.texture.uvs[0].tolist() == [[0, 0], [-3.5, 0.1], [1, 1]]
     assert mesh.texture.has_uvs().tolist() == [True, False]
     assert [(m.name, m.image) for m in mesh.texture.materials] == [("my wall.png", None)]
-    assert mesh.notes == (
+    assert tuple(one.message for one in mesh.diagnostics) == (
         "1 triangles lose their texture: their texture coordinates are not finite",
         "the texture image my wall.png is missing or cannot be read",
     )
@@ -470,4 +470,4 @@ def test_what_scanloom_measured_of_a_mesh_is_passed_over_without_a_word(tmp_path
     names = (*covering.VALUES, deviations.PROPERTY)
     faces = {name: np.zeros(1) for name in ("shape_bound", "color_bound", "patch")}
     write_ply(tmp_path / "measured.ply", mesh, faces, {name: np.zeros(3) for name in names})
-    assert read_ply(tmp_path / "measured.ply").notes == ()
+    assert read_ply(tmp_path / "measured.ply").diagnostics == ()

@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 
+from stages.diagnostics.collector import collecting
+from stages.diagnostics.diagnostic import Diagnostic, Severity
 from stages.surface.formats.polygons import split_polygons
 
 
-def split(ring) -> tuple[np.ndarray, list[str]]:
+def split(ring) -> tuple[np.ndarray, list[Diagnostic]]:
     points = np.array(ring, float)
     if points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
-    notes: list[str] = []
-    corners, source = split_polygons(np.array([len(ring)]), np.arange(len(ring)), points, notes)
+    with collecting() as diagnostics:
+        corners, source = split_polygons(np.array([len(ring)]), np.arange(len(ring)), points, "a.ply")
     assert (source == 0).all()
-    return corners, notes
+    return corners, diagnostics
 
 
 def signed_areas(ring, corners) -> np.ndarray:
@@ -47,7 +49,7 @@ def star(count: int) -> list[tuple[float, float]]:
 @pytest.mark.parametrize("turned", [False, True])
 def test_triangles_cover_the_polygon_once(ring, area, turned):
     ring = ring[::-1] if turned else ring
-    corners, notes = split(ring)
+    corners, diagnostics = split(ring)
     areas = signed_areas(ring, corners)
     x, y = np.array(ring, float).T
     whole = 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
@@ -59,7 +61,8 @@ def test_triangles_cover_the_polygon_once(ring, area, turned):
     # Each side of the polygon is a side of one triangle, in the same direction.
     sides = {(a, b) for t in corners.tolist() for a, b in zip(t, np.roll(t, -1).tolist(), strict=True)}
     assert {(k, (k + 1) % len(ring)) for k in range(len(ring))} <= sides
-    assert notes == ["1 polygons were split into triangles"]
+    assert [str(one) for one in diagnostics] == ["a.ply: 1 polygons were split into triangles"]
+    assert diagnostics[0].severity == Severity.INFO
 
 
 def test_the_plane_of_a_polygon_may_lie_anywhere():
@@ -82,15 +85,18 @@ def test_the_plane_of_a_polygon_may_lie_anywhere():
     ],
 )
 def test_what_crosses_itself_or_has_no_area_is_split_as_if_convex(ring):
-    corners, notes = split(ring)
+    corners, diagnostics = split(ring)
     assert corners.tolist() == [[0, k, k + 1] for k in range(1, len(ring) - 1)]
-    assert notes[1].startswith("1 of them cross themselves or have no area")
+    assert diagnostics[1].message.startswith("1 polygons cross themselves or have no area")
+    assert diagnostics[1].severity == Severity.WARNING
 
 
 def test_indices_out_of_range_are_left_to_the_caller():
-    corners, _ = split_polygons(np.array([4]), np.array([0, 1, 7, 2]), np.eye(3), [])
+    with collecting():
+        corners, _ = split_polygons(np.array([4]), np.array([0, 1, 7, 2]), np.eye(3), "mesh")
     assert len(corners) == 2
     # Beside a quad that is concave at corner 3.
     points = np.array([(0, 0, 0), (2, 0, 0), (2, 2, 0), (1.5, 0.5, 0)])
-    corners, _ = split_polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 0, 1, 9]), points, [])
+    with collecting():
+        corners, _ = split_polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 0, 1, 9]), points, "mesh")
     assert sorted(map(sorted, corners.tolist())) == [[0, 1, 3], [1, 2, 3], [4, 5, 6]]
