@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Where
+from stages.stereo.codes import DEPTH_NETWORK_NO_EFFECT, DEPTH_NETWORK_SIDECAR_INVALID
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.filling import filled_with
@@ -93,21 +96,25 @@ def network_disparity(
     return np.where(matched, found.left, np.float32(np.nan)), trust
 
 
-def warnings_of(network: Network, trust: NDArray[np.uint8]) -> tuple[str, ...]:
-    """Say what is odd about what a network of pairs found, by its confidence."""
-    if np.count_nonzero(trust) >= _AGREEING * trust.size:
-        return ()
-    return (
-        f"by {network.file.name} left and right agree on next to nothing; look at unit, sign, range and "
-        "inputs of its sidecar, or have it guessed: scanloom probe",
-    )
+def report_agreement(network: Network, trust: NDArray[np.uint8]) -> None:
+    """Warn if left and right hardly agree by a network of pairs, as its confidence shows."""
+    if np.count_nonzero(trust) < _AGREEING * trust.size:
+        emit(
+            DEPTH_NETWORK_SIDECAR_INVALID.warning(
+                "by this network left and right agree on next to nothing",
+                Where(file=network.file.name),
+                remedy=(
+                    "look at unit, sign, range and inputs of its sidecar, or have it guessed: scanloom probe"
+                ),
+            )
+        )
 
 
 def completed(measured: DepthMap, network: Network, params: DepthParams) -> DepthMap:
     """Fill in depth where there is none by a network of single images.
 
     What the network says is right but for a scale and a shift, which are the repeated median's (Siegel 1982)
-    over measured pixels; up to half of them may be wrong. The map has a warning where it does not fit.
+    over measured pixels; up to half of them may be wrong. Where the network does not fit, that is emitted.
 
     Raises
     ------
@@ -121,7 +128,8 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
     known = np.flatnonzero((measured.depth > 0) & np.isfinite(told))
     nothing = replace(measured, filled=np.zeros(measured.depth.shape, bool))
     if len(known) < _FEWEST:
-        return _warned(nothing, network, "there is too little measured depth to fit it to")
+        _report_no_effect(network, "there is too little measured depth to fit it to")
+        return nothing
     depth, values = measured.depth.ravel()[known].astype(np.float64), told.ravel()[known].astype(np.float64)
     wanted = 1 / depth if is_inverse else depth
     chosen = np.linspace(0, len(known) - 1, min(_SAMPLES, len(known))).astype(int)
@@ -133,7 +141,8 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
             if scale > 0
             else "what it calls near is far; look at unit and sign of its sidecar"
         )
-        return _warned(nothing, network, why)
+        _report_no_effect(network, why)
+        return nothing
     with np.errstate(all="ignore"):
         fitted, other = (np.float32(scale) * one + np.float32(shift) for one in (told, mirrored))
         agrees = np.abs(fitted - other) <= np.float32(params.model_error) * fitted
@@ -144,10 +153,13 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
     return filled_with(measured, np.where(filled, whole, 0).astype(np.float32))
 
 
-def _warned(depth_map: DepthMap, network: Network, why: str) -> DepthMap:
-    # The same words for all images: they are told once.
-    said = f"{network.file.name} fills in nothing in some images: {why}"
-    return replace(depth_map, warnings=(*depth_map.warnings, said))
+def _report_no_effect(network: Network, why: str) -> None:
+    # Equal for all images, so that a scan reports it once.
+    emit(
+        DEPTH_NETWORK_NO_EFFECT.warning(
+            "the network fills in nothing in some images: {why}", Where(file=network.file.name), why=why
+        )
+    )
 
 
 def _fixed_point(disparity: Map, search: SearchRange, none: int) -> NDArray[np.int16]:

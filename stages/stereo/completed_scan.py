@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
+from stages.scans.codes import SCAN_FRAMES_SKIPPED, SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.images import read_color, read_depth, read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Scan, SkippedFrame, pinhole
 from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import completed, network_of
-from stages.stereo.codes import DEPTH_NETWORK_NO_EFFECT
+from stages.stereo.codes import DEPTH_FAR_LEFT_OUT, DEPTH_NETWORK_NO_EFFECT
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
 from stages.stereo.networks.network import Network
@@ -104,13 +105,14 @@ def _completed_frame(
     try:
         depth, photo = read_depth(frame), read_color(frame)
         if depth is None or photo is None:
-            return frame, SkippedFrame(frame.name, f"there is no {'depth map' if depth is None else 'photo'}")
+            missing = "depth map" if depth is None else "photo"
+            why = SCAN_FRAMES_SKIPPED.warning("there is no {missing}", missing=missing)
+            return frame, SkippedFrame(frame.name, why)
         color = read_matching_color(frame, depth)
         seen = read_seen(frame) if frame.mask is not None else None
     except InputError as error:
-        return frame, SkippedFrame(frame.name, str(error))
+        return frame, SkippedFrame(frame.name, error.diagnostic)
     too_far = depth > farthest
-    said = f"depth beyond {farthest:.4g} m is left out (depth.max_depth)"
     measured = DepthMap(
         np.where(too_far, np.float32(0), depth),
         np.where((depth > 0) & ~too_far, np.uint8(255), np.uint8(0)),
@@ -121,9 +123,16 @@ def _completed_frame(
         SearchRange(0, 0),
         params.min_depth or 0.0,
         farthest,
-        (said,) if too_far.any() else (),
     )
-    whole = completed(measured, network, params)
+    with collecting() as diagnostics:
+        if too_far.any():
+            emit(
+                DEPTH_FAR_LEFT_OUT.warning(
+                    "depth beyond {farthest:.4g} m is left out (depth.max_depth)", farthest=farthest
+                )
+            )
+        whole = completed(measured, network, params)
+    whole = replace(whole, diagnostics=tuple(diagnostics))
     mask = None
     if seen is not None:
         # Where the image shows nothing of the scene there is nothing to fill in.

@@ -1,12 +1,11 @@
-"""How much of what views show has depth, and what took the rest: if it is little, that is told."""
+"""Depth coverage of views: pixels lost at each step, and warnings if little is left."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from stages.scans.scan import Frame, SkippedFrame
-from stages.stereo.depth import DepthMap
+from stages.diagnostics.collector import emit
+from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE, DEPTH_SCENE_INCOMPLETE
 from stages.stereo.params import SWEEP, DepthParams
 
 # Depth is little if it covers less than this share of a thing whose outline is known, or of whole images,
@@ -55,39 +54,35 @@ class Counts:
         )
 
 
-Result = tuple[Frame, DepthMap | SkippedFrame, Counts]
+def report_coverage(counts: Counts, params: DepthParams) -> None:
+    """Warn if the depth of a scan's views covers little, or if much of it was not measured."""
+    _report_low_coverage(counts, params)
+    share = _share_of_depth(counts.filled, counts)
+    if share >= _MUCH:
+        emit(
+            DEPTH_OBJECT_INCOMPLETE.warning(
+                "{share:.0%} of the thing's depth was measured by no view, and is that of the hull of its "
+                "silhouettes (depth.on_hull=false leaves it out; more views measure more)",
+                share=share,
+            )
+        )
+    share = _share_of_depth(counts.planar, counts)
+    if share >= _MUCH:
+        emit(
+            DEPTH_SCENE_INCOMPLETE.warning(
+                "{share:.0%} of the depth was measured by no view, and is that of planes on which measured "
+                "depth around it lies (depth.on_planes=false leaves it out)",
+                share=share,
+            )
+        )
 
 
-def with_warning(
-    results: Iterator[Result], params: DepthParams
-) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
-    """Pass the results of views on, the last map among them with warnings on the depth of all.
-
-    From each map on, what comes is held back until the next one does.
-    """
-    total = Counts()
-    held: list[tuple[Frame, DepthMap | SkippedFrame]] = []
-    for frame, result, counts in results:
-        total += counts
-        if isinstance(result, DepthMap):
-            yield from held
-            held = []
-        held.append((frame, result))
-    said = [one for one in (why_little(total, params), why_filled(total), why_planar(total)) if one]
-    for frame, result in held:
-        if said and isinstance(result, DepthMap):
-            yield frame, replace(result, warnings=(*result.warnings, *said))
-        else:
-            yield frame, result
-
-
-def why_little(counts: Counts, params: DepthParams) -> str | None:
-    """Return what is to be said of a scan whose depth covers little, or None."""
+def _report_low_coverage(counts: Counts, params: DepthParams) -> None:
     is_thing = counts.outlined > counts.all / 2
     least = _OF_A_THING if is_thing else _OF_AN_IMAGE
     kept = counts.kept + counts.planar
     if not counts.shown or kept >= least * counts.shown:
-        return None
+        return
     what = "what the masks or the backdrop leave of the views" if is_thing else "the views' pixels"
     rest = counts.shown - counts.plain
     unsure, asks = "", "depth.agreeing_views asks for fewer"
@@ -107,31 +102,15 @@ def why_little(counts: Counts, params: DepthParams) -> str | None:
     )
     shares = [(count / counts.shown, text) for count, text in steps]
     named = ", ".join(f"{share:.0%} {text}" for share, text in sorted(shares, reverse=True) if share >= _MUCH)
-    return f"depth covers only {kept / counts.shown:.0%} of {what}: {named}"
-
-
-def why_filled(counts: Counts) -> str | None:
-    """Return what is to be said of a thing much of which was not measured, or None."""
-    share = _of_all(counts.filled, counts)
-    if share < _MUCH:
-        return None
-    return (
-        f"{share:.0%} of the thing's depth was measured by no view, and is that of the hull of its "
-        "silhouettes (depth.on_hull=false leaves it out; more views measure more)"
+    emit(
+        DEPTH_COVERAGE_LOW.warning(
+            "depth covers only {share:.0%} of {what}: {named}",
+            share=kept / counts.shown,
+            what=what,
+            named=named,
+        )
     )
 
 
-def why_planar(counts: Counts) -> str | None:
-    """Return what is to be said of views much of whose depth is that of planes, or None."""
-    share = _of_all(counts.planar, counts)
-    if share < _MUCH:
-        return None
-    return (
-        f"{share:.0%} of the depth was measured by no view, and is that of planes on which measured depth "
-        "around it lies (depth.on_planes=false leaves it out)"
-    )
-
-
-def _of_all(told: int, counts: Counts) -> float:
-    """Return the share of told depth among all that there is."""
-    return told / max(counts.kept + told, 1)
+def _share_of_depth(filled: int, counts: Counts) -> float:
+    return filled / max(counts.kept + filled, 1)

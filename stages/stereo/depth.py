@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.params import resolve
@@ -21,7 +22,7 @@ from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
 from stages.scans.threads import threads_to_use
-from stages.stereo.by_network import completed, network_disparity, network_of, warnings_of
+from stages.stereo.by_network import completed, network_disparity, network_of, report_agreement
 from stages.stereo.codes import DEPTH_ALREADY_MEASURED, DEPTH_IMAGES_UNUSABLE, DEPTH_RANGE_EMPTY
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
@@ -38,7 +39,7 @@ from stages.stereo.matching import (
     textured,
 )
 from stages.stereo.networks.network import Network
-from stages.stereo.pairs import pair_warnings, require_pair
+from stages.stereo.pairs import report_rows, require_pair
 from stages.stereo.params import AUTO, FAST, SEVERAL, DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
@@ -98,8 +99,11 @@ def depth(
     params = resolve(DepthParams, params, changes)
     network = network_of(params)
     stage = PairStage(rectified_rig(rig), params, pairs=1, stated=rig.disparities, network=network)
-    pair = stage.rectified(left, right)
-    return stage.measure(*pair, stage.warnings(*pair))
+    with collecting() as diagnostics:
+        pair = stage.rectified(left, right)
+        stage.report_rows(*pair)
+        measured = stage.measure(*pair)
+    return replace(measured, diagnostics=tuple(diagnostics))
 
 
 def depth_scan(
@@ -133,13 +137,11 @@ def depth_scan(
         stated=scan.rig.disparities,
         network=network_of(params),
     )
-    warnings = _first_warnings(stage, scan)
+    _report_first_pair(stage, scan)
     threads = params.threads or threads_to_use()
     total = len(scan.frames)
     skipped = 0
-    results = read_ahead(
-        partial(_measure_frame, stage, warnings), scan.frames, threads=threads, ahead=threads + 2
-    )
+    results = read_ahead(partial(_measure_frame, stage), scan.frames, threads=threads, ahead=threads + 2)
     for done, (frame, result) in enumerate(results, 1):
         if isinstance(result, SkippedFrame):
             skipped += 1
@@ -160,18 +162,18 @@ def depth_scan(
         yield frame, result
 
 
-def _first_warnings(stage: PairStage, scan: Scan) -> tuple[str, ...]:
-    """Return what is odd about the first pair that can be read: swapped folders show in any."""
+def _report_first_pair(stage: PairStage, scan: Scan) -> None:
+    """Check the first readable pair for exchanged images and differing rows: any pair shows them."""
     for frame in scan.frames:
         try:
             pair = _read_pair(stage, frame)
         except InputError:
             continue  # Reported when its turn comes.
         try:
-            return stage.warnings(*pair)
+            stage.report_rows(*pair)
         except InputError as error:
             raise error.at(scan.folder) from error
-    return ()
+        return
 
 
 def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -179,22 +181,22 @@ def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[An
     if left is None or right is None:
         raise InputError(
             DEPTH_IMAGES_UNUSABLE,
-            "frame {frame_name} has no {wording} image.",
-            frame_name=frame.name,
-            wording="left" if left is None else "right",
+            "there is no {side} image.",
+            Where(frame=frame.name),
+            side="left" if left is None else "right",
         )
     files = [source if isinstance(source, Path) else None for source in (frame.color, frame.right)]
     return stage.rectified(left, right, (files[0], files[1]))
 
 
-def _measure_frame(
-    stage: PairStage, warnings: tuple[str, ...], frame: Frame
-) -> tuple[Frame, DepthMap | SkippedFrame]:
+def _measure_frame(stage: PairStage, frame: Frame) -> tuple[Frame, DepthMap | SkippedFrame]:
     try:
         pair = _read_pair(stage, frame)
     except InputError as error:
-        return frame, SkippedFrame(frame.name, str(error))
-    result = stage.measure(*pair, warnings)
+        return frame, SkippedFrame(frame.name, error.diagnostic)
+    with collecting() as diagnostics:
+        result = stage.measure(*pair)
+    result = replace(result, diagnostics=tuple(diagnostics))
     world_from_camera, up = frame.world_from_camera, frame.up
     if world_from_camera is not None:
         left_from_rectified = np.eye(4)
@@ -274,19 +276,17 @@ class PairStage:
         require_pair(left, right, self.rig.left, files)
         return self.rig.apply(left, right)
 
-    def warnings(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[str, ...]:
-        """Return what is odd about a pair whose rows correspond."""
-        return pair_warnings(_grey(left), _grey(right), self.rig.principal_offset)
+    def report_rows(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
+        """Warn if the rows of a rectified pair do not correspond; see `stages.stereo.pairs`."""
+        report_rows(_grey(left), _grey(right), self.rig.principal_offset)
 
-    def measure(
-        self, left: NDArray[np.uint8], right: NDArray[np.uint8], warnings: tuple[str, ...]
-    ) -> DepthMap:
+    def measure(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> DepthMap:
         """Match a pair whose rows correspond."""
         pair = _grey(left), _grey(right)
         search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
         if self.network is not None and self.is_by_network:
             disparity, trust = network_disparity(self.network, left, right, self.rig, search, self.params)
-            warnings = (*warnings, *warnings_of(self.network, trust))
+            report_agreement(self.network, trust)
         elif self.is_own:
             disparity, trust = self._own(left, right, pair, search)
         else:
@@ -304,7 +304,6 @@ class PairStage:
             search,
             max(self.rig.focal_baseline / (search.end - 1 + self.rig.principal_offset), near),
             self.max_depth,
-            warnings,
         )
         if self.network is None or self.is_by_network:
             return measured
@@ -393,10 +392,8 @@ def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, wi
     if lowest > limit or highest < lowest:
         raise UsageError(
             DEPTH_RANGE_EMPTY,
-            (
-                "is {max_depth:g} m, nearer than the rig's pairs can be matched ({focal_baseline:.3g} m)",
-                Where(parameter="max_depth"),
-            ),
+            "is {max_depth:g} m, nearer than the rig's pairs can be matched ({focal_baseline:.3g} m)",
+            Where(parameter="max_depth"),
             remedy="give a larger one.",
             max_depth=params.max_depth,
             focal_baseline=rig.focal_baseline / (min(highest, limit) + offset),

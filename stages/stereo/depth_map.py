@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.printing import by_figures, table
 from stages.scans.scan import Camera, ColorImage, DepthImage
 from stages.stereo.matching import SearchRange
@@ -30,7 +31,7 @@ class DepthMap:
         up to where the expected error or the parameter ends it.
     filled : (h, w) bool, where depth was not measured but told by a network of one image, by silhouettes or
         by planes, with a confidence of 1; None if it is measured everywhere.
-    warnings : what is odd about the pair, in plain sentences.
+    diagnostics : those of this image; the ones of a whole scan are only emitted.
     """
 
     depth: DepthImage
@@ -42,8 +43,8 @@ class DepthMap:
     search: SearchRange
     min_depth: float
     max_depth: float
-    warnings: tuple[str, ...] = ()
     filled: NDArray[np.bool_] | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table

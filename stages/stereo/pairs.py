@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH
 from stages.scans.scan import Camera
-from stages.stereo.codes import DEPTH_PAIR_SWAPPED
+from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 # Fewer matched corners say nothing.
 _ENOUGH = 40
@@ -65,10 +66,8 @@ def require_pair(
         )
 
 
-def pair_warnings(
-    left: NDArray[np.uint8], right: NDArray[np.uint8], principal_offset: float
-) -> tuple[str, ...]:
-    """Return what is odd about a rectified grey pair, from corners matched between its images.
+def report_rows(left: NDArray[np.uint8], right: NDArray[np.uint8], principal_offset: float) -> None:
+    """Warn if the rows of a rectified grey pair do not correspond, by corners matched between its images.
 
     Raises
     ------
@@ -78,24 +77,29 @@ def pair_warnings(
     shift = _corner_shifts(left, right)
     shift = shift[np.abs(shift[:, 1]) < _ROWS]
     if len(shift) < _ENOUGH:
-        return ()
+        return
     disparity = shift[:, 0] + principal_offset
     if np.median(disparity) < -1:
         raise InputError(
             DEPTH_PAIR_SWAPPED,
             (
                 "left and right images seem swapped: {mean:.0%} of the corners found in both "
-                "lie farther right in the right image. Exchange the images."
+                "lie farther right in the right image."
             ),
+            remedy="Exchange the images.",
             mean=np.mean(disparity < 0),
         )
     rows = float(np.median(shift[:, 1]))
     if abs(rows) > _ROW_TOLERANCE:
-        return (
-            f"rows of the pair differ by {abs(rows):.1f} px (median of {len(shift)} corners), more than "
-            f"{_ROW_TOLERANCE} px: the calibration does not fit the images well, and depth will have holes",
+        emit(
+            DEPTH_PAIR_ROWS_DIFFER.warning(
+                "rows of the pair differ by {rows:.1f} px (median of {corners} corners), more than "
+                "{tolerance:g} px: the calibration does not fit the images well, and depth will have holes",
+                rows=abs(rows),
+                corners=len(shift),
+                tolerance=_ROW_TOLERANCE,
+            )
         )
-    return ()
 
 
 def _corner_shifts(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float64]:

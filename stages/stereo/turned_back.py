@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.scans.images import read_color, read_mask
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Packed, Scan
 from stages.scans.threads import threads_to_use
-from stages.stereo.codes import DEPTH_IMAGES_UNUSABLE
+from stages.stereo.codes import DEPTH_IMAGES_TURNED, DEPTH_IMAGES_UNUSABLE
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.turned import Corners, corners, turned
@@ -23,8 +25,8 @@ from stages.stereo.view_images import color_of, grey_of
 
 def turned_back(
     scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
-) -> tuple[Scan, dict[int, tuple[str, ...]]]:
-    """Return the scan with upside-down images turned back, and what to say of them, by their places."""
+) -> Scan:
+    """Return the scan with upside-down images turned back; that is emitted."""
 
     def read(frame: Frame) -> Corners | None:
         try:
@@ -36,7 +38,7 @@ def turned_back(
     found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
     places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
     if not places:
-        return scan, {}
+        return scan
     frames = list(scan.frames)
     for at in places:
         frames[at] = replace(
@@ -44,11 +46,14 @@ def turned_back(
             color=_upside_down(frames[at], frames[at].color, read_color),
             mask=_upside_down(frames[at], frames[at].mask, read_mask),
         )
-    said = (
-        f"{len(places)} images are upside down against their poses, the first {frames[places[0]].name}; "
-        "they were turned back",
+    emit(
+        DEPTH_IMAGES_TURNED.warning(
+            "{count} images are upside down against their poses, the first {first}; they were turned back",
+            count=len(places),
+            first=frames[places[0]].name,
+        )
     )
-    return replace(scan, frames=frames), dict.fromkeys(places, said)
+    return replace(scan, frames=frames)
 
 
 def _upside_down(
@@ -63,7 +68,7 @@ def _upside_down(
     def load() -> NDArray[np.uint8]:
         image = read(frame)
         if image is None:
-            raise InputError(DEPTH_IMAGES_UNUSABLE, "frame {frame_name} has no image.", frame_name=frame.name)
+            raise InputError(DEPTH_IMAGES_UNUSABLE, "there is no image.", Where(frame=frame.name))
         return np.ascontiguousarray(image[::-1, ::-1])
 
     if isinstance(source, np.ndarray):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.scans.images import read_pinhole
 from stages.scans.scan import ColorImage, Frame
@@ -39,7 +40,7 @@ def color_of(frame: Frame) -> ColorImage:
     """
     color = read_pinhole(frame)
     if color is None:
-        raise InputError(DEPTH_IMAGES_UNUSABLE, "frame {frame_name} has no image.", frame_name=frame.name)
+        raise InputError(DEPTH_IMAGES_UNUSABLE, "there is no image.", Where(frame=frame.name))
     return color
 
 

@@ -9,10 +9,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.scans.images import read_seen
 from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
 from stages.stereo.agreement import merged
+from stages.stereo.codes import DEPTH_VIEW_WITHOUT_PARTNER
 from stages.stereo.coverage import Counts
 from stages.stereo.depth import PairStage
 from stages.stereo.matching import SearchRange
@@ -56,7 +58,7 @@ def measured_view(
     try:
         color = color_of(scan.frames[at])
     except InputError as error:
-        return SkippedFrame(name, str(error))
+        return SkippedFrame(name, error.diagnostic)
     if network is None and params.views == SWEEP:
         return _swept(scan, views, chosen[at], params, outline, images, at, color)
     depths: list[DepthImage] = []
@@ -75,7 +77,9 @@ def measured_view(
         rig, near, far = pair
         ranged = replace(params, min_depth=near, max_depth=far)
         stage = PairStage(rig, ranged, pairs=len(views), network=network)
-        found = stage.measure(*rig.apply(color, second), ())
+        # Views that hardly overlap agree on little, which is no fault of a network.
+        with collecting(forward=False):
+            found = stage.measure(*rig.apply(color, second))
         depth, trust = depth_in_view(found.depth, found.confidence, rig, views[at], views[other])
         depths.append(depth)
         confidences.append(trust)
@@ -147,7 +151,11 @@ def _swept(
 
 
 def _without_partners(name: str, are_before: bool) -> SkippedFrame:
-    where = "before or behind it" if are_before else "too near, too far aside, or look elsewhere"
+    place = "before or behind it" if are_before else "too near, too far aside, or look elsewhere"
     return SkippedFrame(
-        name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
+        name,
+        DEPTH_VIEW_WITHOUT_PARTNER.warning(
+            "no other view sees the same from a little aside (1 to 35 degrees); others stand {place}",
+            place=place,
+        ),
     )

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
 from stages.frames.features import Keypoints, detect_keypoints
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.scans.codes import POSE_JUMPS, SCAN_TOO_MANY_FRAMES_SKIPPED
+from stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.depth_range import Range, range_of_points
 from stages.scans.images import read_seen
 from stages.scans.prefetch import read_ahead
@@ -25,8 +26,13 @@ from stages.scans.scan import ColorImage, DepthImage, Frame, Pose, Scan, Skipped
 from stages.scans.threads import threads_to_use
 from stages.stereo.agreement import agreeing_views
 from stages.stereo.by_network import completed, network_of
-from stages.stereo.codes import DEPTH_VIEW_WITHOUT_PARTNER
-from stages.stereo.coverage import Counts, with_warning
+from stages.stereo.codes import (
+    DEPTH_IMAGES_SMALLER,
+    DEPTH_POSES_MOVED,
+    DEPTH_VIEW_UNCONFIRMED,
+    DEPTH_VIEW_WITHOUT_PARTNER,
+)
+from stages.stereo.coverage import Counts, report_coverage
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.hull_fill import filled_in
 from stages.stereo.kept_maps import KeptMaps
@@ -84,16 +90,16 @@ def views_depth(
     cut a thing out of all views, nothing is kept outside the hull of its silhouettes. What no view measured
     of a thing lies on that hull (see stages.stereo.hull_fill); what no view measured of plain patches of
     planes lies on these (see stages.stereo.plane_fill). If depth covers little of what the views show,
-    or much of it was not measured, the last map has a warning that says so.
+    or much of it was not measured, that is emitted after the last map.
 
     Images larger than `max_side` are made smaller first, and those that are upside down against their poses
-    are turned back (see stages.stereo.turned); the maps say so among their warnings.
+    are turned back (see stages.stereo.turned); both are emitted before the first map.
 
     Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
     is kept either) or for each frame; else in that of the points which views recognise in each other, or of
     a cube where the optical axes meet (see stages.stereo.scene_depth). `min_depth` and `max_depth` win over
     all of these. Where recognised points lie elsewhere than the poses say, poses are brought nearer to them
-    (see stages.stereo.nearer_poses), and the maps have a warning.
+    (see stages.stereo.nearer_poses), which is emitted, too.
 
     Parameters
     ----------
@@ -116,7 +122,11 @@ def views_depth(
         views cannot be used.
     """
     params = resolve(DepthParams, params, changes)
-    yield from with_warning(_results(scan, params, progress), params)
+    total = Counts()
+    for frame, result, counts in _results(scan, params, progress):
+        total += counts
+        yield frame, result
+    report_coverage(total, params)
 
 
 def _results(
@@ -130,10 +140,17 @@ def _results(
     scan = replace(scan, frames=frames)
     views = posed_views(scan)
     pairs = neighbours(views)
-    scan, warnings = turned_back(scan, views, pairs, params) if params.turn_back else (scan, {})
-    scan, views, seen, doubts = _recognised(scan, views, pairs, params)
+    if params.turn_back:
+        scan = turned_back(scan, views, pairs, params)
+    scan, views, seen = _recognised(scan, views, pairs, params)
     if smaller:
-        doubts = (*doubts, f"{smaller} images were made smaller, to {params.max_side} px (depth.max_side)")
+        emit(
+            DEPTH_IMAGES_SMALLER.warning(
+                "{count} images were made smaller, to {max_side} px (depth.max_side)",
+                count=smaller,
+                max_side=params.max_side,
+            )
+        )
     ranges = [one or other for one, other in zip(stated_ranges(scan, views), seen, strict=True)]
     views = ranged_views(scan, views, ranges, params.min_depth, params.max_depth)
     chosen = [partners(views, at, _CHECKED_ON * params.partners) for at in range(len(views))]
@@ -184,7 +201,7 @@ def _results(
             try:
                 color = color_of(scan.frames[at])
             except InputError as error:
-                return SkippedFrame(scan.frames[at].name, str(error))
+                return SkippedFrame(scan.frames[at].name, error.diagnostic)
             said = agreeing_views(views[at], depth, others, tolerance, _NEARLY * tolerance)
             trust = kept.confidence(at)
             dropped = (
@@ -197,14 +214,12 @@ def _results(
             counts[at] = replace(counts[at], kept=int(np.count_nonzero(depth)))
             found = _depth_map(scan.frames[at], views[at], color, depth, trust, searches[at], farthest)
             if isinstance(found, DepthMap) and network is not None and not network.is_stereo:
-                whole = completed(found, network, params)
+                with collecting() as diagnostics:
+                    whole = completed(found, network, params)
                 inside = within(at, whole.depth)
-                found = replace(whole, depth=inside, filled=(inside > 0) & (found.depth == 0))
-            return (
-                found
-                if isinstance(found, SkippedFrame)
-                else replace(found, warnings=(*doubts, *warnings.get(at, ())))
-            )
+                filled = (inside > 0) & (found.depth == 0)
+                found = replace(whole, depth=inside, filled=filled, diagnostics=tuple(diagnostics))
+            return found
 
         skipped: list[SkippedFrame] = []
         last_turn = read_ahead(check, range(len(views)), threads=threads, ahead=threads + 2)
@@ -237,16 +252,18 @@ def _require_enough(scan: Scan, params: DepthParams) -> None:
         alone = "one view alone has no depth" if count == 1 else f"of {count} views no depth is agreed with"
         raise InputError(
             DEPTH_VIEW_WITHOUT_PARTNER,
-            f"{alone}: each place must be measured from {needed} views. Give more views"
-            + (", or lower depth.agreeing_views." if count > 1 else "."),
+            "{alone}: each place must be measured from {needed} views.",
             scan.folder,
+            remedy="Give more views" + (", or lower depth.agreeing_views." if count > 1 else "."),
+            alone=alone,
+            needed=needed,
         )
 
 
 def _recognised(
     scan: Scan, views: list[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
-) -> tuple[Scan, list[PosedView], list[Range | None], tuple[str, ...]]:
-    """Return the range of depth of what each view shows and others do, and what is odd about the poses.
+) -> tuple[Scan, list[PosedView], list[Range | None]]:
+    """Return the range of depth of what each view shows and others do; doubts about poses are emitted.
 
     Before that the scan and its views, whose poses are brought nearer to what is recognised if they are off.
     """
@@ -271,7 +288,6 @@ def _recognised(
         return {pair: found for pair, found in zip(pairs, every, strict=True) if found is not None}
 
     seen = compared()
-    said: tuple[str, ...] = ()
     depths = [one for found in seen.values() for one in found.depths]
     if _usual_off(seen) > _LARGEST_OFF_PX and any(map(len, depths)):
         matched = {pair: found.pixels for pair, found in seen.items()}
@@ -279,16 +295,21 @@ def _recognised(
         if nearer is not None:
             scan, views = _with_poses(scan, views, nearer.poses)
             seen = compared()
-            said = (
-                f"the poses are brought nearer to what views recognise in each other: held-out points lie "
-                f"{nearer.after:.1f} px off, {nearer.before:.1f} px before (median)",
+            emit(
+                DEPTH_POSES_MOVED.warning(
+                    "the poses are brought nearer to what views recognise in each other: held-out points lie "
+                    "{after:.1f} px off, {before:.1f} px before (median)",
+                    after=nearer.after,
+                    before=nearer.before,
+                )
             )
     each: list[list[NDArray[np.float64]]] = [[np.zeros(0)] for _ in views]
     for pair, found in seen.items():
         for at, some in zip(pair, found.depths, strict=True):
             each[at].append(some)
     ranges = [range_of_points(np.concatenate(some)) for some in each]
-    return scan, views, ranges, (*said, *_doubts(_usual_off(seen), scan, params))
+    _report_misfit(_usual_off(seen), scan, params)
+    return scan, views, ranges
 
 
 def _usual_off(seen: Mapping[tuple[int, int], Recognised]) -> float:
@@ -303,28 +324,30 @@ def _with_poses(
     return replace(scan, frames=frames), moved
 
 
-def _doubts(usual: float, scan: Scan, params: DepthParams) -> tuple[str, ...]:
+def _report_misfit(usual: float, scan: Scan, params: DepthParams) -> None:
+    """Warn if recognised points lie beside where the poses put them; refuse a scan where that is too far."""
     if usual <= _LARGEST_OFF_PX:
-        return ()
-    said = (
-        f"what two views show is off by {usual:.1f} px (median) from where their poses put it: poses or "
-        "calibration do not fit the images"
-    )
+        return
     if usual > params.max_pose_error:
         raise InputError(
-            POSE_JUMPS,
-            "{said}.",
+            POSE_INCONSISTENT_WITH_IMAGES,
+            "what two views show is off by {off:.1f} px (median) from where their poses put it: poses or "
+            "calibration do not fit the images.",
             scan.folder,
             remedy=(
                 "Give others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy; "
                 "depth.max_pose_error, {max_pose_error:g} px, says how much is borne."
             ),
-            said=said,
+            off=usual,
             max_pose_error=params.max_pose_error,
         )
-    return (
-        f"{said} well, and depth will have holes and errors; scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy "
-        "state others",
+    emit(
+        POSE_INCONSISTENT_WITH_IMAGES.warning(
+            "what two views show is off by {off:.1f} px (median) from where their poses put it: poses or "
+            "calibration do not fit the images well, and depth will have holes and errors",
+            remedy="scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy state others",
+            off=usual,
+        )
     )
 
 
@@ -361,7 +384,8 @@ def _depth_map(
     farthest: float,
 ) -> DepthMap | SkippedFrame:
     if not depth.any():
-        return SkippedFrame(frame.name, "no depth of it agrees with that of other views")
+        why = DEPTH_VIEW_UNCONFIRMED.warning("no depth of it agrees with that of other views")
+        return SkippedFrame(frame.name, why)
     nothing = np.full(depth.shape, np.nan, np.float32)
     return DepthMap(depth, confidence, nothing, color, view.camera, np.eye(3), search, view.near, farthest)
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from onnx import helper
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.stereo.by_network import completed, network_of
+from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
 from stages.stereo.completed_scan import completed_scan
 from stages.stereo.depth import depth, depth_scan
 from stages.stereo.depth_map import DepthMap
@@ -50,7 +52,7 @@ def test_a_networks_depth_is_true(matcher):
     assert np.mean(there[np.isfinite(TRUTH)]) > 0.8
     assert np.mean(np.abs(found.disparity[there] - TRUTH[there]) > 1) < 0.02
     np.testing.assert_allclose(found.depth[there], 20 / found.disparity[there], rtol=1e-5)
-    assert found.warnings == ()
+    assert found.diagnostics == ()
     # What the right image does not show is behind the rectangle's left side.
     rows, columns = np.nonzero(~np.isfinite(TRUTH[40:120, 70:]))
     assert np.mean(found.depth[rows + 40, columns + 70] > 0) < 0.2
@@ -74,8 +76,12 @@ def test_a_wrong_sign_is_said(tmp_path):
     file = networks.matcher(tmp_path / "net.onnx", scale=-1.0)
     found = depth(LEFT, RIGHT, RIG, model=beside(file, PAIR))
     assert not found.depth.any()
-    (said,) = found.warnings
-    assert "agree on next to nothing" in said
+    (diagnostic,) = found.diagnostics
+    assert diagnostic.code == DEPTH_NETWORK_SIDECAR_INVALID.name
+    assert str(diagnostic) == (
+        "net.onnx: by this network left and right agree on next to nothing; look at unit, sign, range and "
+        "inputs of its sidecar, or have it guessed: scanloom probe"
+    )
 
 
 def test_a_scans_pairs_are_the_same_on_any_number_of_threads(matcher):
@@ -159,10 +165,13 @@ def test_what_does_not_fit_is_not_used_and_said(by_brightness):
         ((3 - 0.5 * truth).astype(np.float32), "near is far"),
     ):
         measured = made_map(np.where(np.arange(256) % 9 == 0, np.float32(0), depth_map), color)
-        found = completed(measured, network, params)
+        with collecting() as diagnostics:
+            found = completed(measured, network, params)
         np.testing.assert_array_equal(found.depth, measured.depth)
         assert not found.filled.any()
-        assert why in found.warnings[0]
+        (diagnostic,) = diagnostics
+        assert str(diagnostic).startswith("one.onnx: the network fills in nothing in some images: ")
+        assert why in str(diagnostic)
 
 
 def test_depth_of_a_sensor_is_filled_in_and_keeps_its_photos(by_brightness):

@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter
 import stages
 from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, StereoRig
+from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER
 from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
 
 WIDTH, HEIGHT = 320, 240
@@ -332,7 +333,7 @@ def test_rectified_depth_and_pose_put_the_points_on_the_plane(unrectified: Scan)
     normal, offset = WORLD_PLANE
     for frame, result in depth_scan(unrectified):
         assert isinstance(result, DepthMap)
-        assert result.warnings == ()
+        assert result.diagnostics == ()
         assert frame.right is None
         assert frame.camera.distortion == ()
         z = result.depth
@@ -365,8 +366,9 @@ def test_a_rig_said_to_be_rectified_that_is_not_is_warned_of() -> None:
 
     result = depth(left, np.roll(right, 3, axis=0), RIG)
 
-    assert len(result.warnings) == 1
-    assert "rows of the pair differ by 3.0 px" in result.warnings[0].replace("-", "")
+    (diagnostic,) = result.diagnostics
+    assert diagnostic.code == DEPTH_PAIR_ROWS_DIFFER.name
+    assert "rows of the pair differ by 3.0 px" in str(diagnostic)
 
 
 # Bad input --------------------------------------------------------------------------------------------

@@ -53,7 +53,7 @@ def test_motorcycle(shared_data: Path) -> None:
 
     assert not rest
     assert isinstance(result, DepthMap)
-    assert result.warnings == ()
+    assert result.diagnostics == ()
     truth = read_pfm(folder / "disp0.pfm")
     require(result, truth, wrong=0.02, covered=0.85)
     # f 994.978 px, baseline 193.001 mm, doffs 31.086 px.
@@ -155,7 +155,7 @@ def test_unrectified_room_has_common_rows_once_turned(shared_data: Path) -> None
     (frame, result), *_ = depth_scan(type(scan)(scan.layout, scan.frames[:1], scan.rig))
 
     assert isinstance(result, DepthMap)
-    assert result.warnings == ()
+    assert result.diagnostics == ()
     assert frame.camera.distortion == ()
     assert np.mean(result.depth > 0) > 0.65
     # The floor in front of the rig: one plane, to the noise of a quarter of a pixel at 2 m.

@@ -9,9 +9,11 @@ import pale_thing
 import pytest
 
 from stages import views_depth
+from stages.diagnostics.collector import collecting
 from stages.scans.scan import Frame, Scan
 from stages.stereo.background import before_backdrop, common_backdrop
-from stages.stereo.coverage import Counts, why_filled, why_little
+from stages.stereo.codes import DEPTH_COVERAGE_LOW
+from stages.stereo.coverage import Counts, report_coverage
 from stages.stereo.depth import DepthMap, DepthParams
 from stages.stereo.hull_fill import on_hull, unmeasured
 from stages.stereo.posed_views import posed_views
@@ -23,6 +25,12 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def pale() -> tuple[Scan, list[np.ndarray]]:
     return pale_thing.scan(views=9)
+
+
+def coverage_reported(counts: Counts, **changes: str) -> list[str]:
+    with collecting() as diagnostics:
+        report_coverage(counts, DepthParams(**changes))
+    return list(map(str, diagnostics))
 
 
 def measured(scan: Scan, **changes: float) -> list[tuple[Frame, DepthMap]]:
@@ -40,7 +48,7 @@ def test_a_pale_thing_before_black_keeps_its_depth(pale: tuple[Scan, list[np.nda
         assert np.mean(result.depth[true == 0] > 0) < 0.002
         both = (result.depth > 0) & (true > 0)
         assert np.median(np.abs(result.depth - true)[both] / true[both]) < 0.01
-        assert not result.warnings
+        assert not result.diagnostics
 
 
 def test_a_backdrop_is_told_from_a_room_and_from_what_stands_before_it(
@@ -126,10 +134,11 @@ def test_a_thing_with_hardly_any_texture_keeps_its_shape() -> None:
 
 
 def test_much_that_was_not_measured_is_told() -> None:
-    assert why_filled(Counts(all=100, shown=50, kept=40, filled=4)) is None
-    said = why_filled(Counts(all=100, shown=50, kept=30, filled=10))
-    assert said is not None
+    assert not coverage_reported(Counts(all=100, shown=50, kept=40, filled=4))
+    (said,) = coverage_reported(Counts(all=100, shown=50, kept=30, filled=10))
     assert said.startswith("25% of the thing's depth was measured by no view")
+    (said,) = coverage_reported(Counts(all=100, shown=50, kept=30, planar=10))
+    assert said.startswith("25% of the depth was measured by no view, and is that of planes")
 
 
 def test_masks_that_cut_a_thing_out_bound_it(pale: tuple[Scan, list[np.ndarray]]) -> None:
@@ -162,22 +171,21 @@ def test_masks_of_what_moves_and_of_lenses_are_no_silhouettes(pale: tuple[Scan, 
 
 
 def test_little_depth_is_told_with_what_took_it() -> None:
-    params = DepthParams(views="pairs")
-    assert why_little(Counts(all=100, shown=50, matched=40, kept=30, outlined=100), params) is None
-    said = why_little(Counts(all=100, shown=50, matched=40, kept=10, outlined=100), params)
-    assert said is not None
+    pairs = {"views": "pairs"}
+    assert not coverage_reported(Counts(all=100, shown=50, matched=40, kept=30, outlined=100), **pairs)
+    (said,) = coverage_reported(Counts(all=100, shown=50, matched=40, kept=10, outlined=100), **pairs)
     assert "only 20% of what the masks or the backdrop leave" in said
     assert "60% is not seen alike by 2 other views" in said
     assert said.index("60%") < said.index("20% matched no other view")
-    said = why_little(Counts(all=100, shown=100, plain=80, matched=15, kept=10), params)
-    assert said is not None
+    (said,) = coverage_reported(Counts(all=100, shown=100, plain=80, matched=15, kept=10), **pairs)
     assert "10% of the views' pixels: 80% has too little texture (depth.backdrop=0 keeps it)" in said
-    assert why_little(Counts(all=100, shown=100, plain=20, matched=70, kept=16), params) is None
+    assert not coverage_reported(Counts(all=100, shown=100, plain=20, matched=70, kept=16), **pairs)
 
 
-def test_the_last_map_says_that_depth_is_little(pale: tuple[Scan, list[np.ndarray]]) -> None:
+def test_little_depth_is_told_once_for_the_scan(pale: tuple[Scan, list[np.ndarray]]) -> None:
     scan, _ = pale
     few = replace(scan, frames=scan.frames[:4])
-    said = [result.warnings for _, result in measured(few, agreement=1e-4)]
-    assert not any(said[:-1])
-    assert "is not sure, or is not seen alike by 2 other views (depth.min_confidence=128 and" in said[-1][-1]
+    with collecting() as diagnostics:
+        measured(few, agreement=1e-4)
+    (said,) = [str(one) for one in diagnostics if one.code == DEPTH_COVERAGE_LOW.name]
+    assert "is not sure, or is not seen alike by 2 other views (depth.min_confidence=128 and" in said
