@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from stages.cleaning.clean import clean
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import InputError
 from stages.surface.mesh import Colors, Mesh
 from stages.surface.mesh_files import read_mesh
@@ -78,7 +79,7 @@ def earth(data: Path) -> Colors:
     path = data / "images/2k_earth_daymap.jpg"
     image = cv2.imread(str(path))
     if image is None:
-        raise InputError("it is missing or no image.", path)
+        raise InputError(MACHINE_BUG, "it is missing or no image.", path)
     return np.ascontiguousarray(image[:, :, ::-1])
 
 

@@ -40,6 +40,7 @@ from stages._open3d import open3d
 from stages.adjusting.adjust import adjust
 from stages.adjusting.look import look
 from stages.comparing.compare import compare
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import InputError
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.fusion.fuse import fuse
@@ -244,7 +245,7 @@ def frames_of(folder: Path, poses: Path | None = None) -> list[Frame]:
         scan = read_scan(folder, complete=False)
         known = read_tum(poses).poses
         if len(known) != len(scan.frames):
-            raise InputError(f"{len(known)} poses for {len(scan.frames)} frames.", poses)
+            raise InputError(MACHINE_BUG, f"{len(known)} poses for {len(scan.frames)} frames.", poses)
         pairs = zip(scan.frames, known, strict=True)
         return [replace(frame, world_from_camera=pose) for frame, pose in pairs]
     scan = read_scan(folder)

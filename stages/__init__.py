@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from stages.comparing.change import ChangeParams, Changes, changes
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.comparing.deviations import DeviationParams, Deviations, deviations
+    from stages.diagnostics.collector import DiagnosticWarning, collecting
+    from stages.diagnostics.diagnostic import Diagnostic, Severity
     from stages.diagnostics.errors import InputError, MeshError, ScanloomError, StageError, UsageError
     from stages.exporting.export import Exported, ExportParams, export
     from stages.exporting.presets import preset
@@ -97,7 +99,9 @@ _NAMES_OF = {
     "inspecting.coverage.covered": ("Coverage",),
     "inspecting.coverage.params": ("CoverageParams",),
     "inspecting.coverage.place": ("Place",),
-    "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
+    "diagnostics.collector": ("DiagnosticWarning", "collecting"),
+    "diagnostics.diagnostic": ("Diagnostic", "Severity"),
+    "diagnostics.errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
     "exporting.export": ("ExportParams", "Exported", "export"),
     "exporting.presets": ("preset",),
     "fusion.fuse": ("Fused", "fuse"),
@@ -173,6 +177,8 @@ __all__ = [
     "DepthParams",
     "DeviationParams",
     "Deviations",
+    "Diagnostic",
+    "DiagnosticWarning",
     "Disparity",
     "ExportParams",
     "Exported",
@@ -201,6 +207,7 @@ __all__ = [
     "Scan",
     "ScanParams",
     "ScanloomError",
+    "Severity",
     "Simplified",
     "SimplifyParams",
     "Sphere",
@@ -225,6 +232,7 @@ __all__ = [
     "changes",
     "check",
     "clean",
+    "collecting",
     "compare",
     "compare_views",
     "completed_scan",

@@ -1,4 +1,4 @@
-"""The list in which a pasted message is looked for: what each says, and where it is explained."""
+"""List in which a pasted message is looked for: texts of messages, and where their codes are explained."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from docutils import nodes  # type: ignore[import-untyped]
 
-from making.messages import PAGES, ROOT, entries
+from making.diagnostics import PAGES, ROOT, find_codes, find_constants, find_messages, page_of
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -21,14 +21,16 @@ def write_list(app: Sphinx, failure: Exception | None) -> None:
     if failure is not None:
         return
     folder = PAGES.relative_to(ROOT).as_posix()
-    anchors: dict[tuple[str, str], str] = {}
-    for path in PAGES.glob("*.md"):
-        for section in app.env.get_doctree(f"{folder}/{path.stem}").findall(nodes.section):
-            title = section[0].astext().replace("`", "")
-            anchors[path.name, title] = f"{path.stem}.html#{section['ids'][0]}"
-    listed = [
-        [entry.form, entry.heading.replace("`", ""), anchors[entry.page, entry.heading.replace("`", "")]]
-        for entry in entries()
-    ]
-    text = f"window.scanloomMessages = {json.dumps(listed, ensure_ascii=False)};\n"
-    (Path(app.outdir) / FILE).write_text(text, encoding="utf-8")
+    anchors: dict[str, tuple[str, str]] = {}
+    for one in find_codes():
+        page = page_of(one.name)
+        for section in app.env.get_doctree(f"{folder}/{page}").findall(nodes.section):
+            title = section[0].astext()
+            if title == one.title.replace("`", ""):
+                anchors[one.name] = title, f"{page}.html#{section['ids'][0]}"
+    names = find_constants()
+    texts = [(one.text, names[one.constant]) for one in find_messages()]
+    texts += [(text, one.name) for one in find_codes() for text in (one.example, one.name)]
+    listed = [[text, *anchors[name]] for text, name in texts]
+    content = f"window.scanloomMessages = {json.dumps(listed, ensure_ascii=False)};\n"
+    (Path(app.outdir) / FILE).write_text(content, encoding="utf-8")

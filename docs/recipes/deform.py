@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from stages import Camera, Mesh, Sphere, Viewpoint, check, lod, read_mesh, render, repair, write_mesh
 from stages._open3d import open3d
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import UsageError
 from stages.lod import measures
 from stages.lod.front import Region
@@ -168,7 +169,7 @@ def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
     points = mesh.vertices
     inside, held = handle.region.holds(points), handle.held(points)
     if not inside.any() or not held.any():
-        raise UsageError("the handle holds no vertex, or nothing is far enough from it to stay.")
+        raise UsageError(MACHINE_BUG, "the handle holds no vertex, or nothing is far enough from it to stay.")
     constrained = np.flatnonzero(inside | held)
     goals = np.where(inside[:, None], handle.moved(points), points)[constrained]
     o3d: Any = open3d()

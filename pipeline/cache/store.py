@@ -226,8 +226,8 @@ class Cache:
         if total > max_size:
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "the cache {folder} holds {total_gb:.3g} GB, more than cache.max_size of {limit_gb:.3g} GB: "
-                    "all of it is of the latest run of an output folder, or in use.",
+                    "the cache {folder} holds {total_gb:.3g} GB, more than cache.max_size of "
+                    "{limit_gb:.3g} GB: all of it is of the latest run of an output folder, or in use.",
                     folder=self.folder,
                     total_gb=total / 1e9,
                     limit_gb=max_size / 1e9,
@@ -276,8 +276,8 @@ class Cache:
             self._is_read_only = True
             emit(
                 MACHINE_CACHE_UNUSABLE.warning(
-                    "the cache {folder} may only be read: its entries are used, and what this run used is not "
-                    "remembered.",
+                    "the cache {folder} may only be read: its entries are used, and what this run used is "
+                    "not remembered.",
                     folder=self.folder,
                 )
             )

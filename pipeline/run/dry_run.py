@@ -18,7 +18,8 @@ from pipeline.run.results import Results
 from pipeline.run.run import Wanted, cache_folder, placed_by, wanted_of
 from pipeline.run.sources import sources_of
 from pipeline.stage import AnyStage
-from stages.diagnostics.collector import emit
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_OUTPUT_REFUSED
 
@@ -65,6 +66,7 @@ class DryRun:
     frames: int
     stages: tuple[Foreseen, ...]
     refused: str | None
+    diagnostics: tuple[Diagnostic, ...]
 
     @property
     def seconds(self) -> float:
@@ -118,7 +120,9 @@ def foresee(
         results.require_replaceable(placed_by(wanted))
     except InputError as error:
         refused = str(error)
-        emit(FILE_OUTPUT_REFUSED.warning("the run would not begin: {reason}", reason=refused))
+    with collecting() as diagnostics:
+        if refused is not None:
+            emit(FILE_OUTPUT_REFUSED.warning("the run would not begin: {reason}", reason=refused))
     return DryRun(
         out=wanted.out,
         cache=cache.folder,
@@ -126,6 +130,7 @@ def foresee(
         frames=len(wanted.scan.frames),
         stages=_foreseen(wanted, cache, results),
         refused=refused,
+        diagnostics=(*wanted.diagnostics, *diagnostics),
     )
 
 

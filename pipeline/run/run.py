@@ -60,6 +60,7 @@ class RunResult:
     stages : what became of each stage that was asked for, in order.
     report : the content of report.json.
     page : report.html; None where there is none.
+    diagnostics : of the scan, the stages (of cached results, too), the cache and the page.
     """
 
     out: Path
@@ -67,6 +68,7 @@ class RunResult:
     stages: tuple[Outcome, ...]
     report: Mapping[str, Any]
     page: Path | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     def __repr__(self) -> str:
         return line(self, (str(self.out), *self._facts()))
@@ -102,11 +104,6 @@ class RunResult:
             )
         html = content_of(self.page)
         return Page(title=self.out.name, html=html, width=width, height=height, warnings=())
-
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Return the diagnostics of all stages, of this run and of cached results."""
-        return tuple(one for outcome in self.stages for one in outcome.diagnostics)
 
     @property
     def unmet(self) -> tuple[Diagnostic, ...]:
@@ -255,6 +252,12 @@ def run_wanted(
     events: Events = unwatched,
 ) -> RunResult:
     """Run what `wanted_of` returned; see `run`."""
+    with collecting() as diagnostics:
+        result = _run_stages(wanted, cache, overwrite, limits, events)
+    return replace(result, diagnostics=(*wanted.diagnostics, *diagnostics))
+
+
+def _run_stages(wanted: Wanted, cache: Cache, overwrite: bool, limits: Limits, events: Events) -> RunResult:
     scan, out, planned = wanted.scan, wanted.out, wanted.planned
     config = within(wanted.config, limits)
     events(RunStarted(scan.layout, len(scan.frames), planned, scan.is_metric))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import StageError
 from stages.fusion.bricks import Cube, coordinates
 from stages.fusion.joining import Joined, Piece, write_piece
@@ -113,7 +114,7 @@ class _Field:
         try:
             keys = found(None)
         except _kernels.LimitError as error:
-            raise StageError("a frame shows places too far away") from error
+            raise StageError(MACHINE_BUG, "a frame shows places too far away") from error
         assert (np.diff(keys.astype(np.float64)) >= 0).all(), "blocks are not in their order"
         assert len(np.unique(keys)) == len(keys), "a block is named twice"
         if len(keys):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from cli.app import run_command
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Camera, Frame
 from stages.surface.formats.ply import write_ply
@@ -97,6 +98,18 @@ class Ran:
     @property
     def json(self) -> Any:
         return json.loads(self.stdout)
+
+    @property
+    def warnings(self) -> list[str]:
+        return self._told("warning")
+
+    @property
+    def unmet(self) -> list[str]:
+        return self._told("unmet")
+
+    def _told(self, severity: str) -> list[str]:
+        found = [one for one in self.json["diagnostics"] if one["severity"] == severity]
+        return [str(Diagnostic.from_figures(one)) for one in found]
 
 
 @pytest.fixture

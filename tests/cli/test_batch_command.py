@@ -72,9 +72,9 @@ def test_warnings_are_told_with_the_scan_they_are_of(scanloom: Run, scans: Path,
     assert scanloom(*words).exit_code == 0
     strict = scanloom(*words, "--strict", "--json")
     assert strict.exit_code == 1
-    (warning,) = strict.json["warnings"]
+    (warning,) = strict.warnings
     assert warning.startswith("scan-0001: fuse: left out 1 frame; the first is 1: ")
-    assert [len(one["warnings"]) for one in strict.json["scans"]] == [0, 1]
+    assert [len(one["diagnostics"]) for one in strict.json["scans"]] == [0, 1]
 
 
 @pytest.mark.slow
@@ -82,7 +82,7 @@ def test_where_no_scan_can_be_used_the_code_is_that_of_bad_input(scanloom: Run, 
     ran = scanloom("batch", scans / "more", "-o", tmp_path / "out", *QUICK, "--json")
     assert ran.exit_code == 3
     assert ran.json["counts"] == {"unusable": 1}
-    assert ran.json["unmet"] == ["1 of 1 scans are not done: 1 unusable; the table says why."]
+    assert ran.unmet == ["1 of 1 scans are not done: 1 unusable; the table has the reasons."]
 
 
 def test_a_dry_run_foresees_each_scan_and_writes_nothing(scanloom: Run, scans: Path, tmp_path: Path):

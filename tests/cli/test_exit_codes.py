@@ -17,6 +17,7 @@ import pytest
 import trimesh
 
 from cli.exit_codes import MEANINGS, in_short
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh import Mesh
 
@@ -52,7 +53,7 @@ def test_a_number_of_triangles_that_is_not_reached_ends_with_1(scanloom: Run, pi
     assert ran.exit_code == 1
     left = len(read_ply(light).triangles)
     assert left == ran.json["triangles"] > 10
-    (sentence,) = ran.json["unmet"]
+    (sentence,) = ran.unmet
     assert sentence.startswith(f"{light}: {left} triangles are left, not 10 as asked: ")
     assert f"scanloom: {sentence}" in ran.stderr.splitlines()
     assert scanloom("simplify", pieces, light, "--ratio", 0.01, "--quiet").exit_code == 1
@@ -63,7 +64,7 @@ def test_with_bounds_whichever_comes_first_is_what_was_asked_for(scanloom: Run, 
     words = ("simplify", pieces, pieces.with_name("light.ply"), "--triangles", 10, "--json")
     by_bounds = scanloom(*words, "--max-shape", 0.01)
     assert (by_bounds.exit_code, by_bounds.json["stopped_by"]) == (0, "bounds")
-    assert "unmet" not in by_bounds.json
+    assert by_bounds.unmet == []
 
 
 def test_a_normal_mesh_that_is_too_far_ends_with_1(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
@@ -122,11 +123,13 @@ def test_a_run_that_does_not_reach_a_number_ends_with_1(
     for _ in ("made", "cached"):
         ran = scanloom(*words, "--set", "simplify.triangles=2")
         assert ran.exit_code == 1, ran.stderr
-        (sentence,) = ran.json["unmet"]
+        (sentence,) = ran.unmet
         assert re.match(r"simplify: [\d,]+ triangles are left, not 2 as asked: ", sentence)
         assert f"scanloom: {sentence}" in ran.stderr.splitlines()
         report = json.loads((tmp_path / "out" / "report.json").read_text())
-        assert report["stages"]["simplify"]["unmet"] == [sentence.removeprefix("simplify: ")]
+        (told,) = report["stages"]["simplify"]["diagnostics"]
+        assert str(Diagnostic.from_figures(told)) == sentence
+        assert (told["code"], told["severity"]) == ("simplify.count-not-reached", "unmet")
     more = scanloom(*words, "--set", "simplify.triangles=2", "--set", "simplify.max_shape=0.01")
     assert (more.exit_code, more.stderr) == (0, "")
 

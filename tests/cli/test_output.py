@@ -16,6 +16,7 @@ import stages
 from cli.errors import bug_of, failure_of
 from cli.output import Output, lines_of, one_line, to_json
 from pipeline.run.schema import SCHEMA
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import InputError, MeshError, StageError, UsageError, is_lack_of_memory
 
 
@@ -109,10 +110,10 @@ def test_no_bar_where_stderr_is_not_a_terminal(capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("error", "exit_code", "sentence"),
     [
-        (InputError("no image.", "a.png"), 3, "a.png: no image."),
-        (MeshError("bad index.", "a.ply"), 3, "a.ply: bad index."),
-        (UsageError("wrong."), 2, "wrong."),
-        (StageError("failed."), 1, "failed."),
+        (InputError(MACHINE_BUG, "no image.", "a.png"), 3, "a.png: no image."),
+        (MeshError(MACHINE_BUG, "bad index.", "a.ply"), 3, "a.ply: bad index."),
+        (UsageError(MACHINE_BUG, "wrong."), 2, "wrong."),
+        (StageError(MACHINE_BUG, "failed."), 1, "failed."),
         (KeyboardInterrupt(), 130, "Interrupted; what was finished is kept."),
         (typer.Abort(), 130, "Interrupted; what was finished is kept."),
         (FileNotFoundError(errno.ENOENT, "?", "a.ply"), 3, "a.ply: there is no such file or folder."),

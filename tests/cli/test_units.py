@@ -61,7 +61,7 @@ def test_run_says_units_and_then_metres(scanloom: Run, unit_scan: Path, tmp_path
     assert " units, truncation " in fused
     assert " m," not in fused
     assert report["scan"]["metric"] is False
-    assert any("scan.scale=" in text for text in report["scan"]["warnings"])
+    assert any(one["code"] == "scale.not-metric" for one in report["scan"]["diagnostics"])
     before = report["stages"]["fuse"]["figures"]["voxel_size_m"]
 
     said, (fused,), report = lines("--scale", 0.5)

@@ -14,9 +14,13 @@ import pytest
 
 import stages
 from cli.output import Output
+from cli.rendering import render
 from cli.watch import watching
-from pipeline.run.events import RunStarted, Waiting, Warned
+from pipeline.run.events import Waiting
 from stages import Mesh
+from stages.diagnostics.codes import MACHINE_BUG
+from stages.diagnostics.diagnostic import Where
+from stages.diagnostics.errors import UsageError
 from stages.surface.formats.ply import write_ply
 
 Run = Callable[..., Any]
@@ -57,7 +61,7 @@ def test_a_warning_is_told_whatever_is_silenced(
     if switches:
         assert ran.stderr.splitlines() == [warned]
     if "--json" in switches:
-        assert ran.json["warnings"] == [warned.removeprefix("warning: ")]
+        assert ran.warnings == [warned.removeprefix("warning: ")]
 
 
 def test_strict_counts_warnings_and_writes_the_result(scanloom: Run, faces: Path, tmp_path: Path) -> None:
@@ -65,7 +69,7 @@ def test_strict_counts_warnings_and_writes_the_result(scanloom: Run, faces: Path
     ran = scanloom("clean", faces, target, "--strict", "--json")
     assert ran.exit_code == 1
     assert target.is_file()
-    assert len(ran.json["warnings"]) == 1
+    assert len(ran.warnings) == 1
     assert ran.stderr.splitlines()[-1].startswith("scanloom: ")
     assert scanloom("clean", target, target, "--strict").exit_code == 0
 
@@ -111,12 +115,12 @@ def test_what_is_odd_about_a_scan_is_told_by_every_command_that_reads_it(
     ):
         ran = scanloom(*words, "--quiet", "--json")
         assert ran.exit_code == 0, ran.stderr
-        assert odd in ran.json["warnings"], words
+        assert odd in ran.warnings, words
         assert f"warning: {odd}" in ran.stderr.splitlines()
         assert scanloom(*words, "--strict").exit_code == 1
     ran = scanloom("inspect", odd_scan, "--json", "--strict")
     assert ran.exit_code == 1
-    assert odd in ran.json["warnings"]
+    assert odd in ran.warnings
     # There it is the answer, and not said twice.
     assert f"warning: {odd}" not in scanloom("inspect", odd_scan).stderr
     assert odd in scanloom("inspect", odd_scan).stdout
@@ -133,7 +137,7 @@ def test_json_has_warnings_also_where_there_are_none(scanloom: Run, clean_ball: 
         ("render", light, tmp_path / "p.png", "--width", 64),
     ):
         ran = scanloom(*words, "--json")
-        assert (ran.exit_code, ran.stderr, ran.json["warnings"]) == (0, "", []), words
+        assert (ran.exit_code, ran.stderr, ran.warnings) == (0, "", []), words
 
 
 @pytest.mark.filterwarnings("default")
@@ -149,7 +153,8 @@ def test_what_a_library_warns_of_is_a_line_too(
     monkeypatch.setattr("stages.clean", warning_of)
     ran = scanloom("clean", ball, tmp_path / "out.ply", "--quiet", "--strict", "--json")
     assert ran.exit_code == 1
-    assert ran.json["warnings"] == ["overflow\nin a library"]
+    assert ran.warnings == ["overflow\nin a library"]
+    assert ran.json["diagnostics"][0]["code"] == "machine.library-warning"
     assert ran.stderr.splitlines()[0] == "warning: overflow\\nin a library"
     assert len(ran.stderr.splitlines()) == 2
 
@@ -169,11 +174,11 @@ def test_a_message_is_one_line_whatever_a_file_is_called(scanloom: Run, faces: P
 def test_a_warning_is_told_once_and_what_was_not_reached_too(capsys: pytest.CaptureFixture[str]) -> None:
     out = Output(quiet=True, can_warn=True)
     for _ in range(2):
-        out.warn("odd")
-        out.unmet("far")
-    out.unmet("odd")
-    out.result({"warnings": ["odd", "new"]}, "text")
-    assert capsys.readouterr().err.splitlines() == ["warning: odd", "scanloom: far", "warning: new"]
+        out.report(MACHINE_BUG.warning("odd"))
+        out.report(MACHINE_BUG.unmet("far"))
+    out.report(MACHINE_BUG.info("silent"))
+    out.result({}, "text")
+    assert capsys.readouterr().err.splitlines() == ["warning: odd", "scanloom: far"]
     assert out.exit_code == 1
 
 
@@ -192,10 +197,10 @@ def test_that_another_run_is_waited_for_is_said_at_once_and_only_remarked(
             assert capsys.readouterr().err.splitlines() == said
 
 
-def test_a_warning_of_the_cache_is_told_at_once(capsys: pytest.CaptureFixture[str]) -> None:
-    with watching(Output(quiet=True)) as events:
-        events(RunStarted("plain", 1, (), ("fuse",)))
-        events(Warned("the cached result of fuse is damaged"))
-        assert capsys.readouterr().err == "warning: the cached result of fuse is damaged\n"
-        events(Warned("fuse: odd"))
-    assert capsys.readouterr().err == "warning: fuse: odd\n"
+def test_parameters_are_options_and_stages_are_named() -> None:
+    about = UsageError(MACHINE_BUG, "is {value}.", Where(parameter="voxel_size"), value=0).diagnostic
+    assert render(about) == "--voxel-size is 0."
+    assert render(about.within(section="fuse", file="a.toml")) == "a.toml: fuse.voxel_size is 0."
+    advice = MACHINE_BUG.warning("odd", "a.png", remedy="set scan.depth_scale=1000").within(stage="fuse")
+    assert render(advice) == "fuse: a.png: odd; set --depth-scale=1000"
+    assert str(advice) == "fuse: a.png: odd; set scan.depth_scale=1000"

@@ -1,5 +1,6 @@
 import importlib.util
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -28,13 +29,19 @@ def scan(toy: ModuleType, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def warnings() -> list[str]:
-    return []
+def warnings() -> Iterator[list[str]]:
+    """What is emitted in the test, as texts."""
+    # Not before it is asked for: some runs of these tests change the system that it is imported on.
+    from stages.diagnostics.collector import listening
+
+    said: list[str] = []
+    with listening(lambda one: said.append(str(one))):
+        yield said
 
 
 @pytest.fixture
-def cache(tmp_path: Path, warnings: list[str]) -> Any:
+def cache(tmp_path: Path, warnings: list[str]) -> Any:  # noqa: ARG001
     # Not before it is asked for: some runs of these tests change the system that it is imported on.
     from pipeline.cache.store import Cache
 
-    return Cache(tmp_path / "cache", warnings.append)
+    return Cache(tmp_path / "cache")

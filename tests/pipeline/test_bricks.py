@@ -14,6 +14,7 @@ from sample_in_pieces import part_of_sample, small_pieces
 
 from pipeline.config import Config
 from pipeline.run.run import run
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import StageError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.read import read_scan
@@ -51,7 +52,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.M
     def some(self: Any, *words: Any) -> Path:
         left[0] -= 1
         if left[0] < 0:
-            raise StageError("killed")
+            raise StageError(MACHINE_BUG, "killed")
         return store(self, *words)
 
     monkeypatch.setattr(bricks.KeptBricks, "store", some)

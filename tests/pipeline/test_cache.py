@@ -14,6 +14,7 @@ from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, drafts, flip, m
 from pipeline.cache import store as cache_module
 from pipeline.cache.entry import Recipe
 from pipeline.cache.store import Cache
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import StageError
 
 
@@ -186,7 +187,9 @@ def test_full_disk_is_one_sentence_and_leaves_nothing(cache, monkeypatch, code, 
 def test_disk_that_fills_while_a_stage_writes(cache):
     def write(folder):
         (folder / "begun").write_bytes(b"x")
-        raise StageError("fused.ply: cannot be written") from OSError(errno.ENOSPC, "No space left on device")
+        raise StageError(MACHINE_BUG, "fused.ply: cannot be written") from OSError(
+            errno.ENOSPC, "No space left on device"
+        )
 
     with pytest.raises(StageError, match="the disk is full; free some space"):
         cache.store(RECIPE, write)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.cache.digest import canonical, digest, file_digest, label_digests, scan_digest
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import StageError
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 
@@ -89,7 +90,9 @@ def test_what_a_stage_reads_of_a_frame_decides(tmp_path, change):
 def test_what_people_are_shown_does_not_decide(tmp_path):
     scan = one_frame_scan(tmp_path)
     frame = replace(scan.frames[0], name="b", timestamp=12)
-    other = replace(scan, frames=[frame], layout="other", folder=tmp_path, warnings=("odd",))
+    other = replace(
+        scan, frames=[frame], layout="other", folder=tmp_path, diagnostics=(MACHINE_BUG.warning("odd"),)
+    )
     assert scan_digest(other).digest == scan_digest(scan).digest
 
 

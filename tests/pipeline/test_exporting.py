@@ -66,4 +66,4 @@ def test_it_has_nothing_to_do_beside_a_texture_unless_it_is_asked():
 
 def test_frames_without_poses_tell_nothing(tmp_path):
     figures = estimate_up(tmp_path, sheet(), Scan("made", []), None, UprightSection())
-    assert figures == {"up": None, "up_source": "nothing", "warnings": []}
+    assert figures == {"up": None, "up_source": "nothing"}

@@ -14,7 +14,6 @@ from sample_in_pieces import part_of_sample, small_pieces
 from pipeline.config import Config
 from pipeline.evaluation.measures import SIGNED_SAMPLES
 from pipeline.run.dry_run import foresee
-from pipeline.run.events import Warned
 from pipeline.run.run import RunResult, run
 from stages import coverage, lod, read_scan
 from stages.comparing.certify import certify
@@ -40,14 +39,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, RunResul
 
 
 def ran(scan: Path, out: Path, *more: str, until: str | None = None) -> tuple[RunResult, list[str]]:
-    said: list[str] = []
-
-    def listen(event: object) -> None:
-        if isinstance(event, Warned):
-            said.append(event.text)
-
     config = Config().set([*QUICK, *more])
-    return run(scan, out, config, until=until, cache_dir=f"{out}-cache", events=listen), said
+    result = run(scan, out, config, until=until, cache_dir=f"{out}-cache")
+    return result, [str(one) for one in result.diagnostics]
 
 
 def figures_of(result: RunResult, stage: str) -> dict[str, Any]:
@@ -141,8 +135,8 @@ def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any
         told = figures_of(result, "lod")
         assert told["base_shape_bound_m"] == 0
         assert told["input_triangles"] == figures_of(result, "simplify")["triangles"]
-        assert sum("how far that is from the clean one is not proven" in text for text in said) == 1
-        assert "is not proven" in lod.read_slod(out / "lod.slod").notes[-1]
+        assert sum("its distance from the clean one is not proven" in text for text in said) == 1
+        assert "is not proven" in str(lod.read_slod(out / "lod.slod").diagnostics[-1])
         other = Config().set([*QUICK, "simplify.ratio=0.1", "lod.enabled=true"])
         foreseen = foresee(scan, out, other, until="lod", cache_dir=f"{out}-cache").stages
         assert [one.stage for one in foreseen if not one.cached] == ["simplify", "lod"]

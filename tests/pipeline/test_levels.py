@@ -15,6 +15,7 @@ from pipeline.graph import STAGES, plan_for, skip_reasons
 from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.steps.lod import LodSection, write_levels
 from stages import lod
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import UsageError
 from stages.progress import silent
 from stages.scans.layouts.scan_json import write_scan_json
@@ -227,10 +228,12 @@ def test_frames_that_tell_no_noise_give_the_clean_mesh_itself_and_a_warning(tmp_
     pose = np.eye(4)
     wall = np.ones((72, 96), np.float32)
     frame = Frame("0", CAMERA, None, depth=wall, world_from_camera=pose)
-    figures = write_levels(tmp_path, mesh, [frame], LodSection(cell_triangles=200, root_triangles=50), silent)
+    params = LodSection(cell_triangles=200, root_triangles=50)
+    with collecting() as diagnostics:
+        figures = write_levels(tmp_path, mesh, [frame], params, silent)
     assert figures["base_triangles"] == len(mesh.triangles)
     assert (figures["base_error_m"], figures["base_error_source"]) == (0, "noise")
-    assert "how exact their depth is" in figures["warnings"][0]
+    assert [one.code for one in diagnostics] == ["levels.noise-unknown"]
 
 
 @pytest.mark.parametrize(

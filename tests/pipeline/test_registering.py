@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
-from pipeline.run.events import RunStarted
 from pipeline.run.run import run
 from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.formats.trajectories import read_tum
@@ -85,12 +84,13 @@ def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
     assert result.report["stages"]["register"]["figures"]["pieces"] == [6, 3]
     # What could be joined is there, the rest beside it: a warning, which --strict makes an error.
     assert result.unmet == ()
-    sentence = result.report["stages"]["register"]["figures"]["warnings"][0]
+    sentence = result.report["stages"]["register"]["diagnostics"][0]["message"]
     assert sentence.startswith("the frames fall into 2 pieces that could not be joined; piece 1 is used")
     assert len(read_tum(tmp_path / "out" / "pieces" / "trajectory-2.tum").poses) == 3
     apart = read_ply(tmp_path / "out" / "pieces" / "fused-2.ply")
     assert 1000 < len(apart.triangles) < len(read_ply(tmp_path / "out" / "fused.ply").triangles)
-    assert any("fused apart" in text for text in result.report["stages"]["fuse"]["figures"]["warnings"])
+    said = [one["message"] for one in result.report["stages"]["fuse"]["diagnostics"]]
+    assert any("fused apart" in text for text in said)
 
     other = run(
         folder, tmp_path / "out", config("scan.every=2", "scan.last=17", "register.piece=2"), until="fuse"
@@ -111,15 +111,9 @@ def test_poses_of_a_scan_are_refined(tmp_path: Path) -> None:
 
 
 def test_to_refine_has_no_effect_where_poses_are_adjusted(tmp_path: Path) -> None:
-    warned: list[str] = []
-
-    def listen(event: object) -> None:
-        if isinstance(event, RunStarted):
-            warned.extend(event.warnings)
-
-    made = run(SAMPLE, tmp_path / "out", config("register.refine=true"), until="fuse", events=listen)
+    made = run(SAMPLE, tmp_path / "out", config("register.refine=true"), until="fuse")
     assert [outcome.stage for outcome in made.stages] == ["adjust", "fuse"]
-    assert any("register.refine has no effect" in text for text in warned)
+    assert any("register.refine has no effect" in text for text in map(str, made.diagnostics))
 
 
 def test_a_scan_with_poses_has_no_such_stage_unless_asked_for(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from pipeline.cache.digest import file_digest
 from pipeline.run.events import StageFinished, StageProgress, StageStarted
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import InputError, StageError
 
 NAMES = ["cut.bin", "mixed.bin", "tables/counts.txt"]
@@ -27,7 +28,7 @@ def contents(out):
 
 
 def fail(inputs, params, context):  # noqa: ARG001
-    raise InputError("no such luck", context.folder)
+    raise InputError(MACHINE_BUG, "no such luck", context.folder)
 
 
 @pytest.fixture

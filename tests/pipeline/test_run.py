@@ -21,7 +21,7 @@ from pipeline.cache.store import Cache
 from pipeline.config import Config
 from pipeline.evaluation.measures import edge_figures
 from pipeline.graph import STAGES
-from pipeline.run.events import RunStarted, Warned
+from pipeline.run.events import RunStarted
 from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.run.schema import SCHEMA
 from stages.diagnostics.errors import InputError, UsageError
@@ -164,7 +164,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     result = run(rgbd, out, quick(), events=events.append)
     assert snapshot(rgbd) == before, "the scan is only read"
     assert events[0] == RunStarted(
-        "plain-rgbd", 6, (), ("adjust", "fuse", "clean", "upright", "simplify", "texture", "report")
+        "plain-rgbd", 6, ("adjust", "fuse", "clean", "upright", "simplify", "texture", "report")
     )
     assert ran(result) == ["adjust", "fuse", "clean", "upright", "simplify", "texture", "report"]
     assert names(out) == PLAIN
@@ -177,7 +177,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
         "layout": "plain-rgbd",
         "frames": 6,
         "frames_skipped": [],
-        "warnings": [],
+        "diagnostics": [],
         "metric": True,
         "scale": None,
     }
@@ -324,14 +324,12 @@ def test_stereo_scan_leaves_its_depth_as_a_scan(stereo, tmp_path):
 def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
     (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
     for _ in ("made", "cached"):
-        events = []
-        result = run(
-            rgbd, tmp_path / "out", quick("fuse.max_bad_share=0.5"), until="fuse", events=events.append
-        )
+        result = run(rgbd, tmp_path / "out", quick("fuse.max_bad_share=0.5"), until="fuse")
         [skipped] = result.stages[1].figures["frames_skipped"]
         assert "0003" in skipped["reason"]
-        [warned] = [event.text for event in events if isinstance(event, Warned)]
-        assert warned.startswith("fuse: left out 1 frame; the first is ")
+        [warned] = result.diagnostics
+        assert str(warned).startswith("fuse: left out 1 frame; the first is ")
+        assert warned.code == "scan.frames-skipped"
 
 
 def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):

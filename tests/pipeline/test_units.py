@@ -95,4 +95,4 @@ def test_photos_in_the_world_of_a_scan_have_its_scale(
     assert wanted.photos is not None
     places = [one.frames[2].world_from_camera for one in (wanted.scan, wanted.photos)]
     assert [None if one is None else one[0, 3] for one in places] == pytest.approx(list(factors))
-    assert sum("no metric scale" in text for text in wanted.warnings) == told
+    assert sum("no metric scale" in text for text in map(str, wanted.diagnostics)) == told

@@ -18,6 +18,7 @@ from pipeline.graph import STAGES, plan_for
 from pipeline.run.run import run
 from pipeline.steps import upright
 from pipeline.steps.upright import UprightSection
+from stages.diagnostics.collector import collecting
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.scans.world import Y_UP, Z_DOWN, Z_UP, WorldUp
@@ -51,16 +52,17 @@ LEVEL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     ],
 )
 def test_the_figure_says_what_told_it(tmp_path: Path, scan, up, source, doubts) -> None:
-    figures = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection())
+    with collecting() as diagnostics:
+        figures = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection())
     assert (figures["up"], figures["up_source"]) == (up, source)
     assert UpDirection(tmp_path).load() == up
-    assert ["upright.up=AXIS states it" in text for text in figures["warnings"]] == [True] * doubts
+    assert ["upright.up=AXIS states it" in str(one) for one in diagnostics] == [True] * doubts
 
 
 def test_what_is_given_counts_more_than_what_is_known(tmp_path: Path) -> None:
     scan = Scan("s", [posed(LEVEL)], up=POLYCAM)
     figures = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection(up="-x"))
-    assert (figures["up"], figures["up_source"], figures["warnings"]) == ((-1.0, 0.0, 0.0), "given", [])
+    assert (figures["up"], figures["up_source"]) == ((-1.0, 0.0, 0.0), "given")
 
 
 def test_poses_that_are_found_have_another_world_and_what_was_measured_stays(tmp_path: Path) -> None:

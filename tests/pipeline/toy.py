@@ -19,6 +19,7 @@ from pipeline.run.engine import Engine, Outcome, Source
 from pipeline.run.events import Events, unwatched
 from pipeline.sections import Sections
 from pipeline.stage import AnyStage, Artifact, Context, Stage
+from stages.diagnostics.collector import listening
 from stages.params import check, param
 from stages.scans.scan import Camera, Frame, Scan
 
@@ -192,10 +193,14 @@ def run(
     scan = read_scan(folder)
     content = scan_digest(scan)
     frames = Source(content.digest, scan, content.parts, content.require_unchanged)
-    store = Cache(cache or out / "cache", None if warnings is None else warnings.append)
+    store = Cache(cache or out / "cache")
     store.remove_abandoned()
     config, sources = ToyConfig().set(assignments), {"frames": frames}
-    with Engine(plan, config, sources, store, out, events, overwrite=overwrite) as engine:
+    said = [] if warnings is None else warnings
+    with (
+        listening(lambda one: said.append(str(one))),
+        Engine(plan, config, sources, store, out, events, overwrite=overwrite) as engine,
+    ):
         outcomes = list(engine.run(until, force))
         engine.withdraw_outdated(until)
         return outcomes

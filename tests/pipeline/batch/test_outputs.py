@@ -14,6 +14,7 @@ from pipeline.batch import outputs
 from pipeline.batch.outputs import require_replaceable, withdraw_outputs, write_outputs
 from pipeline.batch.records import DONE, FAILED, RUNNING, UNUSABLE, WAITING, Record
 from pipeline.batch.summary import COLUMNS, Summary, csv_of, parquet_of
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import InputError
 
 FIGURES = {
@@ -24,8 +25,9 @@ FIGURES = {
     "voxel_size_m": 0.006,
     "manifold": False,
 }
+ODD = (MACHINE_BUG.warning("odd"), MACHINE_BUG.warning("odder"))
 RECORDS = (
-    Record(0, "hall", DONE, "", 12.5, warnings=("odd", "odder"), figures=FIGURES),
+    Record(0, "hall", DONE, "", 12.5, diagnostics=ODD, figures=FIGURES),
     Record(1, 'a, "b" </script><b>', FAILED, "fuse failed: the disk is full;\nfree some.", 1.0),
     Record(2, "späße", UNUSABLE, "x: no", 0.1),
 )
