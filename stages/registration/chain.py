@@ -84,7 +84,7 @@ def make_chain(
         try:
             return read_view(frame, max_depth)
         except InputError as error:
-            return SkippedFrame(frame.name, str(error))
+            return SkippedFrame(frame.name, error.diagnostic)
 
     def couples() -> Iterator[tuple[int, View, int, View]]:
         before: tuple[int, View] | None = None
@@ -108,7 +108,7 @@ def make_chain(
             return *couple, refined(source, target, max_depth, guess)
         return *couple, motion_between(source, target, max_depth)
 
-    last: Motion | NoMotion = NoMotion("")
+    last: Motion | NoMotion | None = None
     for before, target, number, source, found in read_ahead(
         place, couples(), threads=threads, ahead=threads + 2
     ):

@@ -10,7 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.registration.chain import Chain
+from stages.registration.codes import REGISTER_NOT_BETTER
 from stages.registration.graph import Edge, pieces
 from stages.registration.motion import Motion
 from stages.registration.odometry import meeting
@@ -45,14 +47,12 @@ class Placed:
     poses : world_from_camera by the frame's place; each piece in a world of its own.
     used, wrong : edges.
     idle : loops that are left out, for they make nothing agree better.
-    told : what is to be said of the choice; empty if nothing is.
     """
 
     poses: dict[int, Pose]
     used: list[Edge]
     wrong: list[Edge]
     idle: list[Edge] = field(default_factory=list)
-    told: str = ""
 
 
 def placed(
@@ -159,13 +159,15 @@ def _best(
     # What is asked is whether these are better, and not whether others would be.
     if found < (1 - _BETTER) * as_given:
         return best
-    told = (
-        f"points that are recognised land {found:.2f} px from their matches, {as_given:.2f} px with "
-        "those given"
+    message = (
+        "the poses found are not better, those given are kept: points that are recognised land {found:.2f} "
+        "px from their matches, {given:.2f} px with those given"
         if are_enough
-        else f"{found:.1%} of surfaces do not meet, {as_given:.1%} with those given"
+        else "the poses found are not better, those given are kept: {found:.1%} of surfaces do not meet, "
+        "{given:.1%} with those given"
     )
-    return Placed(_completed(chain, groups, given, free.poses), free.used, free.wrong, told=told)
+    emit(REGISTER_NOT_BETTER.warning(message, found=found, given=as_given))
+    return Placed(_completed(chain, groups, given, free.poses), free.used, free.wrong)
 
 
 def _completed(

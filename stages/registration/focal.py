@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.frames.features import match_descriptors
 from stages.frames.sampling import sample_evenly
 from stages.registration.appearance import likeness
+from stages.registration.codes import CAMERA_FOCAL_ESTIMATED
 from stages.registration.features import Features
 from stages.registration.still import is_still
 from stages.registration.view import read_view
+from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, Frame
 
@@ -77,17 +80,27 @@ class Focal:
         return replace(guessed, fx=self.focal_px, fy=self.focal_px, is_guess=False)
 
 
-def focal_warnings(focal: Focal | None, guess: Camera) -> list[str]:
-    """Return what is to be said of a focal length that nobody stated."""
+def report_focal(focal: Focal | None, guess: Camera) -> None:
+    """Warn of a focal length that nobody stated, estimated or guessed."""
     if focal is None:
-        return [
-            "the focal length could not be estimated from what the frames show: the "
-            f"{guess.fx:g} px that were guessed stay; set scan.intrinsics=fx,fy,cx,cy"
-        ]
-    return [
-        f"the focal length is estimated to be {focal}, in place of the {guess.fx:g} px that were guessed; "
-        "the middle of the image is taken for its centre. What is known better: scan.intrinsics=fx,fy,cx,cy"
-    ]
+        emit(
+            CAMERA_INTRINSICS_GUESSED.warning(
+                "the focal length could not be estimated from what the frames show: the {guess:g} px that "
+                "were guessed stay",
+                remedy="set scan.intrinsics=fx,fy,cx,cy",
+                guess=guess.fx,
+            )
+        )
+        return
+    emit(
+        CAMERA_FOCAL_ESTIMATED.warning(
+            "the focal length is estimated to be {focal}, in place of the {guess:g} px that were guessed; "
+            "the middle of the image is taken for its centre.",
+            remedy="What is known better: scan.intrinsics=fx,fy,cx,cy",
+            focal=focal,
+            guess=guess.fx,
+        )
+    )
 
 
 @dataclass(frozen=True, eq=False)

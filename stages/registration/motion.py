@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
+from stages.registration.codes import REGISTER_PAIR_NOT_ALIGNED
 from stages.registration.features import Recognised, recognise
 from stages.registration.odometry import align, align_from_afar, meeting, told
 from stages.registration.points import Matched, at_source, joined
@@ -65,9 +67,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class NoMotion:
-    """Why two views could not be placed to each other."""
+    """Reason why two views could not be placed to each other."""
 
-    reason: str
+    diagnostic: Diagnostic
 
 
 def motion_between(
@@ -131,16 +133,18 @@ def by_surface(
     least = _LEAST_FITNESS if near else _LEAST_UNRECOGNISED if rich else _LEAST_FROM_AFAR
     if min(source.firmness, target.firmness) < _FIRM:
         return NoMotion(
-            "the surface in view is flat or slides along itself, and nothing on it is recognised: "
-            "nothing holds the motion"
+            REGISTER_PAIR_NOT_ALIGNED.warning(
+                "the surface in view is flat or slides along itself, and nothing on it is recognised: "
+                "nothing holds the motion"
+            )
         )
     there = fit(source, target, guess, max_depth)
     meets = None if there is None else meeting(source, target, there[0])
     if there is None or meets is None or meets < least:
-        return _apart(meets, "nothing is recognised in both, and " if rich and not near else "")
+        return _apart(meets, is_recognised=near or not rich)
     back = fit(target, source, inverted(guess), max_depth)
     if back is None or not agree(back[0] @ there[0], source.depth_m):
-        return NoMotion("the surfaces fit in more than one way")
+        return NoMotion(REGISTER_PAIR_NOT_ALIGNED.warning("the surfaces fit in more than one way"))
     return _of(there[0], told(target, meets), meets, there[1])
 
 
@@ -182,7 +186,10 @@ def _refined(
             return _of(pose, information, meets, rmse, seen if same else None)
     if not sure:
         return NoMotion(
-            f"the {seen.points} points that are recognised and the surface do not agree on the motion"
+            REGISTER_PAIR_NOT_ALIGNED.warning(
+                "the {points} points that are recognised and the surface do not agree on the motion",
+                points=seen.points,
+            )
         )
     meets = meeting(source, target, points)
     if meets < _LEAST_BESIDE_POINTS:
@@ -204,9 +211,11 @@ def _of(
     return Motion(pose, information, fitness, rmse, seen.points, held=seen.held)
 
 
-def _apart(meets: float | None, why: str = "") -> NoMotion:
-    share = 0 if meets is None else meets
-    return NoMotion(f"{why}only {share:.0%} of the surface meets the other view's")
+def _apart(meets: float | None, *, is_recognised: bool = True) -> NoMotion:
+    message = "only {share:.0%} of the surface meets the other view's"
+    if not is_recognised:
+        message = f"nothing is recognised in both, and {message}"
+    return NoMotion(REGISTER_PAIR_NOT_ALIGNED.warning(message, share=0.0 if meets is None else meets))
 
 
 def agree(difference: Pose, depth: float) -> bool:

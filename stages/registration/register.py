@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.frames.sampling import sample_evenly
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.registration import oddities
 from stages.registration.bridges import confirmed
 from stages.registration.chain import Chain, key_edges, make_chain
 from stages.registration.choosing import Placed, placed
 from stages.registration.codes import REGISTER_FRAMES_UNUSABLE, REGISTER_NOT_CONNECTED
-from stages.registration.focal import focal_of, focal_warnings, is_guess
+from stages.registration.focal import focal_of, is_guess, report_focal
 from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
@@ -28,6 +28,7 @@ from stages.registration.motion import NoMotion
 from stages.registration.odometry import one_thread_each
 from stages.registration.params import RegisterKeywords, RegisterParams
 from stages.registration.registered import Registration
+from stages.registration.reporting import report_pieces, report_poses
 from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
 from stages.scans.codes import POSE_MISSING
 from stages.scans.images import read_depth
@@ -80,51 +81,51 @@ def register(
     Open3D's, features and perspective-n-point OpenCV's.
     """
     params = resolve(RegisterParams, params, changes)
+    began = time.perf_counter()
+    with collecting() as diagnostics:
+        found = _register(scan, params, progress)
+    return replace(found, diagnostics=tuple(diagnostics), seconds=time.perf_counter() - began)
+
+
+def _register(scan: Scan | Sequence[Frame], params: RegisterParams, progress: Progress) -> Registration:
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
-    began = time.perf_counter()
     given = _given(frames) if params.refine else {}
     if params.refine and not given:
         raise InputError(POSE_MISSING, "no frame has a pose that could be refined.", where)
     if not (params.focal and is_guess(frames)):
-        return _of_scene_or_thing(frames, given, params, began, where, progress)
+        return _of_scene_or_thing(frames, given, params, where, progress)
     guess = frames[0].camera
     focal = focal_of(frames)
     if focal is None and params.subject != "scene" and shows_thing(frames):
         focal = focal_by_marks(frames)
     if focal is not None:
         frames = [replace(frame, camera=focal.camera(frame.camera)) for frame in frames]
-    found = _of_scene_or_thing(frames, given, params, began, where, progress)
-    return replace(
-        found,
-        focal=focal,
-        warnings=(*found.warnings, *focal_warnings(focal, guess)),
-        seconds=time.perf_counter() - began,
-    )
+    found = _of_scene_or_thing(frames, given, params, where, progress)
+    report_focal(focal, guess)
+    return replace(found, focal=focal)
 
 
 def _of_scene_or_thing(
     frames: Sequence[Frame],
     given: Mapping[int, Pose],
     params: RegisterParams,
-    began: float,
     where: Path | None,
     progress: Progress,
 ) -> Registration:
     thing = None if given else thing_in(frames, params.subject, where)
     if thing is None:
-        return _registered(frames, given, given, params, began, where, progress)
+        return _registered(frames, given, given, params, where, progress)
     try:
-        found = _registered(thing.frames, thing.poses, {}, params, began, where, progress)
+        found = _registered(thing.frames, thing.poses, {}, params, where, progress)
     except InputError as error:
-        raise thing_not_placed(str(error)) from error
+        raise thing_not_placed(error.diagnostic.message, where) from error
     return replace(
         found,
         frames=tuple(
             alone(frames, dict(zip(found.places, found.frames, strict=True)), thing, where).values()
         ),
         apart={number: alone(frames, piece, thing, where) for number, piece in found.apart.items()},
-        seconds=time.perf_counter() - began,
         subject="object",
     )
 
@@ -134,7 +135,6 @@ def _registered(
     guesses: Mapping[int, Pose],
     given: Mapping[int, Pose],
     params: RegisterParams,
-    began: float,
     where: Path | None,
     progress: Progress,
 ) -> Registration:
@@ -146,7 +146,7 @@ def _registered(
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(
                 REGISTER_FRAMES_UNUSABLE,
-                "{seen_count} frames can be used; poses need two at least{first}.",
+                "{seen_count} frames can be used; poses need two at least{first}",
                 where,
                 seen_count=len(chain.seen),
                 first=first,
@@ -158,7 +158,7 @@ def _registered(
             edges = confirmed(chain.keys, edges)
         groups = pieces(len(chain.keys), edges)
         found = placed(chain, groups, edges, given)
-    return _result(frames, chain, groups, found, began, where, given, params.piece)
+    return _result(frames, chain, groups, found, where, given, params.piece)
 
 
 def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
@@ -187,7 +187,6 @@ def _result(
     chain: Chain,
     groups: Sequence[Sequence[int]],
     found: Placed,
-    began: float,
     where: Path | None,
     given: Mapping[int, Pose],
     piece: int,
@@ -200,7 +199,7 @@ def _result(
         sizes[piece_of[n]].append(n)
     order = sorted(range(len(groups)), key=lambda piece: (-len(sizes[piece]), piece))
     breaks = tuple(
-        SkippedFrame(frames[after].name, motion.reason)
+        SkippedFrame(frames[after].name, motion.diagnostic)
         for after, motion in zip(numbers[1:], chain.motions.values(), strict=True)
         if isinstance(motion, NoMotion)
     )
@@ -210,10 +209,10 @@ def _result(
             REGISTER_NOT_CONNECTED,
             (
                 "no two of its {numbers_count} frames can be placed to each other (frame "
-                "{breaks_name}: {reason}). If poses are known, name them with "
-                "scan.poses=FILE."
+                "{breaks_name}: {reason})"
             ),
             where,
+            remedy="if poses are known, name them with scan.poses=FILE.",
             numbers_count=len(numbers),
             breaks_name=breaks[0].name,
             reason=breaks[0].reason,
@@ -221,7 +220,7 @@ def _result(
     if piece > usable:
         raise InputError(
             REGISTER_NOT_CONNECTED,
-            "there is no piece {piece} of two frames or more; there are {usable}.",
+            "there is no piece {piece} of two frames or more; there are {usable}",
             where,
             piece=piece,
             usable=usable,
@@ -230,7 +229,12 @@ def _result(
     left_out = [
         SkippedFrame(
             frames[n].name,
-            f"it is in piece {rank[piece_of[n]]} of {len(order)}, which could not be joined to piece {piece}",
+            REGISTER_NOT_CONNECTED.warning(
+                "it is in piece {own} of {count}, which could not be joined to piece {piece}",
+                own=rank[piece_of[n]],
+                count=len(order),
+                piece=piece,
+            ),
         )
         for n in numbers
         if rank[piece_of[n]] != piece
@@ -238,6 +242,8 @@ def _result(
     in_worlds = {
         rank[index]: _in_their_world(frames, members, poses, given) for index, members in enumerate(sizes)
     }
+    report_pieces(len(order), usable, piece, breaks)
+    report_poses(frames, chain, [poses[n] for n in in_worlds[piece]], found.used, found.wrong)
     return Registration(
         frames=tuple(in_worlds[piece].values()),
         places=tuple(in_worlds[piece]),
@@ -251,12 +257,6 @@ def _result(
         ),
         breaks=breaks,
         key_frames=tuple(keys),
-        warnings=(
-            *oddities.of_pieces(len(order), usable, piece, breaks),
-            *([f"the poses found are not better, those given are kept: {found.told}"] if found.told else []),
-            *oddities.of_poses(frames, chain, [poses[n] for n in in_worlds[piece]], found.used, found.wrong),
-        ),
-        seconds=time.perf_counter() - began,
     )
 
 

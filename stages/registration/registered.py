@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.printing import by_figures, table
 from stages.registration.focal import Focal
 from stages.scans.scan import Frame, SkippedFrame
@@ -30,10 +31,10 @@ class Registration:
         where recognised points alone tell the motion), points, is_loop, is_used.
     breaks : where a frame could not be placed to the one before: its name, and why.
     key_frames : places in the scan.
-    warnings : what is odd.
-    seconds : of the work.
     focal : that of the depth camera, where nobody stated it and the frames tell it: theirs has it.
     subject : `scene`, or `object`: the frames then have masks of it, and the world is its own.
+    seconds : of the work.
+    diagnostics : what is odd.
     """
 
     frames: tuple[Frame, ...]
@@ -44,10 +45,10 @@ class Registration:
     edges: tuple[dict[str, Any], ...]
     breaks: tuple[SkippedFrame, ...]
     key_frames: tuple[int, ...]
-    warnings: tuple[str, ...]
-    seconds: float
     subject: str = "scene"
     focal: Focal | None = None
+    seconds: float = 0.0
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -62,7 +63,7 @@ class Registration:
             "subject": self.subject,
             "focal": self.focal and self.focal.figures(),
             "frames": len(self.frames),
-            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "frames_skipped": [one.figures() for one in self.skipped],
             "pieces": [len(piece) for piece in self.pieces],
             "key_frames": len(self.key_frames),
             "edges": len(used),
@@ -71,8 +72,7 @@ class Registration:
             "median_fitness": _median([edge["fitness"] for edge in used]),
             "median_rmse_m": _median([edge["rmse_m"] for edge in used if edge["rmse_m"] is not None]),
             "path_m": float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()) if len(centres) else 0.0,
-            "breaks": [{"frame": one.name, "reason": one.reason} for one in self.breaks],
-            "warnings": list(self.warnings),
+            "breaks": [one.figures() for one in self.breaks],
         }
 
 

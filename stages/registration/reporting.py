@@ -1,12 +1,21 @@
-"""What is odd about poses that were found, in words."""
+"""Diagnostics of registered poses: pieces, moving parts, refused loops, black and repeated frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.registration.chain import Chain
+from stages.registration.codes import (
+    REGISTER_AMBIGUOUS_PLACES,
+    REGISTER_CAMERA_STILL,
+    REGISTER_FRAMES_REPEATED,
+    REGISTER_FRAMES_UNUSABLE,
+    REGISTER_MOTION_UNCLEAR,
+    REGISTER_NOT_CONNECTED,
+)
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion, angle
 from stages.scans.poses import inverted
@@ -16,52 +25,86 @@ _STILL_M, _STILL_RAD = 0.005, np.radians(0.5)
 _DARK = 8.0
 
 
-def of_pieces(count: int, usable: int, piece: int, breaks: Sequence[SkippedFrame]) -> Iterator[str]:
-    """Yield what is to be said of a scan that fell into pieces."""
-    if count > 1:
-        another = f" (register.piece={1 if piece > 1 else 2} for another)" if usable > 1 else ""
-        more = f" and {len(breaks) - 1} more" if len(breaks) > 1 else ""
-        yield (
-            f"the frames fall into {count} pieces that could not be joined; piece {piece} is used{another}. "
-            f"The chain broke at {breaks[0].name}{more}: {breaks[0].reason}"
+def report_pieces(count: int, usable: int, piece: int, breaks: Sequence[SkippedFrame]) -> None:
+    """Warn if a scan fell into pieces."""
+    if count <= 1:
+        return
+    another = f" (register.piece={1 if piece > 1 else 2} for another)" if usable > 1 else ""
+    more = f" and {len(breaks) - 1} more" if len(breaks) > 1 else ""
+    emit(
+        REGISTER_NOT_CONNECTED.warning(
+            "the frames fall into {count} pieces that could not be joined; piece {piece} is used{another}. "
+            "The chain broke at {first}{more}: {reason}",
+            count=count,
+            piece=piece,
+            another=another,
+            first=breaks[0].name,
+            more=more,
+            reason=breaks[0].reason,
         )
+    )
 
 
-def of_poses(
+def report_poses(
     frames: Sequence[Frame],
     chain: Chain,
     poses: Sequence[Pose],
     used: Sequence[Edge],
     wrong: Sequence[Edge],
-) -> Iterator[str]:
-    """Yield what is odd about the poses of the piece that is used, and the edges of all."""
+) -> None:
+    """Warn of doubtful poses of the piece that is used, of loops and frames of all pieces."""
     motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
     split = [motion for motion in motions if motion.is_split]
     if len(split) > 0.1 * max(len(motions), 1):
-        yield (
-            f"in {len(split)} of {len(motions)} steps parts of the view move differently: something moves on "
-            "its own (a person, a turntable), or colour and depth do not belong together. What most of the "
-            "surface does was taken for the camera's motion"
+        emit(
+            REGISTER_MOTION_UNCLEAR.warning(
+                "in {split} of {steps} steps parts of the view move differently: something moves on its own "
+                "(a person, a turntable), or colour and depth do not belong together. What most of the "
+                "surface does was taken for the camera's motion",
+                split=len(split),
+                steps=len(motions),
+            )
         )
     loops = [edge for edge in (*used, *wrong) if not edge.is_certain]
     if len(wrong) > max(0.5 * len(loops), 3):
-        yield (
-            f"{len(wrong)} of {len(loops)} places that look as if they were seen before do not fit the path: "
-            "it is bent, or the scene holds things that look the same; see path.ply"
+        emit(
+            REGISTER_AMBIGUOUS_PLACES.warning(
+                "{wrong} of {loops} places that look as if they were seen before do not fit the path: it is "
+                "bent, or the scene holds things that look the same; see path.ply",
+                wrong=len(wrong),
+                loops=len(loops),
+            )
         )
     if poses and all(np.linalg.norm(pose[:3, 3] - poses[0][:3, 3]) < _STILL_M for pose in poses):
         turned = max(angle(inverted(poses[0]) @ pose) for pose in poses)
         if turned < _STILL_RAD:
-            yield (
-                "the camera does not move: all frames show the scene from one place; a thing that was turned "
-                "in front of it is registered alone with register.subject=object"
+            emit(
+                REGISTER_CAMERA_STILL.warning(
+                    "the camera does not move: all frames show the scene from one place",
+                    remedy=(
+                        "a thing that was turned in front of it is registered alone with "
+                        "register.subject=object"
+                    ),
+                )
             )
+    _report_frames(frames, chain, motions)
+
+
+def _report_frames(frames: Sequence[Frame], chain: Chain, motions: Sequence[Motion]) -> None:
     dark = [number for number, one in chain.seen.items() if one.mean_color < _DARK]
     if dark:
-        yield f"{len(dark)} colour images are black, the first is that of frame {frames[dark[0]].name}"
+        emit(
+            REGISTER_FRAMES_UNUSABLE.warning(
+                "{count} colour images are black, the first is that of frame {first}",
+                count=len(dark),
+                first=frames[dark[0]].name,
+            )
+        )
     same = sum(
         np.linalg.norm(m.target_from_source[:3, 3]) < 1e-5 and angle(m.target_from_source) < 1e-5
         for m in motions
     )
     if same:
-        yield f"{same} frames are the same as the one before"
+        emit(
+            REGISTER_FRAMES_REPEATED.warning("{count} frames are the same as the one before", count=int(same))
+        )

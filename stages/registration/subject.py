@@ -67,11 +67,11 @@ def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing
             raise StageError(
                 REGISTER_TURNING_OBJECT,
                 (
-                    "{detail}no thing can be told from what is around it: that needs a camera "
-                    "that stands still while the thing moves, but {told}. register.subject=scene "
-                    "takes all that is seen."
+                    "no thing can be told from what is around it: that needs a camera "
+                    "that stands still while the thing moves, but {told}."
                 ),
-                detail="" if where is None else f"{where}: ",
+                where,
+                remedy="register.subject=scene takes all that is seen.",
                 told=told,
             )
         return None
@@ -122,21 +122,17 @@ def alone(
         return found
     masks = masks_of_thing(found)
     if float(np.median([mask.mean() for mask in masks.values()])) < _LEAST_SHOWN:
-        raise thing_not_placed("no motion of it as one rigid thing fits what the frames show.", where)
+        raise thing_not_placed("no motion of it as one rigid thing fits what the frames show", where)
     return {n: _with_mask(frame, masks[n]) if n in masks else frame for n, frame in found.items()}
 
 
-def thing_not_placed(why: str, where: Path | None = None) -> StageError:
+def thing_not_placed(why: str, where: Path | None) -> StageError:
     """Return the error for a thing whose poses cannot be found."""
-    named = "" if where is None else f"{where}: "
     return StageError(
         REGISTER_TURNING_OBJECT,
-        (
-            "{named}a thing moves before a camera that stands still, and cannot be put "
-            "together: {why} Turn it in smaller steps, on printed paper; "
-            "register.subject=scene takes all that is seen."
-        ),
-        named=named,
+        "a thing moves before a camera that stands still, and cannot be put together ({why}).",
+        where,
+        remedy=("Turn it in smaller steps, on printed paper; register.subject=scene takes all that is seen."),
         why=why,
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.frames.projection import unproject
@@ -66,11 +67,11 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
 
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", Where(frame=frame.name))
     depth[depth > max_depth] = 0
     valid = depth[depth > 0]
     if valid.size == 0:
-        raise InputError(SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", f"frame {frame.name}")
+        raise InputError(SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", Where(frame=frame.name))
     grey = None
     features = Features.none() if known is None else known
     if frame.color is not None and known is None:
@@ -100,7 +101,7 @@ def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
 
     color = read_matching_color(frame, depth) if frame.color_camera is not None else read_color(frame)
     if color is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", Where(frame=frame.name))
     share = min((PIXELS / (color.shape[0] * color.shape[1])) ** 0.5, 1.0)
     size = (max(round(color.shape[1] * share), 1), max(round(color.shape[0] * share), 1))
     if size != (color.shape[1], color.shape[0]):

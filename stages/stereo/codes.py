@@ -8,8 +8,8 @@ DEPTH_NETWORK_NO_EFFECT = Code(
     "depth.network-no-effect",
     "A network of single images that fills in nothing",
     """
-The network's depth must fit the depth that was measured in the same image, up to a scale and a shift. Where
-it does not fit, measured depth stays as it is, and nothing is added.
+The network's depth must fit the depth that was measured in the same image, up to a scale and a shift.
+Where it does not fit, measured depth stays as it is, and nothing is added.
 """,
     (
         "midas.onnx: the network fills in nothing in some images: it differs by more than "
@@ -20,9 +20,9 @@ DEPTH_NETWORK_UNUSABLE = Code(
     "depth.network-unusable",
     "A network of your own that cannot be run",
     """
-The file of `depth.model` is no ONNX file, is damaged, keeps its weights in other files, or needs more memory
-or time than it may take. The words of onnxruntime follow: most often it does not know an operation. Export
-the network again with another opset, or install a newer onnxruntime.
+The file of `depth.model` is no ONNX file, is damaged, keeps its weights in other files, or needs more
+memory or time than it may take. The words of onnxruntime follow: most often it does not know an
+operation. Export the network again with another opset, or install a newer onnxruntime.
 """,
     "raft.onnx: networks are run by onnxruntime; install scanloom[network].",
 )
@@ -30,8 +30,8 @@ DEPTH_NETWORK_UNIDENTIFIED = Code(
     "depth.network-unidentified",
     "A network that cannot be guessed",
     """
-`scanloom probe` knows the usual inputs and outputs only. The example script of the network's makers shows how
-they prepare their images.
+`scanloom probe` knows the usual inputs and outputs only. The example script of the network's makers shows
+how they prepare their images.
 """,
     ("raft.onnx: its inputs (1 × 6 × 384 × 512) are no image and no pair; write its sidecar by hand."),
 )
@@ -40,8 +40,8 @@ DEPTH_NETWORK_SIDECAR_INVALID = Code(
     "The page beside a network does not fit it",
     """
 The page (sidecar) states the inputs and outputs of a network; [a network of your
-own](../your-own-network.md) lists its entries. A warning where left and right agree on hardly any pixel: then
-unit, sign or range on the page are wrong, rather than the network.
+own](../your-own-network.md) lists its entries. A warning where left and right agree on hardly any pixel:
+then unit, sign or range on the page are wrong, rather than the network.
 """,
     (
         "raft.onnx: there is no raft.json beside it, which says what it takes and gives; "
@@ -52,8 +52,8 @@ DEPTH_RANGE_EMPTY = Code(
     "depth.range-empty",
     "A range of depth in which nothing can be matched",
     """
-`depth.min_depth` and `depth.max_depth` are metres along the optical axis. The nearest depth decides how many
-disparities are tried, and with that time and memory; surfaces nearer than it are lost.
+`depth.min_depth` and `depth.max_depth` are metres along the optical axis. The nearest depth decides how
+many disparities are tried, and with that time and memory; surfaces nearer than it are lost.
 """,
     "depth.max_depth is 0.2 m, nearer than the rig's pairs can be matched (0.35 m); give a larger one.",
 )
@@ -61,8 +61,8 @@ DEPTH_FAR_LEFT_OUT = Code(
     "depth.far-left-out",
     "Depth beyond the limit of depth maps",
     """
-A warning. Depth maps are kept in steps of 16 bits, which end at this distance unless `depth.max_depth` states
-another one.
+A warning. Depth maps are kept in steps of 16 bits, which end at this distance unless `depth.max_depth`
+states another one.
 """,
     "depth beyond 65.53 m is left out (depth.max_depth)",
 )
@@ -72,13 +72,13 @@ DEPTH_COVERAGE_LOW = Code(
     """
 A warning, with the reasons for the rest, the largest share first.
 
-- *Too little texture*: such pixels are taken for a backdrop: a plain wall, a sky. Before a backdrop of one
-  colour in all views, or with masks of the object, plain parts of the object itself are measured;
+- *Too little texture*: such pixels are taken for a backdrop: a plain wall, a sky. Before a backdrop of
+  one colour in all views, or with masks of the object, plain parts of the object itself are measured;
   `depth.backdrop=0` measures plain parts of rooms, too.
-- *Matched no other view surely*: more texture or light helps, or views closer together; neighbours 5° to 15°
-  apart suit best.
-- *Is not sure, or is not seen alike* by enough other views: such depth is wrong, plain, or seen from too few
-  sides. Take more views, or lower `depth.min_confidence` and `depth.agreeing_views`.
+- *Matched no other view surely*: more texture or light helps, or views closer together; neighbours 5° to
+  15° apart suit best.
+- *Is not sure, or is not seen alike* by enough other views: such depth is wrong, plain, or seen from too
+  few sides. Take more views, or lower `depth.min_confidence` and `depth.agreeing_views`.
 """,
     (
         "depth covers only 9% of the views' pixels: 71% has too little texture (depth.backdrop=0 keeps it), "
@@ -117,9 +117,9 @@ DEPTH_PAIR_ROWS_DIFFER = Code(
     "depth.pair-rows-differ",
     "Rows of a pair that do not correspond",
     """
-A warning. A pair is matched along rows. If the cameras moved since they were calibrated, matching points lie
-on different rows, and less and less is found. Calibrate again; check that the images are in the size and the
-state (raw or rectified) that the calibration is for.
+A warning. A pair is matched along rows. If the cameras moved since they were calibrated, matching points
+lie on different rows, and less and less is found. Calibrate again; check that the images are in the size
+and the state (raw or rectified) that the calibration is for.
 """,
     (
         "rows of the pair differ by 3.0 px (median of 412 corners), more than 0.5 px: the calibration does "
@@ -130,9 +130,9 @@ DEPTH_SCENE_INCOMPLETE = Code(
     "depth.scene-incomplete",
     "Much of a scene was not measured",
     """
-A warning. Floors, walls and tops of tables without texture are filled from the depth measured in and around
-them, where that lies on one plane and other views agree. Surfaces that are only nearly flat become flat
-there. Confidence maps are 1 in such places, so that `scan.least_confidence=2` leaves them out.
+A warning. Floors, walls and tops of tables without texture are filled from the depth measured in and
+around them, where that lies on one plane and other views agree. Surfaces that are only nearly flat become
+flat there. Confidence maps are 1 in such places, so that `scan.least_confidence=2` leaves them out.
 """,
     (
         "31% of the depth was measured by no view, and is that of planes on which measured depth around it "
@@ -143,10 +143,10 @@ DEPTH_OBJECT_INCOMPLETE = Code(
     "depth.object-incomplete",
     "Much of an object was not measured",
     """
-A warning. Where views stand all around an object with masks or a backdrop, unmeasured surface is placed on
-the visual hull of its silhouettes: right for convex parts, too far out for hollows. Confidence maps are 1 in
-such places, so that `scan.least_confidence=2` leaves them out. More views, more light on dark parts, or
-neighbours 5° to 15° apart measure more.
+A warning. Where views stand all around an object with masks or a backdrop, unmeasured surface is placed
+on the visual hull of its silhouettes: right for convex parts, too far out for hollows. Confidence maps
+are 1 in such places, so that `scan.least_confidence=2` leaves them out. More views, more light on dark
+parts, or neighbours 5° to 15° apart measure more.
 """,
     (
         "24% of the thing's depth was measured by no view, and is that of the hull of "
@@ -157,8 +157,8 @@ DEPTH_VIEW_WITHOUT_PARTNER = Code(
     "depth.view-without-partner",
     "Views that have no partner, or too few",
     """
-Single views measure depth against others that see the same from 1° to 35° aside. Views of a camera that only
-turns on the spot have none; take more, closer together, from different places.
+Single views measure depth against others that see the same from 1° to 35° aside. Views of a camera that
+only turns on the spot have none; take more, closer together, from different places.
 """,
     (
         "no other view sees the same from a little aside (1 to 35 degrees); others stand too near, too far "
@@ -187,8 +187,8 @@ DEPTH_IMAGES_TURNED = Code(
     "depth.images-turned",
     "Images that were turned back",
     """
-For information. Some data sets store images that are upside down against their poses. Recognised points show
-which; `depth.turn_back=false` leaves images as they are.
+For information. Some data sets store images that are upside down against their poses. Recognised points
+show which; `depth.turn_back=false` leaves images as they are.
 """,
     "3 images are upside down against their poses, the first templeR0042; they were turned back",
 )
@@ -197,8 +197,8 @@ DEPTH_POSES_MOVED = Code(
     "Poses of views that were corrected",
     """
 A warning. Poses that are off by more than a pixel, as telephones' are, are moved towards the points that
-views recognise in each other (epipolar adjustment), and held to where they were given. If some error remains,
-that is reported as well.
+views recognise in each other (epipolar adjustment), and held to where they were given. If some error
+remains, that is reported as well.
 """,
     (
         "the poses are brought nearer to what views recognise in each other: held-out points lie 0.6 px off, "

@@ -88,7 +88,7 @@ def test_poses_are_found_with_it_and_the_frames_have_it() -> None:
     assert all(frame.camera.fx == found.focal.focal_px for frame in found.frames)
     assert not found.frames[0].camera.is_guess
     assert found.figures()["focal"]["guess_px"] == 0.9 * truth
-    assert any("the focal length is estimated to be" in text for text in found.warnings)
+    assert any("the focal length is estimated to be" in str(one) for one in found.diagnostics)
     kept = register(hidden(frames, 0.9 * truth), focal=False, loops=False)
     assert kept.focal is None
     assert kept.frames[0].camera.fx == 0.9 * truth
@@ -103,7 +103,7 @@ def test_what_is_stated_is_not_estimated() -> None:
 def test_inspect_says_that_it_cannot_be_told() -> None:
     found = inspect(Scan("made", hidden(turned_thing.frames([0.0, 0.0]), 250)))
     assert found.figures()["focal"] is None
-    assert any("the 250 px that were guessed stay" in text for text in found.warnings)
+    assert any("the 250 px that were guessed stay" in str(one) for one in found.diagnostics)
 
 
 @pytest.mark.parametrize(("size", "focal"), [((256, 192), 187), ((192, 256), 187), ((640, 480), 525)])

@@ -96,7 +96,7 @@ def test_nothing_that_moves_is_a_scene_however_still_the_camera_stands() -> None
     assert not shows_thing(frames)
     found = register(frames)
     assert found.subject == "scene"
-    assert any("the camera does not move" in text for text in found.warnings)
+    assert any("the camera does not move" in str(one) for one in found.diagnostics)
     with pytest.raises(StageError, match="nothing moves before it"):
         register(frames, subject="object")
 

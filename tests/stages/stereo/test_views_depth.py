@@ -442,9 +442,8 @@ def test_images_turned_against_their_poses_are_turned_back(
         if places:
             results = [result for _, result in views_depth(replace(scan, frames=frames))]
 
-    assert [f"{len(places)} images are upside down" in str(one) for one in diagnostics] == [True] * bool(
-        places
-    )
+    said = f"{len(places)} images are upside down"
+    assert [said in str(one) for one in diagnostics] == [True] * bool(places)
     for result, sound in zip(results, expected, strict=True):
         np.testing.assert_array_equal(result.color, sound.color)
         np.testing.assert_array_equal(result.depth, sound.depth)
