@@ -14,7 +14,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-# For editors and type checkers; while the program runs, names are fetched from `_NAMES_OF`.
+# For editors and type checkers. `PYTHONPATH=.:docs python -m making.keywords` writes these imports and
+# `__all__` from `_NAMES_OF`, from which names are fetched while the program runs.
 if TYPE_CHECKING:
     from stages.adjusting.adjust import AdjustParams, adjust
     from stages.adjusting.adjusted import Adjusted
@@ -83,6 +84,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
+# Public names by module.
 _NAMES_OF = {
     "adjusting.adjust": ("AdjustParams", "adjust"),
     "adjusting.adjusted": ("Adjusted",),

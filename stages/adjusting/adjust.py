@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ from stages.scans.scan import Frame, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import AdjustKeywords
 
 RESULT_VERSION = 7
 
@@ -93,15 +95,6 @@ class AdjustParams:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class AdjustKeywords(TypedDict, total=False):
-    """AdjustParams as keywords of `adjust`."""
-
-    enabled: bool | None
-    camera: bool | None
-    shutter: bool | None
-    pose_deviation: float
 
 
 def adjust(

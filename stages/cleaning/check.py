@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from stages.surface.welding import same_rows
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import CheckKeywords
 
 # Angles of a triangle below this are what Wang, Lu and Pan (2012) take by default: arcsin(1e-5), in degrees.
 PAPERS_CORNER_ANGLE = float(np.degrees(np.arcsin(1e-5)))
@@ -106,16 +108,6 @@ class CheckParams:
 
     def __post_init__(self) -> None:
         check_params(self)
-
-
-class CheckKeywords(TypedDict, total=False):
-    """CheckParams as keywords of `check`."""
-
-    corner_angle: float
-    fold_angle: float
-    spike_angle: float
-    min_thickness: float
-    threads: int | None
 
 
 def require_answerable(requirements: Iterable[str], min_thickness: float) -> None:

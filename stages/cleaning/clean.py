@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ from stages.surface.traced import Traced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import CleanKeywords
 
 RESULT_VERSION = 1
 
@@ -96,19 +98,6 @@ class CleanParams:
                 Where(parameter="max_shape"),
                 remedy="give repair, too.",
             )
-
-
-class CleanKeywords(TypedDict, total=False):
-    """CleanParams as keywords of `clean`."""
-
-    min_island_area: float | None
-    keep_largest: bool
-    fill_holes: float
-    stitch: bool
-    weld_distance: float
-    repair: bool
-    repair_angle: float
-    max_shape: float | None
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,6 +39,8 @@ from stages.surface.topology import repeats_vertex, require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import RepairKeywords
 
 # Of the median edge: what a repair may move the surface by default. A needle of one degree that is as long as
 # an edge is 0.017 of it wide.
@@ -85,16 +87,6 @@ class RepairParams:
 
     def __post_init__(self) -> None:
         check_params(self)
-
-
-class RepairKeywords(TypedDict, total=False):
-    """RepairParams as keywords of `repair`."""
-
-    max_shape: float | None
-    corner_angle: float
-    fold_angle: float
-    spike_angle: float
-    threads: int | None
 
 
 @dataclass(frozen=True, eq=False)

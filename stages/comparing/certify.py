@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import CertifyKeywords
 
 RESULT_VERSION = 1
 
@@ -92,20 +94,6 @@ class CertifyParams:
                 Where(parameter="only_decide"),
                 remedy="give max_shape, max_color or both.",
             )
-
-
-class CertifyKeywords(TypedDict, total=False):
-    """CertifyParams as keywords of `certify`."""
-
-    shape_tolerance: float
-    color_tolerance: float
-    color_floor: float
-    max_shape: float | None
-    max_color: float | None
-    only_decide: bool
-    effort: float
-    slack: float | None
-    threads: int
 
 
 @dataclass(frozen=True, eq=False)

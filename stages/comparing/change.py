@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from stages.surface.topology import areas
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import ChangeKeywords
 
 # Of the diagonal of the earlier mesh, where no distance is given.
 _FAR = 0.01
@@ -44,13 +46,6 @@ class ChangeParams:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class ChangeKeywords(TypedDict, total=False):
-    """ChangeParams as keywords of `changes`."""
-
-    change_distance: float | None
-    change_area: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from stages.surface.raycasting import Floats, Surface, bounding_box, chunks
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import CompareKeywords
 
 RESULT_VERSION = 5
 
@@ -48,13 +50,6 @@ class CompareParams:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class CompareKeywords(TypedDict, total=False):
-    """CompareParams as keywords of `compare`."""
-
-    samples: int
-    seed: int
 
 
 @dataclass(frozen=True)

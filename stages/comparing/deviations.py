@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from stages.surface.raycasting import Floats, chunks, is_used
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import DeviationKeywords
 
 PERCENTILES = (50, 90, 95, 99)
 # As many of the worst places are told, apart by this share of the mesh's size.
@@ -64,15 +66,6 @@ class DeviationParams:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class DeviationKeywords(TypedDict, total=False):
-    """DeviationParams as keywords of `deviations`."""
-
-    tolerance: float | None
-    signed_samples: int
-    color_range: float | None
-    palette: str
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from stages.surface.upright import direction_of, turn_along_y, turn_along_z
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import ExportKeywords
 
 # Raised by hand when the same mesh and parameters come to another file.
 RESULT_VERSION = 2
@@ -97,23 +99,6 @@ class ExportParams:
         check_params(self)
         if self.up is not None:
             direction_of(self.up)
-
-
-class ExportKeywords(TypedDict, total=False):
-    """ExportParams as keywords of `export`."""
-
-    up: str | None
-    axes: str
-    unit: str
-    on_floor: bool
-    compress: str
-    position_bits: int
-    texel_steps: int
-    shading: str
-    images: str
-    quality: int
-    image_size: int
-    watertight: bool
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.errors import UsageError
-from stages.exporting.export import GLTF, STANDING, ExportKeywords, ExportParams
+from stages.exporting.export import GLTF, STANDING, ExportParams
+
+if TYPE_CHECKING:
+    from stages.params.keywords import ExportKeywords
 
 PRESETS: dict[str, ExportKeywords] = {
     "web": {

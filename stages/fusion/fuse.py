@@ -27,7 +27,7 @@ from stages.fusion.codes import FUSE_BRICKS, FUSE_NO_SURFACE
 from stages.fusion.crop import corners_of, cut, part_of, within
 from stages.fusion.facts import Facts, MeshFigures
 from stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
-from stages.fusion.params import FuseKeywords, FuseParams
+from stages.fusion.params import FuseParams
 from stages.fusion.relief import read_whole, relief
 from stages.fusion.voxels import Field, OutgrownError, Seen, block_bytes
 from stages.fusion.writing import write_fused
@@ -40,6 +40,8 @@ from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import FuseKeywords
 
 RESULT_VERSION = 8
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.diagnostic import Where
@@ -160,29 +159,3 @@ class FuseParams:
                 ),
                 box=" ".join(f"{x:g}" for x in self.box),
             )
-
-
-class FuseKeywords(TypedDict, total=False):
-    """FuseParams as keywords of `fuse`."""
-
-    voxel_size: float | None
-    voxel_factor: float
-    truncation: float | None
-    min_depth: float
-    max_depth: float | None
-    max_jump: float
-    max_angle: float | None
-    min_weight: int | None
-    box: Corners | None
-    radius: float | None
-    center: Point | None
-    remove_plane: bool
-    plane_margin: float | None
-    upsample: str
-    upsample_factor: int
-    color: bool
-    max_bad_share: float
-    memory: float
-    brick_size: float | None
-    backend: str
-    device: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ from stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import LodKeywords
 
 # Raised by hand when levels of the same mesh become others.
 RESULT_VERSION = 5
@@ -91,18 +93,6 @@ class LodParams(LevelsParams):
         unit="m",
         low=0,
     )
-
-
-class LodKeywords(TypedDict, total=False):
-    """LodParams as keywords of `build`."""
-
-    base_error: float
-    first_error: float | None
-    ratio: float
-    cell_triangles: int
-    root_triangles: int
-    drop_islands: float
-    threads: int | None
 
 
 def build(

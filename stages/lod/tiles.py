@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,8 @@ from stages.surface.upright import direction_of, turn_along_z
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import TilesKeywords
 
 # Raised by hand when tiles of the same levels become others.
 RESULT_VERSION = 1
@@ -84,14 +86,6 @@ class TilesParams:
         check_params(self)
         if self.up is not None:
             direction_of(self.up)
-
-
-class TilesKeywords(TypedDict, total=False):
-    """TilesParams as keywords of `write_tiles`."""
-
-    up: str | None
-    page: bool
-    compress: str
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +30,8 @@ from stages.surface.traced import Traced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import RemeshKeywords
 
 RESULT_VERSION = 7
 
@@ -148,20 +150,6 @@ class RemeshParams:
             return self.base_triangles
         levels = _MOST_LEVELS if self.levels is None else self.levels
         return 0 if self.base_error is not None else max(round(triangles / 4**levels), 1)
-
-
-class RemeshKeywords(TypedDict, total=False):
-    """RemeshParams as keywords of `remesh`."""
-
-    levels: int | None
-    base_triangles: int | None
-    base_error: float | None
-    max_error: float | None
-    scheme: str
-    relaxations: int
-    threads: int | None
-    tolerance: float | None
-    color_tolerance: float
 
 
 def remesh(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ from stages.surface.raycasting import Surface
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import ViewsKeywords
 
 Levels = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -56,13 +58,6 @@ class ViewsParams:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class ViewsKeywords(TypedDict, total=False):
-    """ViewsParams as keywords of `compare_views`."""
-
-    views: int
-    view_width: int
 
 
 @dataclass(frozen=True, eq=False)

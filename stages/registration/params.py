@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
 
 from stages.params import check, param
 
@@ -52,15 +51,3 @@ class RegisterParams:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class RegisterKeywords(TypedDict, total=False):
-    """RegisterParams as keywords of `register`."""
-
-    enabled: bool | None
-    max_depth: float | None
-    refine: bool
-    piece: int
-    subject: str
-    focal: bool
-    loops: bool

@@ -26,7 +26,7 @@ from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
 from stages.registration.motion import NoMotion
 from stages.registration.odometry import one_thread_each
-from stages.registration.params import RegisterKeywords, RegisterParams
+from stages.registration.params import RegisterParams
 from stages.registration.registered import Registration
 from stages.registration.reporting import report_pieces, report_poses
 from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
@@ -37,6 +37,8 @@ from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import RegisterKeywords
 
 RESULT_VERSION = 4
 

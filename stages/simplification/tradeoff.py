@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ from stages.surface.topology import areas
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import TradeoffKeywords
 
 _PERCENT = 95
 
@@ -66,16 +68,6 @@ class TradeoffParams:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class TradeoffKeywords(TypedDict, total=False):
-    """TradeoffParams as keywords of `tradeoff`."""
-
-    steps: int
-    least: float
-    within: float | None
-    samples: int
-    glb_bytes: bool
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,10 +24,12 @@ from stages.stereo.codes import DEPTH_FAR_LEFT_OUT, DEPTH_NETWORK_NO_EFFECT
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
 from stages.stereo.networks.network import Network
-from stages.stereo.params import DepthKeywords, DepthParams
+from stages.stereo.params import DepthParams
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import DepthKeywords
 
 RESULT_VERSION = 1
 

@@ -40,13 +40,15 @@ from stages.stereo.matching import (
 )
 from stages.stereo.networks.network import Network
 from stages.stereo.pairs import report_rows, require_pair
-from stages.stereo.params import AUTO, FAST, SEVERAL, DepthKeywords, DepthParams
+from stages.stereo.params import AUTO, FAST, SEVERAL, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
 from stages.stereo.subpixel import refined
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import DepthKeywords
 
 __all__ = ["RESULT_VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
 

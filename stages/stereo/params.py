@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TypedDict
 
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.diagnostics.diagnostic import Where
@@ -334,45 +333,3 @@ OF_PAIRS = (
     "min_texture",
     "refine",
 )
-
-
-class DepthKeywords(TypedDict, total=False):
-    """DepthParams as keywords of `depth`, `depth_scan` and `views_depth`."""
-
-    min_depth: float | None
-    max_depth: float | None
-    max_relative_depth_error: float
-    disparity_sigma: float
-    min_confidence: int | None
-    matcher: str
-    model: str | None
-    model_error: float
-    model_memory: float
-    model_seconds: float
-    disparities: int | None
-    block_size: int
-    p1: int | None
-    p2: int | None
-    prefilter_cap: int
-    uniqueness: int | None
-    left_right: str
-    left_right_tolerance: float
-    speckle_size: int
-    speckle_range: float
-    min_texture: float
-    refine: bool
-    smooth: bool
-    smooth_lambda: float
-    smooth_sigma: float
-    views: str
-    partners: int
-    agreeing_views: int
-    agreement: float | None
-    backdrop: float
-    on_hull: bool
-    on_planes: bool
-    max_side: int
-    max_pose_error: float
-    turn_back: bool
-    max_skipped: float
-    threads: int | None

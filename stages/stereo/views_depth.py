@@ -38,7 +38,7 @@ from stages.stereo.hull_fill import filled_in
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
 from stages.stereo.nearer_poses import nearer_poses
-from stages.stereo.params import OF_PAIRS, SWEEP, DepthKeywords, DepthParams
+from stages.stereo.params import OF_PAIRS, SWEEP, DepthParams
 from stages.stereo.partners import partners
 from stages.stereo.plane_fill import filled_on_planes
 from stages.stereo.posed_views import PosedView, posed_views
@@ -53,6 +53,8 @@ from stages.stereo.views_confidence import views_confidence
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import DepthKeywords
 
 RESULT_VERSION = 7
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from stages.surface.thumbnail import thumbnail
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import MeshKeywords
 
 __all__ = [
     "Colors",
@@ -134,21 +136,6 @@ class Mesh:
             corner_normals=corner_normals,
             part_ids=None if part_ids is None else rows_or(part_ids, source, -1),
         )
-
-
-class MeshKeywords(TypedDict, total=False):
-    """The fields of a mesh as keywords of `with_`."""
-
-    vertices: Vertices
-    triangles: Triangles
-    colors: Colors | None
-    normals: NDArray[np.float64] | None
-    texture: Texture | None
-    corner_normals: NDArray[np.float64] | None
-    part_ids: NDArray[np.int32] | None
-    part_names: tuple[str, ...]
-    diagnostics: tuple[Diagnostic, ...]
-    up: tuple[float, float, float] | None
 
 
 def validated(mesh: Mesh, where: str = "mesh") -> Mesh:

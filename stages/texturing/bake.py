@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ from stages.texturing.reducing import reduced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import BakeKeywords
 
 RESULT_VERSION = 7
 
@@ -119,16 +121,6 @@ class BakeParams:
                 padding=self.padding,
                 max_size=self.max_size,
             )
-
-
-class BakeKeywords(TypedDict, total=False):
-    """BakeParams as keywords of `bake`."""
-
-    texel_size: float | None
-    max_size: int
-    max_texels: float
-    padding: int | None
-    samples: int | None
 
 
 @dataclass(frozen=True, eq=False)

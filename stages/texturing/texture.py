@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,8 @@ from stages.texturing.views import Correction, DrawnMesh, drawn_mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import TextureKeywords
 
 RESULT_VERSION = 16
 
@@ -128,20 +130,6 @@ class TextureParams:
                 Where(parameter="max_size"),
                 max_size=self.max_size,
             )
-
-
-class TextureKeywords(TypedDict, total=False):
-    """TextureParams as keywords of `texture`."""
-
-    texels_per_pixel: float
-    max_size: int
-    max_texels: float
-    format: str
-    quality: int
-    padding: int
-    views: int
-    exposure: bool
-    rounds: int
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,17 +1,14 @@
-"""What editors and type checkers know of keywords is what the parameters are."""
+"""Functions that take fields of a class by name say so to editors and type checkers."""
 
 import inspect
 from collections.abc import Callable, Iterator
-from dataclasses import fields
-from importlib import import_module
 from types import ModuleType
-from typing import Any, get_type_hints
+from typing import Any
 
 from own_modules import modules_of
 
 import stages
 
-SHARED = ("stages.simplification.shared_params", "stages.simplification.keywords")
 MODULES = modules_of(stages)
 
 
@@ -29,20 +26,6 @@ def functions_with_changes() -> Iterator[tuple[Callable[..., Any], inspect.Signa
                     kinds = {name: one.kind for name, one in signature.parameters.items()}
                     if kinds.get("changes") is inspect.Parameter.VAR_KEYWORD:
                         yield function, signature
-
-
-def test_every_class_of_keywords_agrees_with_its_parameters_in_names_and_types():
-    found = [c for module in MODULES for c in classes_of(module) if c.__name__.endswith("Keywords")]
-    # Of these, others are made; what `simplify` takes is compared with its table beside the tests of that.
-    found = [c for c in found if c.__module__ not in SHARED]
-    assert len(found) >= 15
-    for keywords in found:
-        module = import_module(keywords.__module__)
-        name = keywords.__name__.removesuffix("Keywords")
-        params = getattr(module, f"{name}Params", None) or getattr(module, name)
-        hints = get_type_hints(params)
-        assert get_type_hints(keywords) == {field.name: hints[field.name] for field in fields(params)}
-        assert not keywords.__required_keys__, f"{keywords}: every parameter has a default"
 
 
 def test_every_function_that_takes_parameters_by_name_says_which():

@@ -21,7 +21,7 @@ from stages.inspecting.coverage.covered import Coverage, Covered
 from stages.inspecting.coverage.kinds import KINDS, MISSING, THIN
 from stages.inspecting.coverage.missing import before, patches_of_holes, patches_of_space
 from stages.inspecting.coverage.nearest import looks_at
-from stages.inspecting.coverage.params import CoverageKeywords, CoverageParams
+from stages.inspecting.coverage.params import CoverageParams
 from stages.inspecting.coverage.patches import Patch
 from stages.inspecting.coverage.place import Place, place_of
 from stages.inspecting.coverage.probes import laid_out, with_rims
@@ -40,6 +40,8 @@ from stages.surface.topology import require_area, require_manifold
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import CoverageKeywords
 
 RESULT_VERSION = 3
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
 
 from stages.params import check, param
 
@@ -67,16 +66,3 @@ class CoverageParams:
 
     def __post_init__(self) -> None:
         check(self)
-
-
-class CoverageKeywords(TypedDict, total=False):
-    """CoverageParams as keywords of `coverage`."""
-
-    few_frames: int | None
-    oblique: float
-    far: float | None
-    spread: float | None
-    least_area: float | None
-    place_size: float | None
-    spacing: float | None
-    places: int

@@ -15,7 +15,7 @@ from stages.progress import Progress, silent
 from stages.simplification.in_sheets import joined, run_on, sheets_of
 from stages.simplification.kernel_input import as_result, kernel_input, require_colors
 from stages.simplification.planar.details import PlanarDetails
-from stages.simplification.planar.params import MAX_COLOR, PatchKeywords, PatchParams, PlanarParams
+from stages.simplification.planar.params import MAX_COLOR, PatchParams, PlanarParams
 from stages.simplification.planar.patches import Patches
 from stages.simplification.planar.tighter import Fewest, fewest_triangles
 from stages.simplification.result import Simplified
@@ -27,6 +27,8 @@ from stages.surface.sheets import Sheets
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from stages.params.keywords import PatchKeywords
 
 RESULT_VERSION = 3
 

@@ -35,7 +35,8 @@ from stages.surface.mesh import Mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.simplification.records.steps import ReplayKeywords
+    from stages.params.keywords import ReplayKeywords
+
 
 FORMAT_VERSION = 2
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,15 +47,6 @@ class ReplayParams:
                 remedy="give one of them.",
                 given=" and ".join(given),
             )
-
-
-class ReplayKeywords(TypedDict, total=False):
-    """ReplayParams as keywords of `replay`."""
-
-    triangles: int | None
-    ratio: float | None
-    collapses: int | None
-    fit: bool
 
 
 @dataclass(frozen=True, eq=False)

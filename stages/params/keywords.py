@@ -1,0 +1,436 @@
+"""Fields of parameter classes as keywords of functions, for type checkers.
+
+Written by `PYTHONPATH=.:docs python -m making.keywords`; do not edit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypedDict
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from stages.diagnostics.diagnostic import Diagnostic
+    from stages.surface.mesh import Colors, Triangles, Vertices
+    from stages.surface.texture import Texture
+
+
+class AdjustKeywords(TypedDict, total=False):
+    """Fields of `AdjustParams`."""
+
+    enabled: bool | None
+    camera: bool | None
+    shutter: bool | None
+    pose_deviation: float
+
+
+class BakeKeywords(TypedDict, total=False):
+    """Fields of `BakeParams`."""
+
+    texel_size: float | None
+    max_size: int
+    max_texels: float
+    padding: int | None
+    samples: int | None
+
+
+class CertifiedKeywords(TypedDict, total=False):
+    """Fields of `CertifiedParams`."""
+
+    max_shape: float | None
+    max_color: float | None
+    attribute_scale: float | None
+    close_bounds: bool
+
+
+class CertifyKeywords(TypedDict, total=False):
+    """Fields of `CertifyParams`."""
+
+    shape_tolerance: float
+    color_tolerance: float
+    color_floor: float
+    max_shape: float | None
+    max_color: float | None
+    only_decide: bool
+    effort: float
+    slack: float | None
+    threads: int
+
+
+class ChangeKeywords(TypedDict, total=False):
+    """Fields of `ChangeParams`."""
+
+    change_distance: float | None
+    change_area: float
+
+
+class CheckKeywords(TypedDict, total=False):
+    """Fields of `CheckParams`."""
+
+    corner_angle: float
+    fold_angle: float
+    spike_angle: float
+    min_thickness: float
+    threads: int | None
+
+
+class CleanKeywords(TypedDict, total=False):
+    """Fields of `CleanParams`."""
+
+    min_island_area: float | None
+    keep_largest: bool
+    fill_holes: float
+    stitch: bool
+    weld_distance: float
+    repair: bool
+    repair_angle: float
+    max_shape: float | None
+
+
+class CompareKeywords(TypedDict, total=False):
+    """Fields of `CompareParams`."""
+
+    samples: int
+    seed: int
+
+
+class CoverageKeywords(TypedDict, total=False):
+    """Fields of `CoverageParams`."""
+
+    few_frames: int | None
+    oblique: float
+    far: float | None
+    spread: float | None
+    least_area: float | None
+    place_size: float | None
+    spacing: float | None
+    places: int
+
+
+class DepthKeywords(TypedDict, total=False):
+    """Fields of `DepthParams`."""
+
+    min_depth: float | None
+    max_depth: float | None
+    max_relative_depth_error: float
+    disparity_sigma: float
+    min_confidence: int | None
+    matcher: str
+    model: str | None
+    model_error: float
+    model_memory: float
+    model_seconds: float
+    disparities: int | None
+    block_size: int
+    p1: int | None
+    p2: int | None
+    prefilter_cap: int
+    uniqueness: int | None
+    left_right: str
+    left_right_tolerance: float
+    speckle_size: int
+    speckle_range: float
+    min_texture: float
+    refine: bool
+    smooth: bool
+    smooth_lambda: float
+    smooth_sigma: float
+    views: str
+    partners: int
+    agreeing_views: int
+    agreement: float | None
+    backdrop: float
+    on_hull: bool
+    on_planes: bool
+    max_side: int
+    max_pose_error: float
+    turn_back: bool
+    max_skipped: float
+    threads: int | None
+
+
+class DeviationKeywords(TypedDict, total=False):
+    """Fields of `DeviationParams`."""
+
+    tolerance: float | None
+    signed_samples: int
+    color_range: float | None
+    palette: str
+
+
+class ExportKeywords(TypedDict, total=False):
+    """Fields of `ExportParams`."""
+
+    up: str | None
+    axes: str
+    unit: str
+    on_floor: bool
+    compress: str
+    position_bits: int
+    texel_steps: int
+    shading: str
+    images: str
+    quality: int
+    image_size: int
+    watertight: bool
+
+
+class FuseKeywords(TypedDict, total=False):
+    """Fields of `FuseParams`."""
+
+    voxel_size: float | None
+    voxel_factor: float
+    truncation: float | None
+    min_depth: float
+    max_depth: float | None
+    max_jump: float
+    max_angle: float | None
+    min_weight: int | None
+    box: tuple[float, float, float, float, float, float] | None
+    radius: float | None
+    center: tuple[float, float, float] | None
+    remove_plane: bool
+    plane_margin: float | None
+    upsample: str
+    upsample_factor: int
+    color: bool
+    max_bad_share: float
+    memory: float
+    brick_size: float | None
+    backend: str
+    device: str
+
+
+class Jia01Keywords(TypedDict, total=False):
+    """Fields of `Jia01Params`."""
+
+    max_shape: float | None
+    max_color: float | None
+    attribute_scale: float | None
+    resolution: float | None
+    paper_rule: bool
+
+
+class LevelsKeywords(TypedDict, total=False):
+    """Fields of `LevelsParams`."""
+
+    first_error: float | None
+    ratio: float
+    cell_triangles: int
+    root_triangles: int
+    drop_islands: float
+    threads: int | None
+
+
+class LodKeywords(TypedDict, total=False):
+    """Fields of `LodParams`."""
+
+    first_error: float | None
+    ratio: float
+    cell_triangles: int
+    root_triangles: int
+    drop_islands: float
+    threads: int | None
+    base_error: float
+
+
+class MeshKeywords(TypedDict, total=False):
+    """Fields of `Mesh`."""
+
+    vertices: Vertices
+    triangles: Triangles
+    colors: Colors | None
+    normals: NDArray[np.float64] | None
+    texture: Texture | None
+    corner_normals: NDArray[np.float64] | None
+    part_ids: NDArray[np.int32] | None
+    part_names: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
+    up: tuple[float, float, float] | None
+
+
+class PatchKeywords(TypedDict, total=False):
+    """Fields of `PatchParams`."""
+
+    max_shape: float | None
+    max_color: float | None
+    patch_angle: float
+    crease_angle: float
+    noise_angle: float
+    threads: int | None
+
+
+class PlanarKeywords(TypedDict, total=False):
+    """Fields of `PlanarParams`."""
+
+    max_shape: float | None
+    max_color: float | None
+    patch_angle: float
+    crease_angle: float
+    noise_angle: float
+
+
+class QuadricKeywords(TypedDict, total=False):
+    """Fields of `QuadricParams`."""
+
+    attribute_scale: float | None
+    fit: bool
+
+
+class ReadingKeywords(TypedDict, total=False):
+    """Fields of `ReadingParams`."""
+
+    intrinsics: str | None
+    baseline: float | None
+    calibration: str | None
+    poses: str | None
+    pose_convention: str
+    poses_by_order: bool
+    masks: str | None
+    adjusted: str | None
+    depth_scale: float | None
+    least_confidence: int | None
+    align_axes: bool
+    check_poses: bool
+    first: int
+    last: int | None
+    every: int
+    max_frames: int | None
+    hold_out: int | None
+
+
+class RegisterKeywords(TypedDict, total=False):
+    """Fields of `RegisterParams`."""
+
+    enabled: bool | None
+    max_depth: float | None
+    refine: bool
+    piece: int
+    subject: str
+    focal: bool
+    loops: bool
+
+
+class RemeshKeywords(TypedDict, total=False):
+    """Fields of `RemeshParams`."""
+
+    levels: int | None
+    base_triangles: int | None
+    base_error: float | None
+    max_error: float | None
+    scheme: str
+    relaxations: int
+    threads: int | None
+    tolerance: float | None
+    color_tolerance: float
+
+
+class RepairKeywords(TypedDict, total=False):
+    """Fields of `RepairParams`."""
+
+    max_shape: float | None
+    corner_angle: float
+    fold_angle: float
+    spike_angle: float
+    threads: int | None
+
+
+class ReplayKeywords(TypedDict, total=False):
+    """Fields of `ReplayParams`."""
+
+    triangles: int | None
+    ratio: float | None
+    collapses: int | None
+    fit: bool
+
+
+class ScanKeywords(TypedDict, total=False):
+    """Fields of `ScanParams`."""
+
+    intrinsics: str | None
+    baseline: float | None
+    calibration: str | None
+    poses: str | None
+    pose_convention: str
+    poses_by_order: bool
+    masks: str | None
+    adjusted: str | None
+    depth_scale: float | None
+    least_confidence: int | None
+    align_axes: bool
+    check_poses: bool
+    first: int
+    last: int | None
+    every: int
+    max_frames: int | None
+    hold_out: int | None
+    layout: str | None
+    scale: float | None
+    known_distance: str | None
+    tag_size: float | None
+    tag_family: str
+
+
+class SeamsKeywords(TypedDict, total=False):
+    """Fields of `SeamsParams`."""
+
+    attribute_scale: float | None
+    fit: bool
+    similar_distance: float | None
+    texture_weight: float
+    normal_weight: float
+    shape_weight: float
+    across_textures: float
+    across_parts: float
+    valence_penalty: float
+    set_penalty: float
+    max_seam_drift: float | None
+
+
+class TextureKeywords(TypedDict, total=False):
+    """Fields of `TextureParams`."""
+
+    texels_per_pixel: float
+    max_size: int
+    max_texels: float
+    format: str
+    quality: int
+    padding: int
+    views: int
+    exposure: bool
+    rounds: int
+
+
+class TileImageKeywords(TypedDict, total=False):
+    """Fields of `TileImageParams`."""
+
+    texels_per_error: float
+    image_side: int
+    image_format: str
+    image_quality: int
+
+
+class TilesKeywords(TypedDict, total=False):
+    """Fields of `TilesParams`."""
+
+    up: str | None
+    page: bool
+    compress: str
+
+
+class TradeoffKeywords(TypedDict, total=False):
+    """Fields of `TradeoffParams`."""
+
+    steps: int
+    least: float
+    within: float | None
+    samples: int
+    glb_bytes: bool
+
+
+class ViewsKeywords(TypedDict, total=False):
+    """Fields of `ViewsParams`."""
+
+    views: int
+    view_width: int

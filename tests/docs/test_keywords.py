@@ -1,0 +1,37 @@
+"""Generated modules for type checkers are as the script writes them, and nothing runs them."""
+
+import ast
+
+from making import keywords
+
+import stages
+
+
+def test_the_module_of_keywords_is_as_the_script_writes_it():
+    assert keywords.KEYWORDS.read_text(encoding="utf-8") == keywords.write_keywords()
+
+
+def test_the_names_of_the_package_are_as_the_script_writes_them():
+    assert keywords.PACKAGE.read_text(encoding="utf-8") == keywords.write_package()
+
+
+def test_a_new_name_in_the_table_is_imported_and_listed(monkeypatch):
+    monkeypatch.setitem(stages._NAMES_OF, "progress", ("silent",))
+    monkeypatch.setitem(stages._MODULE_OF, "silent", "stages.progress")
+
+    text = keywords.write_package()
+
+    assert "\n    from stages.progress import silent\n" in text
+    assert '\n    "show",\n    "silent",\n    "simplify",\n' in text
+
+
+def test_every_field_of_a_parameter_class_is_a_keyword():
+    tree = ast.parse(keywords.write_keywords())
+    written = {node.name: node.body[1:] for node in tree.body if isinstance(node, ast.ClassDef)}
+    classes = keywords.find_classes()
+
+    assert {"FuseParams", "PatchParams", "Mesh"} <= {cls.__name__ for cls in classes}
+    assert list(written) == [keywords.keywords_name(cls) for cls in classes]
+    for cls in classes:
+        names = [node.target.id for node in written[keywords.keywords_name(cls)]]
+        assert names == list(cls.__dataclass_fields__)
