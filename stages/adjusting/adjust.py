@@ -14,6 +14,7 @@ from stages.adjusting.adjusted import Adjusted, Transfer
 from stages.adjusting.anchor import Anchor, anchor_of
 from stages.adjusting.bundle import Bundle, bundle
 from stages.adjusting.cameras import FREE, STILL, Cameras, camera_of, motion_apart
+from stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
 from stages.adjusting.key_frames import key_frames
 from stages.adjusting.look import Look, look, usable
 from stages.adjusting.matching import match
@@ -26,10 +27,12 @@ from stages.adjusting.view import (
     OVER_EXPOSED,
     View,
     color_camera,
+    exposure_of,
     has_one_camera,
     place_of_color,
     view_or_none,
 )
+from stages.diagnostics.collector import collecting, emit
 from stages.params import check, param, resolve
 from stages.printing import counted
 from stages.progress import Progress, silent
@@ -127,7 +130,13 @@ def adjust(
     sparse algebra SciPy's.
     """
     params = resolve(AdjustParams, params, changes)
-    frames = tuple(scan.frames if isinstance(scan, Scan) else scan)
+    with collecting() as diagnostics:
+        found = _looked_over(tuple(scan.frames if isinstance(scan, Scan) else scan), params, progress)
+    return replace(found, diagnostics=tuple(diagnostics))
+
+
+def _looked_over(frames: tuple[Frame, ...], params: AdjustParams, progress: Progress) -> Adjusted:
+    """Adjust frames unless a few of them show that nothing is to be gained."""
     start = time.perf_counter()
     places = usable(frames)
     if len(places) < 2:
@@ -136,9 +145,10 @@ def adjust(
         return _left(begun, why, (), None)
     seen = look(frames, places)
     if seen.trouble:
-        told = (f"not adjusted: {seen.trouble}",) if seen.is_of_another else ()
+        if seen.is_of_another:
+            _report_mismatch(seen.trouble)
         begun = _Begun(frames, frames, (), None, start)
-        return _left(begun, seen.trouble, seen.skipped, None, told)
+        return _left(begun, seen.trouble, seen.skipped, None)
     before = Transfer.of(seen.errors)
     begun, seen = _moved_to_outlines(frames, places, seen, params, start)
     if seen.median < _GOOD_PX:
@@ -250,11 +260,12 @@ def _adjusted(
     better, why = _judged(before, after)
     if not better:
         steps.end()
-        return _left(begun, why, skipped, before, (), after)
+        return _left(begun, why, skipped, before, after)
     strays = _strays(start, made.cameras, prior)
     if strays:
         steps.end()
-        return _left(begun, strays, skipped, before, (f"not adjusted: {strays}",), after)
+        _report_mismatch(strays)
+        return _left(begun, strays, skipped, before, after)
     cameras = made.cameras
     found_poses = {
         place: Placed(pose, turn)
@@ -296,7 +307,6 @@ def _adjusted(
         moved_mm=(1000 * float(np.median(moved[:, 0])), 1000 * float(moved[:, 0].max())),
         moved_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
         turns_deg=(float(np.median(turns)), float(turns.max())),
-        warnings=(),
         seconds=time.perf_counter() - begun.start,
     )
 
@@ -378,7 +388,6 @@ def _left(
     why: str,
     skipped: Sequence[SkippedFrame],
     before: Transfer | None,
-    warnings: tuple[str, ...] = (),
     after: Transfer | None = None,
 ) -> Adjusted:
     """Return frames whose poses are left as given."""
@@ -414,19 +423,22 @@ def _left(
         moved_mm=(0.0, 0.0),
         moved_deg=(0.0, 0.0),
         turns_deg=(0.0, 0.0),
-        warnings=warnings,
         seconds=time.perf_counter() - begun.start,
     )
 
 
+def _report_mismatch(why: str) -> None:
+    emit(ADJUST_IMAGES_MISMATCH.warning("not adjusted: {why}", why=why))
+
+
 def _said_of(skipped: Sequence[SkippedFrame]) -> str:
-    """Return the end of a sentence that tells of frames that cannot be used; empty without any."""
+    """Return the end of a sentence about frames that cannot be used; empty without any."""
     said = ""
     for what in (BLACK, OVER_EXPOSED):
-        count = sum(one.reason == f"its colour image is {what}" for one in skipped)
+        count = sum(exposure_of(one) == what for one in skipped)
         said += f"; {counted(count, 'colour image')} {what}" if count else ""
-        skipped = [one for one in skipped if one.reason != f"its colour image is {what}"]
-    return said + (f"; {counted(len(skipped), 'frame')} cannot be read" if skipped else "")
+    unread = sum(exposure_of(one) is None for one in skipped)
+    return said + (f"; {counted(unread, 'frame')} cannot be read" if unread else "")
 
 
 class _Steps:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.adjusting.offset import Offset
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.printing import by_figures, table
 from stages.scans.scan import Camera, Frame, SkippedFrame
 
@@ -52,8 +53,8 @@ class Adjusted:
     camera_before, camera_after : of the first frame's colour image.
     moved_mm, moved_deg : the median and the largest change of a pose.
     turns_deg : the median and the largest turn from the first row to the last.
-    warnings : what is odd.
     seconds : of the work.
+    diagnostics : what is odd.
     """
 
     frames: tuple[Frame, ...]
@@ -75,8 +76,8 @@ class Adjusted:
     moved_mm: tuple[float, float]
     moved_deg: tuple[float, float]
     turns_deg: tuple[float, float]
-    warnings: tuple[str, ...]
     seconds: float
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -89,7 +90,7 @@ class Adjusted:
             "frames": len(self.frames),
             "frames_adjusted": len(self.places),
             "frames_unplaced": self.unplaced,
-            "frames_unusable": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "frames_unusable": [one.figures() for one in self.skipped],
             "key_frames": self.key_frames,
             "points": self.points,
             "outlines_off_before": self.offset_before and self.offset_before.figures(),
@@ -106,7 +107,6 @@ class Adjusted:
             "moved_most_mm": self.moved_mm[1],
             "turned_median_deg": self.moved_deg[0],
             "turned_most_deg": self.moved_deg[1],
-            "warnings": list(self.warnings),
         }
 
 

@@ -4,26 +4,16 @@ from __future__ import annotations
 
 from stages.diagnostics.diagnostic import Code
 
-ADJUST_NOT_BETTER = Code(
-    "adjust.not-better",
-    "Adjusting found nothing better",
-    """
-No error: poses stay as they were given, and the camera if it is not said to be moved; `why` in the
-figures of `adjust` says so. Nothing has to be
-done, unless colours on the mesh are doubled; then look at the poses and at the place of the colour camera.
-""",
-    "fewer than two frames have colour, depth and a pose",
-)
 ADJUST_IMAGES_MISMATCH = Code(
     "adjust.images-mismatch",
-    "Poses or images of something else",
+    "Poses or images of another scan",
     """
-A warning: points are recognised from frame to frame, but not where depth and poses put them. Poses of
-another scan,
-poses that are paired with the wrong frames, or depth of another size or unit.
+A warning, and poses stay as given: points are recognised from frame to frame, but not where depth and
+poses put them. The poses are of another scan, or paired with the wrong frames, or depth is of another
+size or unit.
 """,
     (
-        "poses would move by … mm and …° (median), far more than pose_deviation "
+        "not adjusted: poses would move by 312 mm and 41.0° (median), far more than pose_deviation "
         "allows: they are of another scan, or taken the wrong way round"
     ),
 )

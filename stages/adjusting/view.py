@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import lens_of
 from stages.adjusting.lens import OPENCV
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.features import detect_keypoints
 from stages.registration.codes import REGISTER_FRAMES_UNUSABLE
@@ -95,17 +96,17 @@ def read_view(frame: Frame) -> View:
     frame = replace(frame, shutter_turn=None)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", Where(frame=frame.name))
     camera = color_camera(frame)
     is_plain = not camera.fisheye and len(camera.distortion) <= OPENCV
     color = as_taken(frame) if is_plain else read_color(frame)
     if color is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", Where(frame=frame.name))
     grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
     if not _DARK <= grey.mean() <= _BRIGHT:
         what = BLACK if grey.mean() < _DARK else OVER_EXPOSED
         raise InputError(
-            REGISTER_FRAMES_UNUSABLE, "its colour image is {what}.", f"frame {frame.name}", what=what
+            REGISTER_FRAMES_UNUSABLE, "its colour image is {what}", Where(frame=frame.name), what=what
         )
     if grey.shape[1] > WIDEST:
         size = (WIDEST, max(round(grey.shape[0] * WIDEST / grey.shape[1]), 1))
@@ -132,7 +133,13 @@ def view_or_none(frame: Frame) -> View | SkippedFrame:
     try:
         return read_view(frame)
     except InputError as error:
-        return SkippedFrame(frame.name, str(error).removeprefix(f"frame {frame.name}: ").rstrip("."))
+        return SkippedFrame(frame.name, error.diagnostic.within(frame=None))
+
+
+def exposure_of(skipped: SkippedFrame) -> str | None:
+    """Return BLACK or OVER_EXPOSED for a frame that was skipped because of it, else None."""
+    diagnostic = skipped.diagnostic
+    return str(diagnostic.values["what"]) if diagnostic.code == REGISTER_FRAMES_UNUSABLE.name else None
 
 
 def as_taken(frame: Frame) -> ColorImage | None:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.cleaning.codes import CLEAN_CHECK_FAILED
 from stages.cleaning.regularity import Limits, irregular
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import UsageError
 from stages.params import check as check_params
 from stages.params import param, resolve
@@ -165,8 +167,8 @@ class Checked:
         """Whether it is closed, manifold and oriented, and so has an inside."""
         return self.topology.is_closed and self.topology.is_manifold and self.topology.is_oriented
 
-    def unmet(self, requirements: Iterable[str]) -> list[str]:
-        """Return a sentence for each of REQUIREMENTS that does not hold.
+    def unmet(self, requirements: Iterable[str]) -> list[Diagnostic]:
+        """Return a diagnostic for each of REQUIREMENTS that does not hold; nothing is emitted.
 
         Raises
         ------
@@ -175,7 +177,7 @@ class Checked:
         """
         wanted = list(requirements)
         require_answerable(wanted, self.min_thickness)
-        return [sentence for name in wanted if (sentence := self._unmet(name))]
+        return [diagnostic for name in wanted if (diagnostic := self._unmet(name))]
 
     def figures(self) -> dict[str, Any]:
         """Return what it is, the counts of all classes, and where the first of each are."""
@@ -202,7 +204,7 @@ class Checked:
             "first": [{kind: place, "point_m": point} for place, point in zip(first, points, strict=True)],
         }
 
-    def _unmet(self, requirement: str) -> str | None:
+    def _unmet(self, requirement: str) -> Diagnostic | None:
         match requirement:
             case "closed":
                 return self._found("border_edges", "nonmanifold_edges") or self._without_surface()
@@ -213,27 +215,46 @@ class Checked:
             case "watertight":
                 return self._unmet("closed") or self._unmet("manifold") or self._unmet("oriented")
             case "outward":
-                what = f"{self.inside_out:,} of {self.topology.components:,} pieces look inwards"
-                return self._unmet("watertight") or (f"{what}." if self.inside_out else None)
+                return self._unmet("watertight") or self._inwards()
             case "one-piece":
                 pieces = self.topology.components
-                return None if pieces == 1 else f"it has {pieces:,} pieces."
+                return None if pieces == 1 else _failed("it has {count:,} pieces.", count=pieces)
         return self._found(requirement.removeprefix("no-").replace("-", "_"))
 
-    def _found(self, *names: str) -> str | None:
-        """Return a sentence on the first of some classes that has any."""
+    def _found(self, *names: str) -> Diagnostic | None:
+        """Return a diagnostic of the first of some classes that has any."""
         for name in names:
             if count := len(self.places[name]):
                 x, y, z = self.points[name][0]
-                return f"it has {CLASSES[name][2]}: {count:,}, the first at ({x:.6g}, {y:.6g}, {z:.6g}) m."
+                return _failed(
+                    "it has {what}: {count:,}, the first at ({x:.6g}, {y:.6g}, {z:.6g}) m.",
+                    what=CLASSES[name][2],
+                    count=count,
+                    x=x,
+                    y=y,
+                    z=z,
+                )
         return None
 
-    def _without_surface(self) -> str | None:
-        return None if self.topology.is_closed else "it has no surface."
+    def _inwards(self) -> Diagnostic | None:
+        if not self.inside_out:
+            return None
+        return _failed(
+            "{count:,} of {pieces:,} pieces look inwards.",
+            count=self.inside_out,
+            pieces=self.topology.components,
+        )
 
-    def _repeating(self) -> str | None:
+    def _without_surface(self) -> Diagnostic | None:
+        return None if self.topology.is_closed else _failed("it has no surface.")
+
+    def _repeating(self) -> Diagnostic | None:
         count = self.topology.repeating
-        return f"it has triangles that repeat a vertex: {count:,}." if count else None
+        return _failed("it has triangles that repeat a vertex: {count:,}.", count=count) if count else None
+
+
+def _failed(message: str, **values: Any) -> Diagnostic:
+    return CLEAN_CHECK_FAILED.unmet(message, **values)
 
 
 def check(

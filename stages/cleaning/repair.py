@@ -14,12 +14,13 @@ edge the surface is folded along flipped, a spike smoothed. Where the surface is
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stages.cleaning.check import CLASSES, CheckParams
+from stages.cleaning.codes import CLEAN_NOT_REPAIRED
 from stages.cleaning.regularity import Limits, irregular
 from stages.cleaning.repairs.comparing import difference
 from stages.cleaning.repairs.edited import GONE, Edited, repaired_mesh
@@ -28,6 +29,8 @@ from stages.cleaning.repairs.operations import FINE, HELPLESS, REASONS, SEAM, TO
 from stages.cleaning.repairs.places import REPAIRABLE, edge_keys
 from stages.cleaning.repairs.rounds import Account, repair_all
 from stages.comparing.certify import certify
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.params import check as check_params
 from stages.params import described, param, resolve
 from stages.printing import by_figures, table
@@ -95,7 +98,7 @@ class Repaired:
 
     Attributes
     ----------
-    mesh : the mesh; what was not irregular is as it was. Its notes tell what is left.
+    mesh : the mesh; what was not irregular is as it was.
     vertex_source : (n,) vertex of the input each vertex was.
     triangle_source : (m,) triangle of the input in whose place each one is.
     found : of each class in `stages.cleaning.check.CLASSES` that looks at neighbours or intersections, the
@@ -106,6 +109,7 @@ class Repaired:
     rolled_back : of each class the places where a repair was made and undone.
     bound_m : what is proven: no point of either surface is farther from the other, metres.
     max_shape_m : metres, as used.
+    diagnostics : what is left.
     """
 
     mesh: Mesh
@@ -119,6 +123,7 @@ class Repaired:
     rolled_back: dict[str, int]
     bound_m: float
     max_shape_m: float
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -179,8 +184,12 @@ def repair(
     Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies", 2012, for the
     classes and their repairs.
     """
-    params = resolve(RepairParams, params, changes)
-    given = as_mesh(mesh)
+    with collecting() as diagnostics:
+        repaired = _repair(as_mesh(mesh), resolve(RepairParams, params, changes), progress)
+    return replace(repaired, diagnostics=tuple(diagnostics))
+
+
+def _repair(given: Mesh, params: RepairParams, progress: Progress) -> Repaired:
     require_measurable(given, "mesh")
     progress(0, _STEPS)
     threads = params.threads or 0
@@ -299,15 +308,19 @@ def _told(
         repaired[name], left[name] = places[is_over], places[~is_over]
         why[name] = [REASONS[_reason(account, name, int(key))] for key in keys[~is_over]]
         points[name] = _points(edited, name, left[name])
-    notes = tuple(
-        _left_alone(name, len(found[name]), why[name], points[name]) for name in REPAIRABLE if why[name]
-    )
+    for name in REPAIRABLE:
+        if why[name]:
+            _report_left(name, len(found[name]), why[name], points[name])
     warned = [f"{len(left[name]):,} {_spoken(name)}" for name in left if _is_told(name) and why[name]]
     if warned:
-        notes += (f"found, and nothing is done about it: {', '.join(warned)}.",)
+        emit(
+            CLEAN_NOT_REPAIRED.warning(
+                "found, and nothing is done about it: {warned}.", warned=", ".join(warned)
+            )
+        )
     mesh, vertex_source, triangle_source = repaired_mesh(edited)
     return Repaired(
-        mesh=mesh.with_(notes=mesh.notes + notes),
+        mesh=mesh,
         vertex_source=vertex_source,
         triangle_source=triangle_source,
         found=found,
@@ -343,11 +356,20 @@ def _points(edited: Edited, name: str, places: Ids) -> Vertices:
     return np.asarray(vertices[corners].mean(axis=1))
 
 
-def _left_alone(name: str, found: int, why: list[str], points: Vertices) -> str:
-    reasons = ", ".join(f"{count:,} {reason}" for reason, count in Counter(why).most_common())
+def _report_left(name: str, found: int, why: list[str], points: Vertices) -> None:
     x, y, z = points[0]
-    what = f"{len(why):,} of {found:,} {_spoken(name)} left"
-    return f"{what}: {reasons}; the first at ({x:.6g}, {y:.6g}, {z:.6g}) m."
+    emit(
+        CLEAN_NOT_REPAIRED.warning(
+            "{left:,} of {found:,} {what} left: {reasons}; the first at ({x:.6g}, {y:.6g}, {z:.6g}) m.",
+            left=len(why),
+            found=found,
+            what=_spoken(name),
+            reasons=", ".join(f"{count:,} {reason}" for reason, count in Counter(why).most_common()),
+            x=x,
+            y=y,
+            z=z,
+        )
+    )
 
 
 def _is_told(name: str) -> bool:

@@ -104,7 +104,7 @@ class LeftOut:
             "placed": sum(one.placed for one in self.scores),
             **means,
             "each": each,
-            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "frames_skipped": [one.figures() for one in self.skipped],
         }
 
 
@@ -125,7 +125,7 @@ def left_out(mesh: Mesh, frames: Sequence[Frame], progress: Progress = silent) -
         try:
             score, picture = _judged(place, frame, surface)
         except InputError as error:
-            skipped.append(SkippedFrame(frame.name, str(error)))
+            skipped.append(SkippedFrame(frame.name, error.diagnostic))
         else:
             scores.append(score)
             shown.append(picture)
@@ -138,7 +138,7 @@ def left_out(mesh: Mesh, frames: Sequence[Frame], progress: Progress = silent) -
 def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorImage]:
     image, camera, shown = read_photo(frame)
     if frame.world_from_camera is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no camera pose.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no camera pose.")
     apart = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
     given = np.asarray(frame.world_from_camera, np.float64) @ inverted(apart)
     if frame.shutter_turn is not None:
@@ -152,7 +152,7 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         if judged is not None:
             found.append((*judged, pose))
     if not found:
-        raise InputError(TEXTURE_PHOTOS_MISMATCH, "its photo does not show the mesh.", f"frame {frame.name}")
+        raise InputError(TEXTURE_PHOTOS_MISMATCH, "its photo does not show the mesh.")
     # A wrong pose may come near to little of the photo.
     least = _SAME_COVERAGE * max(score.coverage for score, *_ in found)
     score, drawn, pose = max(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stages.cleaning.check import check
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import UsageError
+from stages.exporting.codes import EXPORT_LEFT_OUT, EXPORT_UP_UNKNOWN
 from stages.exporting.images import FORMATS, with_images
 from stages.exporting.usd import SUFFIXES as USD
 from stages.exporting.usd import require_usd, write_usd
@@ -112,8 +115,8 @@ class Exported:
     bytes : of the file, without what stands beside it.
     up : (3,) what is up in the mesh; None where nothing tells.
     position_error : metres by which whole numbers move a vertex at most; 0 where there are none.
-    notes : what the format does not hold, and what was taken for granted.
-    unmet : why it cannot be printed, if that was asked.
+    diagnostics : what the format does not hold, what was assumed, and why the mesh cannot be printed, if that
+        was asked.
     """
 
     file: Path
@@ -121,8 +124,7 @@ class Exported:
     bytes: int
     up: tuple[float, float, float] | None
     position_error: float
-    notes: tuple[str, ...]
-    unmet: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -135,8 +137,6 @@ class Exported:
             "bytes": self.bytes,
             "up": self.up,
             "position_error_m": self.position_error,
-            "notes": list(self.notes),
-            "unmet": list(self.unmet),
         }
 
 
@@ -164,21 +164,30 @@ def export(
     StageError
         If the system refuses to write.
     """
-    params = resolve(ExportParams, params, changes)
-    path = Path(path)
+    with collecting() as diagnostics:
+        exported = _export(mesh, Path(path), resolve(ExportParams, params, changes))
+    return replace(exported, diagnostics=tuple(diagnostics))
+
+
+def _export(mesh: MeshLike, path: Path, params: ExportParams) -> Exported:
     require_fitting(path, params)
     given = as_mesh(mesh)
-    notes: list[str] = []
     if params.up is not None:
         direction = direction_of(params.up)
         given = given.with_(up=None if direction is None else (direction[0], direction[1], direction[2]))
-    written, lost = with_images(given, params.images, params.quality, params.image_size)
-    notes += lost
+    written = with_images(given, params.images, params.quality, params.image_size)
     suffix = path.suffix.lower()
     if suffix not in STANDING:
-        written = _placed(written, params, notes)
+        written = _placed(written, params)
         if left_out := lost_with(suffix, given):
-            notes.append(f"{suffix} holds the shape alone: the {left_out} are left out; write .ply or .glb")
+            emit(
+                EXPORT_LEFT_OUT.warning(
+                    "{suffix} holds the shape alone: the {left_out} are left out",
+                    remedy="write .ply or .glb",
+                    suffix=suffix,
+                    left_out=left_out,
+                )
+            )
     if suffix in GLTF:
         write_gltf(
             path,
@@ -189,9 +198,11 @@ def export(
             texel_steps=params.texel_steps,
         )
     elif suffix in USD:
-        notes += write_usd(path, written)
+        write_usd(path, written)
     else:
         write_mesh(path, written)
+    if params.watertight:
+        _report_unprintable(given)
     is_small = suffix in GLTF and params.compress != "none" and len(given.triangles) > 0
     return Exported(
         file=path,
@@ -199,8 +210,6 @@ def export(
         bytes=path.stat().st_size,
         up=given.up,
         position_error=_position_error(given, params.position_bits) if is_small else 0.0,
-        notes=tuple(notes),
-        unmet=tuple(_unprintable(given)) if params.watertight else (),
     )
 
 
@@ -246,12 +255,16 @@ def _position_error(mesh: Mesh, bits: int) -> float:
     return lattice_of(mesh.vertices[np.unique(mesh.triangles)], bits).farthest
 
 
-def _placed(mesh: Mesh, params: ExportParams, notes: list[str]) -> Mesh:
+def _placed(mesh: Mesh, params: ExportParams) -> Mesh:
     """Return the mesh with its positions turned, scaled and moved as asked."""
     if params.axes != "scan":
         if mesh.up is None:
-            notes.append(
-                f"nothing tells what is up: the axes are taken to be {params.axes} already; `up` says it"
+            emit(
+                EXPORT_UP_UNKNOWN.warning(
+                    "nothing tells what is up: the axes are taken to be {axes} already",
+                    remedy="`up` says it",
+                    axes=params.axes,
+                )
             )
         else:
             up = np.array(mesh.up)
@@ -276,11 +289,10 @@ def _turned(mesh: Mesh, turn: np.ndarray) -> Mesh:
     )
 
 
-def _unprintable(mesh: Mesh) -> list[str]:
-    """Return why a mesh has no inside that could be printed."""
+def _report_unprintable(mesh: Mesh) -> None:
+    """Report why a mesh has no inside that could be printed."""
     found = check(mesh)
-    return [
-        *found.unmet(["watertight"]),
-        *([] if found.unmet(["watertight"]) else found.unmet(["outward"])),
+    emit(
+        *(found.unmet(["watertight"]) or found.unmet(["outward"])),
         *found.unmet(["no-intersecting-triangles"]),
-    ]
+    )

@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from stages._opencv import require_opencv
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import MeshError
+from stages.exporting.codes import EXPORT_IMAGE_AS_PNG
 from stages.files.image_bytes import encoded_image
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image
@@ -17,8 +20,8 @@ _SUFFIX = {"jpeg": ".jpg", "webp": ".webp", "png": ".png"}
 _MIME = {"jpeg": "image/jpeg", "webp": "image/webp", "png": "image/png"}
 
 
-def with_images(mesh: Mesh, kind: str, quality: int, most: int) -> tuple[Mesh, list[str]]:
-    """Return the mesh with its images encoded anew, and sentences on what was lost.
+def with_images(mesh: Mesh, kind: str, quality: int, most: int) -> Mesh:
+    """Return the mesh with its images encoded anew; images that stay as they are for a reason are reported.
 
     An image that has this format and is small enough already stays as it is, byte for byte. One with
     transparency becomes PNG where JPEG is asked for.
@@ -30,24 +33,23 @@ def with_images(mesh: Mesh, kind: str, quality: int, most: int) -> tuple[Mesh, l
     most : pixels of the longer side; larger images are made smaller.
     """
     if mesh.texture is None:
-        return mesh, []
-    notes: list[str] = []
-    made = {id(image): _encoded(image, kind, quality, most, notes) for image in mesh.texture.images}
+        return mesh
+    made = {id(image): _encoded(image, kind, quality, most) for image in mesh.texture.images}
     materials = tuple(
         material if material.image is None else replace(material, image=made[id(material.image)])
         for material in mesh.texture.materials
     )
     if all(new.image is old.image for new, old in zip(materials, mesh.texture.materials, strict=True)):
-        return mesh, notes
-    return mesh.with_(texture=replace(mesh.texture, materials=materials)), notes
+        return mesh
+    return mesh.with_(texture=replace(mesh.texture, materials=materials))
 
 
-def _encoded(image: Image, kind: str, quality: int, most: int, notes: list[str]) -> Image:
+def _encoded(image: Image, kind: str, quality: int, most: int) -> Image:
     has_format = kind == "keep" or image.mime == _MIME[kind]
     try:
         pixels = image.pixels
     except MeshError as error:
-        notes.append(str(error))
+        emit(replace(error.diagnostic, severity=Severity.WARNING))
         return image
     longest = max(pixels.shape[:2])
     if has_format and longest <= most:
@@ -58,7 +60,11 @@ def _encoded(image: Image, kind: str, quality: int, most: int, notes: list[str])
         pixels = _reduced(pixels, most / longest)
     if pixels.shape[2] == 4 and kind == "jpeg":
         if (pixels[:, :, 3] < 255).any():
-            notes.append(f"the image {image.name or 'without a name'} is transparent: it is kept as PNG")
+            emit(
+                EXPORT_IMAGE_AS_PNG.info(
+                    "the image {name} is transparent: it is kept as PNG", name=image.name or "without a name"
+                )
+            )
             kind = "png"
         else:
             pixels = pixels[:, :, :3]

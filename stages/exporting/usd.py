@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import StageError, UsageError
-from stages.exporting.codes import EXPORT_LEFT_OUT
+from stages.exporting.codes import EXPORT_IMAGE_AS_PNG, EXPORT_LEFT_OUT, EXPORT_USD_FAILED
 from stages.files.image_bytes import encoded_png
 from stages.files.replacing import replacing
 from stages.surface.codes import USAGE_EXTENSION_UNKNOWN
@@ -72,7 +73,7 @@ def write_usd(path: Path, mesh: Mesh) -> list[str]:
     with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
         folder = Path(kept)
         text = folder / f"{path.stem}.usda"
-        images, notes = _write_stage(text, mesh)
+        images = _write_stage(text, mesh)
         if path.suffix.lower() == ".usda":
             for name in images:
                 with replacing(path.with_name(name)) as part:
@@ -81,20 +82,19 @@ def write_usd(path: Path, mesh: Mesh) -> list[str]:
                 shutil.copyfile(text, part)
         else:
             _pack(text, folder / "packed.usdz", path)
-    return notes
 
 
 def _pack(text: Path, packed: Path, path: Path) -> None:
     from pxr import UsdUtils
 
     if not UsdUtils.CreateNewUsdzPackage(str(text), str(packed)):
-        raise StageError(EXPORT_LEFT_OUT, "usd-core could not make the package.", where=path)
+        raise StageError(EXPORT_USD_FAILED, "usd-core could not make the package.", where=path)
     with replacing(path) as part:
         shutil.copyfile(packed, part)
 
 
-def _write_stage(path: Path, mesh: Mesh) -> tuple[list[str], list[str]]:
-    """Write the text with its images beside it; return their names, and what is left out."""
+def _write_stage(path: Path, mesh: Mesh) -> list[str]:
+    """Write the text with its images beside it; return their names. What is left out is reported."""
     from pxr import Gf, Sdf, Usd, UsdGeom
 
     stage: Any = Usd.Stage.CreateNew(str(path))
@@ -125,12 +125,13 @@ def _write_stage(path: Path, mesh: Mesh) -> tuple[list[str], list[str]]:
         primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex).Set(
             Vt.Vec3fArray.FromNumpy(light)
         )
-    notes = ["parts are left out: USD is written as one mesh"] if mesh.part_ids is not None else []
-    names = [] if mesh.texture is None else _add_texture(stage, shape, mesh.texture, path.parent, notes)
+    if mesh.part_ids is not None:
+        emit(EXPORT_LEFT_OUT.warning("parts are left out: USD is written as one mesh"))
+    names = [] if mesh.texture is None else _add_texture(stage, shape, mesh.texture, path.parent)
     if mesh.texture is None and mesh.colors is not None:
         _add_colors_material(stage, shape)
     stage.GetRootLayer().Save()
-    return names, notes
+    return names
 
 
 def _add_normals(shape: Any, mesh: Mesh) -> None:
@@ -146,7 +147,7 @@ def _add_normals(shape: Any, mesh: Mesh) -> None:
         shape.SetNormalsInterpolation(where)
 
 
-def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path, notes: list[str]) -> list[str]:
+def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path) -> list[str]:
     """Add coordinates and materials; return the names of the images that were written."""
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
@@ -163,7 +164,7 @@ def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path, notes: 
         name = None
         if material.image is not None:
             if id(material.image) not in names:
-                names[id(material.image)] = _written(material.image, len(names), folder, notes)
+                names[id(material.image)] = _written(material.image, len(names), folder)
             name = names[id(material.image)]
         made = _material(stage, f"/scan/material{number}", material, name)
         part = UsdGeom.Subset.CreateGeomSubset(
@@ -173,14 +174,18 @@ def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path, notes: 
     return [name for name in names.values() if name]
 
 
-def _written(image: Image, number: int, folder: Path, notes: list[str]) -> str:
+def _written(image: Image, number: int, folder: Path) -> str:
     """Write an image as a previewer reads it, and return its name."""
     mime = image.mime
     if mime in _SHOWN:
         data, suffix = image.file_bytes, _SHOWN[mime]
     else:
         data, suffix = encoded_png(image.pixels), ".png"
-        notes.append(f"the image {image.name or number} is written as PNG, which USD shows")
+        emit(
+            EXPORT_IMAGE_AS_PNG.info(
+                "the image {name} is written as PNG, which USD shows", name=image.name or number
+            )
+        )
     name = f"texture{number}{suffix}"
     (folder / name).write_bytes(data)
     return name

@@ -89,9 +89,9 @@ def require_inside(name: str, path: Path, where: str) -> str:
     ):
         raise InputError(
             FILE_PATH_OUTSIDE,
-            "{name!r} is not a path inside the folder.",
+            "{place}: {name!r} is not a path inside the folder.",
             path,
-            where=where,
+            place=where,
             name=name[:100],
         )
     return name

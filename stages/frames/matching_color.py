@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.projection import project
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_IMAGE_MISSING
 from stages.scans.images import read_color
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, scaled
 
@@ -30,9 +31,9 @@ def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:
     color = read_color(frame)
     if color is None:
         raise InputError(
-            SCAN_FRAMES_SKIPPED,
+            FRAME_IMAGE_MISSING,
             "there is no colour image, while other frames have one.",
-            f"frame {frame.name}",
+            Where(frame=frame.name),
         )
     size = (frame.camera.width, frame.camera.height)
     if frame.color_camera is not None:

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.depth_filter import OrientedDepth, orient_depth
 from stages.frames.rigid_pose import require_rigid_pose
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FRAMES_SKIPPED
 from stages.scans.images import read_depth
 from stages.scans.scan import Camera, Frame, Pose, pinhole
 
@@ -76,7 +77,7 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
     pose = require_rigid_pose(frame)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", f"frame {frame.name}")
+        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", Where(frame=frame.name))
     valid = int(np.count_nonzero(depth))
     camera = pinhole(frame.camera)
     oriented = orient_depth(
@@ -89,5 +90,5 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
     )
     if not oriented.depth.any():
         message = "no pixel has a depth." if valid == 0 else "no pixel's depth is within the limits."
-        raise InputError(SCAN_FRAMES_SKIPPED, message, f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, message, Where(frame=frame.name))
     return PosedDepth(oriented, camera, pose, valid)

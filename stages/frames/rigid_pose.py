@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_POSE_MISSING, POSE_INVALID
 from stages.scans.scan import Frame, Pose
 
 # Poses read from text have few digits, and the rotations of trackers drift.
@@ -21,14 +22,14 @@ def require_rigid_pose(frame: Frame) -> Pose:
         If the frame has no pose, or the pose is not a rotation and a shift.
     """
     if frame.world_from_camera is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no camera pose.", f"frame {frame.name}")
+        raise InputError(FRAME_POSE_MISSING, "there is no camera pose.", Where(frame=frame.name))
     pose = np.asarray(frame.world_from_camera, np.float64)
     rotation = pose[:3, :3]
     if not np.isfinite(pose).all():
-        raise InputError(SCAN_FRAMES_SKIPPED, "the camera pose is not finite.", f"frame {frame.name}")
+        raise InputError(POSE_INVALID, "the camera pose is not finite.", Where(frame=frame.name))
     deviation = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if deviation > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         raise InputError(
-            SCAN_FRAMES_SKIPPED, "the camera pose is not a rotation and a shift.", f"frame {frame.name}"
+            POSE_INVALID, "the camera pose is not a rotation and a shift.", Where(frame=frame.name)
         )
     return pose

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID, USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
@@ -171,7 +171,7 @@ def _each(
             here = plan.fused(view)
             image = read_matching_color(larger, view.surface.depth) if color and here.any() else None
         except InputError as error:
-            return SkippedFrame(frame.name, str(error))
+            return SkippedFrame(frame.name, error.diagnostic.within(frame=None))
         used = int(np.count_nonzero(here))
         return Prepared(view, used, parts_of(view, here, plan.local(view.pose)), image)
 
@@ -210,7 +210,6 @@ def facts_of(
         "crop": plan.crop,
         "support": plan.support,
         "outside": sum(one.used == 0 for one in read),
-        "warnings": plan.warnings,
         "upsampled": work.factor,
     }
 
@@ -258,7 +257,7 @@ def device_of(params: FuseParams) -> str:
     if params.backend == "own":
         if wanted == "cuda":
             raise UsageError(
-                FUSE_DEVICE_MISSING,
+                USAGE_OPTIONS_CONFLICT,
                 "is 'cuda', which backend 'own' knows nothing of",
                 Where(parameter="device"),
                 remedy="choose open3d or auto.",

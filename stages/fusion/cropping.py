@@ -7,9 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
-from stages.fusion.codes import FUSE_CROP_EMPTY
+from stages.fusion.codes import FUSE_CROP_EMPTY, FUSE_PLANE_UNCERTAIN
 from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.params import FuseParams, Point
 from stages.fusion.scene import Scene
@@ -34,13 +37,11 @@ class Kept:
     crop : the places that are.
     support : the plane that is left out, with what is below it.
     views : some frames, whole, of which each shows some of what is kept.
-    warnings : what was asked for and is not done, or not as may be wanted.
     """
 
     crop: Crop
     support: Support | None
     views: tuple[PosedDepth, ...]
-    warnings: tuple[str, ...] = ()
 
 
 def what_is_kept(
@@ -52,7 +53,7 @@ def what_is_kept(
     limits: DepthLimits,
     threads: int,
 ) -> Kept:
-    """Find out what is kept, above a plane if that is asked for.
+    """Find out what is kept, above a plane if that is asked for; what cannot be done is emitted.
 
     Parameters
     ----------
@@ -66,15 +67,22 @@ def what_is_kept(
         If nothing that any frame shows is in the box or the ball.
     """
     crop = Crop(box=params.box)
-    warnings = []
     if params.radius is not None:
         crop = replace(crop, center=params.center or scene.center_m, radius=params.radius)
     elif params.center is not None and not params.remove_plane:
-        warnings.append("center has no effect without radius or remove_plane")
+        emit(
+            USAGE_OPTIONS_CONFLICT.warning(
+                "has no effect without radius or remove_plane", Where(parameter="center")
+            )
+        )
     if params.plane_margin is not None and not params.remove_plane:
-        warnings.append("plane_margin has no effect without remove_plane")
+        emit(
+            USAGE_OPTIONS_CONFLICT.warning(
+                "has no effect without remove_plane", Where(parameter="plane_margin")
+            )
+        )
     views = _that_show(crop, frames, looked_at, scene, limits, threads)
-    kept = Kept(crop=crop, support=None, views=tuple(views), warnings=tuple(warnings))
+    kept = Kept(crop=crop, support=None, views=tuple(views))
     return _without_support(kept, scene, noise, params) if params.remove_plane else kept
 
 
@@ -84,11 +92,14 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
     center = np.array(_thing(params, kept.crop, scene))
     found = find_support(views, center, noise.at(float(np.median(depth))))
     if isinstance(found, str):
-        why = (
-            f"remove_plane: nothing is removed, no plane under the thing is found: {found}; center, box or "
-            "radius say where the thing is"
+        emit(
+            FUSE_PLANE_UNCERTAIN.warning(
+                "remove_plane: nothing is removed, no plane under the thing is found: {why}",
+                remedy="center, box or radius say where the thing is",
+                why=found,
+            )
         )
-        return replace(kept, warnings=(*kept.warnings, why))
+        return kept
     above = above_plane(kept.crop, found, params.plane_margin, 0.0)
     counts = [int(np.count_nonzero(shown(view, above))) for view in views]
     share = sum(counts) / len(depth)
@@ -99,15 +110,17 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
             depth_count=len(depth),
             above=above,
         )
-    warnings = kept.warnings
     if share < _NEARLY_NOTHING:
-        margin = above.height - found.offset_m
-        warnings += (
-            f"remove_plane: only {share:.1%} of the points are more than {margin:.2g} m above the plane; if "
-            "it is not the one under the thing, say where that is by center, box or radius",
+        emit(
+            FUSE_PLANE_UNCERTAIN.warning(
+                "remove_plane: only {share:.1%} of the points are more than {margin:.2g} m above the plane",
+                remedy="if it is not the one under the thing, say where that is by center, box or radius",
+                share=share,
+                margin=above.height - found.offset_m,
+            )
         )
     shows = tuple(view for view, count in zip(kept.views, counts, strict=True) if count)
-    return Kept(crop=above, support=found, views=shows, warnings=warnings)
+    return Kept(crop=above, support=found, views=shows)
 
 
 def above_plane(crop: Crop, support: Support, margin: float | None, voxel_size: float) -> Crop:

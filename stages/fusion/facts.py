@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.fusion.crop import Crop
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise
@@ -50,8 +51,8 @@ class Facts:
     crop : what was fused of the scan.
     support : the plane that was left out, with what is below it.
     outside : how many frames show nothing of what was fused; they are not among `frames`.
-    warnings : of what was left out.
     upsampled : how many times as wide the depth maps were made first; 1 for not at all.
+    diagnostics : what was left out.
     """
 
     voxel_size: float
@@ -68,8 +69,8 @@ class Facts:
     crop: Crop
     support: Support | None
     outside: int
-    warnings: tuple[str, ...]
     upsampled: int = 1
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     def facts(self) -> dict[str, Any]:
         """Return the fields of this class, which others have more than."""
@@ -87,7 +88,7 @@ class Facts:
             "depth_noise_quadratic_per_m": self.noise.quadratic,
             "frames_used": self.frames,
             "frames_used_share": self.frames / (self.frames + len(self.skipped)),
-            "frames_skipped": [{"frame": s.name, "reason": s.reason} for s in self.skipped],
+            "frames_skipped": [one.figures() for one in self.skipped],
             "pixels_valid_share": self.pixels_valid,
             "pixels_used_share": self.pixels_used,
             "volume_mb": self.volume_bytes / 1e6,
@@ -97,7 +98,6 @@ class Facts:
             "highest_m": mesh.highest.tolist(),
             "vertices": mesh.vertices,
             "triangles": mesh.triangles,
-            "warnings": list(self.warnings),
         }
 
     def _crop_figures(self) -> dict[str, Any]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
@@ -23,7 +25,7 @@ from stages.fusion.adding import (
     nothing_fused,
     own_volume,
 )
-from stages.fusion.codes import FUSE_BRICKS, FUSE_NO_SURFACE
+from stages.fusion.codes import FUSE_NO_SURFACE
 from stages.fusion.crop import corners_of, cut, part_of, within
 from stages.fusion.facts import Facts, MeshFigures
 from stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
@@ -107,14 +109,17 @@ def fuse(
     ----------
     Curless and Levoy 1996 (see stages.fusion.voxels).
     """
-    work = begun(scan, resolve(FuseParams, params, changes))
+    params = resolve(FuseParams, params, changes)
+    with collecting() as diagnostics:
+        work = begun(scan, params)
 
-    def in_bricks() -> Fused:
-        with tempfile.TemporaryDirectory() as folder:
-            fused = fuse_in_bricks(work, Path(folder) / "fused.ply", progress=progress)
-            return Fused(mesh=read_ply(fused.path), **fused.facts())
+        def in_bricks() -> Fused:
+            with tempfile.TemporaryDirectory() as folder:
+                fused = fuse_in_bricks(work, Path(folder) / "fused.ply", progress=progress)
+                return Fused(mesh=read_ply(fused.path), **fused.facts())
 
-    return _fused(work, progress, in_bricks)
+        fused = _fused(work, progress, in_bricks)
+    return replace(fused, diagnostics=tuple(diagnostics))
 
 
 def fuse_to_file(
@@ -131,8 +136,10 @@ def fuse_to_file(
     InputError, UsageError, StageError
         As `fuse`.
     """
-    work = begun(scan, params)
-    fused = _fused(work, progress, partial(fuse_in_bricks, work, path, kept=kept, progress=progress))
+    with collecting() as diagnostics:
+        work = begun(scan, params)
+        fused = _fused(work, progress, partial(fuse_in_bricks, work, path, kept=kept, progress=progress))
+    fused = replace(fused, diagnostics=tuple(diagnostics))
     if isinstance(fused, Fused):
         if len(work.frames) > 1 and _has_bricks(work, fused.device):
             write_fused(path, fused.mesh, work.plan)
@@ -158,7 +165,7 @@ def _is_in_bricks(work: Work, device: str) -> bool:
     """Whether space is to be cut in bricks from the start: as asked for, or likely to be needed."""
     if work.params.brick_size is not None and not _has_bricks(work, device):
         raise UsageError(
-            FUSE_BRICKS,
+            USAGE_OPTIONS_CONFLICT,
             "is for scanloom's own voxels",
             Where(parameter="brick_size"),
             remedy="leave out device and backend.",
@@ -221,7 +228,7 @@ def _alone(work: Work) -> Fused:
         raise InputError(
             FUSE_NO_SURFACE,
             "no surface came out of the frame{inside}.",
-            f"frame {frame.name}",
+            Where(frame=frame.name),
             remedy="Check the depth scale and the calibration.",
             inside=inside(plan.crop, int(here.sum())),
         )
@@ -241,6 +248,5 @@ def _alone(work: Work) -> Fused:
         crop=plan.crop,
         support=plan.support,
         outside=0,
-        warnings=plan.warnings,
         upsampled=work.factor,
     )

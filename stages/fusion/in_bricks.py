@@ -22,6 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.files.documents import read_document
 from stages.files.numpy_files import mapped
 from stages.fusion.adding import (
@@ -46,6 +47,8 @@ from stages.progress import Progress, silent
 from stages.scans.scan import SkippedFrame
 
 _COUNTS, _SKIPPED = "frame_counts.npy", "skipped.json"
+# Version of these files: bricks of another one are not used.
+_FORMAT = 2
 
 
 class Kept(Protocol):
@@ -185,7 +188,7 @@ def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, pr
             volume = own_volume(work, _around(missing))
             outcomes = add_frames(work, volume, [work.frames[i] for i in numbers], progress)
             reasons = {
-                number: one.reason
+                number: one.diagnostic
                 for number, one in zip(numbers, outcomes, strict=True)
                 if isinstance(one, SkippedFrame)
             }
@@ -206,6 +209,7 @@ def _decided(work: Work, min_weight: int) -> dict[str, Any]:
     """Return all that decides a brick beside its frames, JSON-able."""
     plan, params = work.plan, work.params
     return {
+        "format": _FORMAT,
         "voxel_size": plan.voxel_size,
         "truncation": plan.truncation,
         "max_depth": plan.max_depth,
@@ -228,14 +232,15 @@ def _around(bricks: Sequence[Cube]) -> Box:
 
 
 def _write_brick(
-    volume: Volume, min_weight: int, brick: Cube, skipped: Mapping[int, str], folder: Path
+    volume: Volume, min_weight: int, brick: Cube, skipped: Mapping[int, Diagnostic], folder: Path
 ) -> None:
     """Write a brick's surface, how often its voxels were seen, and which frames were skipped, and why."""
     within = brick.low, brick.high
     np.save(folder / _COUNTS, volume.frame_counts(within))
     mesh, _, joints = volume.surface(min_weight, within)
     write_piece(folder, Piece(mesh.vertices, mesh.triangles, mesh.colors), joints)
-    (folder / _SKIPPED).write_text(json.dumps(skipped) + "\n", encoding="utf-8", newline="\n")
+    reasons = {at: diagnostic.figures() for at, diagnostic in skipped.items()}
+    (folder / _SKIPPED).write_text(json.dumps(reasons) + "\n", encoding="utf-8", newline="\n")
 
 
 def _read_counts(folder: Path) -> NDArray[np.int64]:
@@ -248,10 +253,13 @@ def _outcomes(work: Work, index: _Index, made: _Made) -> list[Outcome]:
     outcomes = list(index.outcomes)
     for brick, folder in zip(made.bricks, made.folders, strict=True):
         with reading(folder):
-            skipped = {int(at): str(reason) for at, reason in read_document(folder / _SKIPPED).items()}
-        for at, reason in skipped.items():
+            skipped = {
+                int(at): Diagnostic.from_figures(figures)
+                for at, figures in read_document(folder / _SKIPPED).items()
+            }
+        for at, diagnostic in skipped.items():
             number = index.frames[brick.number][at]
-            outcomes[number] = SkippedFrame(work.frames[number].name, reason)
+            outcomes[number] = SkippedFrame(work.frames[number].name, diagnostic)
     require_share(work, outcomes)
     return outcomes
 

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError, StageError
 from stages.fusion.bricks import Cube
-from stages.fusion.codes import FUSE_BRICKS
+from stages.fusion.codes import FUSE_BRICK_DAMAGED
 from stages.fusion.voxels import Keys
+from stages.surface.codes import FUSE_TOO_LARGE
 from stages.surface.mesh import Mesh
 
 # Edges of a block, first and second vertices, have codes below this.
@@ -80,7 +81,7 @@ def reading(folder: Path) -> Iterator[None]:
         yield
     except (OSError, EOFError, ValueError, LookupError, BadZipFile, InputError) as error:
         raise StageError(
-            FUSE_BRICKS,
+            FUSE_BRICK_DAMAGED,
             "this brick of the fused surface was damaged while it was used",
             remedy="run again, which makes it anew.",
             where=folder,
@@ -128,7 +129,7 @@ class Joined:
         self.vertex_count, self.triangle_count = int(self.vertex_ends[-1]), int(self.triangle_ends[-1])
         if max(self.vertex_count, self.triangle_count) > np.iinfo(np.int32).max:
             raise StageError(
-                FUSE_BRICKS,
+                FUSE_TOO_LARGE,
                 "the surface has {triangle_count:,} triangles, more than can be numbered.",
                 remedy="Give a larger voxel_size, or fuse a part of the scan (box).",
                 triangle_count=self.triangle_count,
@@ -180,5 +181,7 @@ class Joined:
 
 def _do_not_fit() -> StageError:
     return StageError(
-        FUSE_BRICKS, "pieces of the surface do not fit each other", remedy="fuse again, with --force fuse."
+        FUSE_BRICK_DAMAGED,
+        "pieces of the surface do not fit each other",
+        remedy="fuse again, with --force fuse.",
     )

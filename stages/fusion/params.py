@@ -152,10 +152,7 @@ class FuseParams:
         if self.box is not None and not all(a < b for a, b in zip(self.box[:3], self.box[3:], strict=True)):
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                (
-                    "is {box} m; its first three numbers must be the lowest corner, its last "
-                    "three the highest.",
-                    Where(parameter="box"),
-                ),
+                "is {box} m; its first three numbers must be the lowest corner, its last three the highest.",
+                Where(parameter="box"),
                 box=" ".join(f"{x:g}" for x in self.box),
             )

@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE, DepthLimits, PosedDepth, read_posed_depth
+from stages.fusion.codes import FUSE_FAR_DEPTH_LEFT_OUT
 from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.cropping import above_plane, what_is_kept
 from stages.fusion.params import FuseParams
@@ -62,7 +64,6 @@ class Plan:
     crop : what is fused of it.
     reach : metres; the field is made up to so far outside, so that it is whole at the border.
     support : the plane that is left out, with what is below it.
-    warnings : of what is left out.
     """
 
     voxel_size: float
@@ -75,7 +76,6 @@ class Plan:
     crop: Crop
     reach: float
     support: Support | None
-    warnings: tuple[str, ...]
     weighing: Weighing
     blocks: int = 0
     spread: float = 1.0
@@ -123,9 +123,8 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     )
     # Another frame may see farther than those looked at, hence the half more.
     max_depth = params.max_depth or min(noise.reach(truncation / 3), 1.5 * found.farthest)
-    warnings = kept.warnings
     if params.max_depth is None:
-        warnings += tuple(_warnings(params, wanted, found, voxel_size=voxel_size, max_depth=max_depth))
+        _report_far_depth(params, wanted, found, voxel_size=voxel_size, max_depth=max_depth)
     # Depth is kept in 65535 steps, which a limit far beyond the scene would make coarse.
     max_depth = min(max_depth, 10 * found.farthest)
     crop = kept.crop
@@ -146,7 +145,6 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         crop=crop,
         reach=truncation + voxel_size,
         support=kept.support,
-        warnings=warnings,
         weighing=_weighing(noise, looked_at, voxel_size),
     )
     # Two triangles for each voxel that the surface passes through.
@@ -159,14 +157,14 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     )
 
 
-def _warnings(
+def _report_far_depth(
     params: FuseParams, views: Sequence[PosedDepth], found: Survey, *, voxel_size: float, max_depth: float
-) -> list[str]:
-    """Return what is to be said of depth that is too far to be fused."""
+) -> None:
+    """Warn of depth that is too far to be fused."""
     depth = np.concatenate([view.surface.depth[view.surface.depth > 0][::_EVERY] for view in views])
     share = float(np.mean(depth > max_depth)) if len(depth) else 0.0
     if share <= _BEYOND:
-        return []
+        return
     # Either makes the field as wide as the noise of all but the farthest depth wants it.
     truncation = 3 * found.noise.at(found.far)
     length = (
@@ -174,10 +172,18 @@ def _warnings(
         if params.truncation is None
         else f"truncation={_two_digits(truncation):g}"
     )
-    return [
-        f"{share:.0%} of the depth is beyond {max_depth:.2f} m and not fused: its noise there is more than "
-        f"voxels of {voxel_size:g} m can take. fuse.{length} takes in what is up to {found.far:.2f} m away"
-    ]
+    emit(
+        FUSE_FAR_DEPTH_LEFT_OUT.warning(
+            "{share:.0%} of the depth is beyond {max_depth:.2f} m and not fused: its noise there is more "
+            "than voxels of {voxel_size:g} m can take.",
+            remedy="fuse.{length} takes in what is up to {far:.2f} m away",
+            share=share,
+            max_depth=max_depth,
+            voxel_size=voxel_size,
+            length=length,
+            far=found.far,
+        )
+    )
 
 
 def _weighing(noise: Noise, views: Sequence[PosedDepth], voxel_size: float) -> Weighing:

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.printing import by_fields
+from stages.scans.codes import POSE_JUMPS
 from stages.scans.scan import Scan
 
 # A person walking with a camera does not move faster between two frames.
@@ -30,12 +32,15 @@ class Path3D:
     __repr__ = by_fields
 
 
-def camera_path(scan: Scan) -> tuple[Path3D | None, list[str]]:
-    """Return the way of the camera, None without poses, and what is odd about it."""
+def camera_path(scan: Scan) -> Path3D | None:
+    """Return the way of the camera, None without poses; warn of poses that jump.
+
+    Single views are taken in no order: from one to the next is no step.
+    """
     frames = scan.frames
     poses = np.array([frame.world_from_camera for frame in frames if frame.world_from_camera is not None])
     if not len(poses):
-        return None, []
+        return None
     centres, rotations = poses[:, :3, 3], poses[:, :3, :3]
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     cosines = (np.einsum("nij,nij->n", rotations[:-1], rotations[1:]) - 1) / 2
@@ -53,10 +58,16 @@ def camera_path(scan: Scan) -> tuple[Path3D | None, list[str]]:
         largest_turn_deg=float(turns.max(initial=0.0)),
         outliers=outliers,
     )
-    if not outliers:
-        return path, []
-    named = ", ".join(outliers[:3]) + (" …" if len(outliers) > 3 else "")
-    return path, [
-        f"{len(outliers)} poses jump, by more than {limit:.2g} {'m' if scan.is_metric else 'units'} or "
-        f"{_LARGEST_TURN_DEG:g}° from the one before: {named}"
-    ]
+    if outliers and not scan.is_views:
+        emit(
+            POSE_JUMPS.warning(
+                "{count} poses jump, by more than {step:.2g} {unit} or {turn:g}° from the one before: "
+                "{named}",
+                count=len(outliers),
+                step=limit,
+                unit="m" if scan.is_metric else "units",
+                turn=_LARGEST_TURN_DEG,
+                named=", ".join(outliers[:3]) + (" …" if len(outliers) > 3 else ""),
+            )
+        )
+    return path

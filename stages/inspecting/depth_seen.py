@@ -8,8 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.files.images import read_raw_depth
+from stages.inspecting.codes import SCALE_DEPTH_UNIT_SUSPECT, SCAN_DEPTH_MARKER_UNDECLARED
 from stages.printing import by_fields
+from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
+from stages.scans.codes import SCAN_DEPTH_MISSING
 from stages.scans.scan import DepthImage, Frame, Scan
 
 _PLAUSIBLE_M = (0.1, 20.0)
@@ -39,10 +43,8 @@ class DepthRange:
     __repr__ = by_fields
 
 
-def depth_range(
-    maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bool
-) -> tuple[DepthRange | None, list[str]]:
-    """Return what the depth maps (h, w), metres, hold, None if nothing, and what is odd about it.
+def depth_range(maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bool) -> DepthRange | None:
+    """Return what the depth maps (h, w), metres, hold, None if nothing; warn of a range that cannot be right.
 
     Parameters
     ----------
@@ -50,36 +52,54 @@ def depth_range(
     """
     present = [depth for depth in maps if depth is not None]
     if not present:
-        return None, ["no sampled frame has a depth map"]
+        emit(SCAN_DEPTH_MISSING.warning("no sampled frame has a depth map"))
+        return None
     values = np.concatenate([depth.ravel() for depth in present])
     valid = values[values > 0]
     if not valid.size:
-        return None, ["no pixel of the sampled frames has a depth; all are 0 or missing"]
+        emit(
+            SCAN_DEPTH_MOSTLY_EMPTY.warning(
+                "no pixel of the sampled frames has a depth; all are 0 or missing"
+            )
+        )
+        return None
     near, median, far = (float(value) for value in np.percentile(valid, (2, 50, 98)))
     measured = DepthRange(len(present), near, median, far, 1 - valid.size / values.size)
     low, high = _PLAUSIBLE_M
     if low <= median <= high or not scan.is_metric:
-        return measured, []
+        return measured
     scale = scan.frames[0].depth_scale
     hints = [
         f"{other:g} ({name})"
         for other, name in SCALES.items()
         if other != scale and 0.3 <= median * scale / other <= 8
     ]
-    advice = (
-        f"; scan.depth_scale={' or '.join(hints)} would make it plausible" if hints and with_hints else ""
+    emit(
+        SCALE_DEPTH_UNIT_SUSPECT.warning(
+            "the median depth is {median:.3g} m with {scale:g} units a metre",
+            remedy="scan.depth_scale={hints} would make it plausible" if hints and with_hints else "",
+            median=median,
+            scale=scale,
+            hints=" or ".join(hints),
+        )
     )
-    return measured, [f"the median depth is {median:.3g} m with {scale:g} units a metre{advice}"]
+    return measured
 
 
-def markers(frames: Sequence[Frame]) -> list[str]:
-    """Find a raw value at the top of the range that fills more than 1 % of the pixels: surely no depth."""
+def report_markers(frames: Sequence[Frame]) -> None:
+    """Warn of a raw value at the top of the range that fills more than 1 % of the pixels: surely no depth."""
     raws = [(frame, read_raw_depth(frame.depth)) for frame in frames if isinstance(frame.depth, Path)]
     raws = [(frame, raw) for frame, raw in raws if raw.dtype.kind == "u"]
     if not raws:
-        return []
+        return
     top = max(int(raw.max(initial=0)) for _, raw in raws)
     share = sum(np.count_nonzero(raw == top) for _, raw in raws) / sum(raw.size for _, raw in raws)
-    if share <= 0.01 or top in (0, *raws[0][0].depth_missing):
-        return []
-    return [f"{share:.0%} of the depth pixels hold the largest value, {top}; probably it marks a missing one"]
+    if share > 0.01 and top not in (0, *raws[0][0].depth_missing):
+        emit(
+            SCAN_DEPTH_MARKER_UNDECLARED.warning(
+                "{share:.0%} of the depth pixels hold the largest value, {top}; probably it marks a "
+                "missing one",
+                share=share,
+                top=top,
+            )
+        )

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
+from stages.inspecting.codes import SCAN_IMAGES_SIZES_DIFFER, SCAN_IMAGES_UNREADABLE
 from stages.scans.scan import Scan
 
 
-def odd_sizes(scan: Scan) -> list[str]:
-    """Compare the sizes in the headers of all images of each stream."""
-    warnings = []
+def report_sizes(scan: Scan) -> None:
+    """Compare the sizes in the headers of all images of each stream, and warn of those that differ."""
     for stream in ("color", "right", "depth"):
         sizes: dict[tuple[int, int] | None, list[Path]] = {}
         for frame in scan.frames:
@@ -20,23 +21,46 @@ def odd_sizes(scan: Scan) -> list[str]:
                 sizes.setdefault(_size_or_none(image), []).append(image)
         unread = sizes.pop(None, [])
         if unread:
-            warnings.append(f"{len(unread)} {stream} images cannot be read, the first is {unread[0].name}")
+            emit(
+                SCAN_IMAGES_UNREADABLE.warning(
+                    "{count} {stream} images cannot be read, the first is {first}",
+                    count=len(unread),
+                    stream=stream,
+                    first=unread[0].name,
+                )
+            )
         usual = max(sizes, key=lambda size: len(sizes[size]), default=None)
         odd = {size: paths for size, paths in sizes.items() if size != usual}
-        if len(odd) == 1:
-            ((size, paths),) = odd.items()
-            warnings.append(
-                f"{len(paths)} {stream} images have another size ({_size_words(size)}), the first is "
-                f"{paths[0].name}"
+        if odd:
+            _report_odd(stream, odd, usual)
+
+
+def _report_odd(
+    stream: str, odd: dict[tuple[int, int] | None, list[Path]], usual: tuple[int, int] | None
+) -> None:
+    count = sum(map(len, odd.values()))
+    if len(odd) == 1:
+        ((size, paths),) = odd.items()
+        emit(
+            SCAN_IMAGES_SIZES_DIFFER.warning(
+                "{count} {stream} images have another size ({size}), the first is {first}",
+                count=count,
+                stream=stream,
+                size=_size_words(size),
+                first=paths[0].name,
             )
-        elif odd:
-            count = sum(map(len, odd.values()))
-            shown = ", ".join(map(_size_words, list(odd)[:3])) + (" …" if len(odd) > 3 else "")
-            warnings.append(
-                f"{count} {stream} images have {len(odd)} other sizes ({shown}) than most "
-                f"({_size_words(usual)})"
-            )
-    return warnings
+        )
+        return
+    emit(
+        SCAN_IMAGES_SIZES_DIFFER.warning(
+            "{count} {stream} images have {sizes} other sizes ({shown}) than most ({usual})",
+            count=count,
+            stream=stream,
+            sizes=len(odd),
+            shown=", ".join(map(_size_words, list(odd)[:3])) + (" …" if len(odd) > 3 else ""),
+            usual=_size_words(usual),
+        )
+    )
 
 
 def _size_words(size: tuple[int, int] | None) -> str:

@@ -6,11 +6,12 @@ Everything is measured on a handful of frames, so that a person gets the answer 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from stages.adjusting.look import look, usable
 from stages.adjusting.offset import offset, sights
 from stages.adjusting.view import color_camera, has_one_camera, place_of_color
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
 from stages.frames.sampling import sample_evenly
 from stages.fusion.params import FuseParams
@@ -18,15 +19,17 @@ from stages.fusion.plan import Plan, make_plan
 from stages.fusion.upsampling import upsampled_alone
 from stages.inspecting import sanity
 from stages.inspecting.camera_path import camera_path
-from stages.inspecting.depth_seen import SCALES, depth_range, markers
-from stages.inspecting.image_sizes import odd_sizes
+from stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED, SCAN_FRAMES_BLURRED
+from stages.inspecting.depth_seen import SCALES, depth_range, report_markers
+from stages.inspecting.image_sizes import report_sizes
 from stages.inspecting.inspection import Inspection
 from stages.inspecting.outlook import outlook
 from stages.inspecting.unused import unused
 from stages.inspecting.view_poses import check_view_poses
-from stages.registration.focal import focal_of, focal_warnings, is_guess
+from stages.registration.focal import focal_of, is_guess, report_focal
 from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.subject import shows_thing
+from stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_FRAMES_SKIPPED
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.prefetch import workers
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, StereoRig
@@ -57,36 +60,39 @@ def inspect(scan: Scan) -> Inspection:
     InputError
         If not one of the sampled frames can be read.
     """
-    samples, warnings = _samples(scan)
-    path, said = camera_path(scan)
-    up, about_up = known_up(scan)
-    # Single views are taken in no order: from one to the next is no step.
-    warnings += ([] if scan.is_views else said) + about_up + odd_sizes(scan)
+    with collecting() as diagnostics:
+        inspection = _inspect(scan)
+    return replace(inspection, diagnostics=(*scan.diagnostics, *diagnostics))
+
+
+def _inspect(scan: Scan) -> Inspection:
+    samples = _samples(scan)
+    path, up = camera_path(scan), known_up(scan)
+    report_sizes(scan)
     depth, stereo_depth = None, None
     errors: dict[str, float] = {}
     misfit = None
     if scan.rig is not None and scan.rig.left.is_calibrated:
         stereo_depth = _stereo_depth(scan.rig)
-        warnings += sanity.check_pairs([(one.color, one.right) for one in samples], scan.rig)
+        sanity.report_pairs([(one.color, one.right) for one in samples], scan.rig)
     elif scan.is_views:
-        warnings += [] if path is None else check_view_poses(scan.frames)[1]
+        suspicion = None if path is None else check_view_poses(scan.frames)[1]
+        if suspicion is not None:
+            emit(suspicion)
     elif scan.rig is None:
-        about_scale = [] if path is None or not scan.is_metric else sanity.check_scale(scan.frames, SCALES)
-        depth, said = depth_range([one.depth for one in samples], scan, with_hints=not about_scale)
-        errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
-        # Poses that only seem to be meant another way, because depth is of another unit.
-        about_poses = about_scale or about_poses
-        misfit, about_misfit = _misfit(scan.frames)
-        if path is not None and misfit is None and not about_poses:
-            about_poses = sanity.pose_doubts(scan.frames)
-        warnings += (
-            said
-            + markers([one.frame for one in samples])
-            + about_poses
-            + _unregistered(scan.frames)
-            + about_misfit
-        )
-    sharpness, about_sharpness = _least_sharp(scan)
+        about_scale = None if path is None or not scan.is_metric else sanity.check_scale(scan.frames, SCALES)
+        depth = depth_range([one.depth for one in samples], scan, with_hints=about_scale is None)
+        report_markers([one.frame for one in samples])
+        errors, suspicion = ({}, None) if path is None else sanity.check_poses(scan.frames)
+        # Poses only seem to be meant another way where depth is of another unit.
+        suspicion = about_scale or suspicion
+        if suspicion is not None:
+            emit(suspicion)
+        _report_unregistered(scan.frames)
+        misfit = _misfit(scan.frames)
+        if path is not None and misfit is None and suspicion is None:
+            sanity.pose_doubts(scan.frames)
+    sharpness = _least_sharp(scan)
     plan = _plan(scan) if depth is not None and path is not None else None
     subject = None
     if depth is not None and path is None and len(scan.frames) > 1:
@@ -96,7 +102,7 @@ def inspect(scan: Scan) -> Inspection:
         focal = focal_of(scan.frames)
         if focal is None and subject == "object":
             focal = focal_by_marks(scan.frames)
-        warnings += focal_warnings(focal, scan.frames[0].camera)
+        report_focal(focal, scan.frames[0].camera)
     return Inspection(
         scan=scan,
         color_size=_color_size(samples),
@@ -109,7 +115,6 @@ def inspect(scan: Scan) -> Inspection:
         scene=None if plan is None else plan.scene,
         outlook=None if plan is None else outlook(scan.frames, plan),
         up=up,
-        warnings=(*scan.warnings, *warnings, *about_sharpness),
         subject=subject,
         focal=focal,
         unused=unused(scan),
@@ -124,15 +129,17 @@ class _Sample:
     depth: DepthImage | None
 
 
-def _samples(scan: Scan) -> tuple[list[_Sample], list[str]]:
-    """Read a few frames spread over the scan; what cannot be read is told."""
+def _samples(scan: Scan) -> list[_Sample]:
+    """Read a few frames spread over the scan, and warn of those that cannot be read."""
     chosen = sample_evenly(len(scan.frames), _SAMPLED)
     found = [_sample(scan.frames[i]) for i in chosen]
     samples = [one for one in found if isinstance(one, _Sample)]
     faults = [one for one in found if isinstance(one, InputError)]
     if not samples:
         raise faults[0]
-    return samples, [f"a sampled frame cannot be used: {error}" for error in faults]
+    for error in faults:
+        emit(SCAN_FRAMES_SKIPPED.warning("a sampled frame cannot be used: {reason}", reason=str(error)))
+    return samples
 
 
 def _sample(frame: Frame) -> _Sample | InputError:
@@ -142,52 +149,67 @@ def _sample(frame: Frame) -> _Sample | InputError:
         return error
 
 
-def _misfit(frames: Sequence[Frame]) -> tuple[float | None, list[str]]:
-    """Return how far from its match a point of one frame lands in another, pixels, and what helps."""
+def _misfit(frames: Sequence[Frame]) -> float | None:
+    """Return how far from its match a point of one frame lands in another, pixels; warn if that is far."""
     places = usable(frames)
     seen = look(frames, places) if len(places) > 1 else None
     if seen is None or seen.trouble:
-        return None, []
-    if seen.median < _MISFIT_PX:
-        return seen.median, []
-    return seen.median, [
-        f"colour, depth and poses are off by {seen.median:.1f} px (median of {len(seen.errors):,} points "
-        "that two frames show): `scanloom run` adjusts them, `scanloom adjust` does it alone"
-    ]
+        return None
+    if seen.median >= _MISFIT_PX:
+        emit(
+            POSE_INCONSISTENT_WITH_IMAGES.warning(
+                "colour, depth and poses are off by {off:.1f} px (median of {count:,} points that two frames "
+                "show): `scanloom run` adjusts them, `scanloom adjust` does it alone",
+                off=seen.median,
+                count=len(seen.errors),
+            )
+        )
+    return seen.median
 
 
-def _unregistered(frames: Sequence[Frame]) -> list[str]:
-    """Say where photos lie beside depth, by the outlines of things."""
+def _report_unregistered(frames: Sequence[Frame]) -> None:
+    """Warn if photos lie beside depth, by the outlines of objects."""
     both = [n for n, frame in enumerate(frames) if frame.color is not None and frame.depth is not None]
     if not both or not has_one_camera([frames[n] for n in both]):
-        return []
+        return
     first = frames[both[0]]
     found = offset(sights(frames, both), color_camera(first), place_of_color(first))
-    if found is None or not found.is_clear:
-        return []
-    return [
-        f"colour is not registered to depth: by the outlines of things photos lie {found.said}; where frames "
-        "have poses, `scanloom run` moves the colour camera there, `scanloom adjust` does it alone"
-    ]
+    if found is not None and found.is_clear:
+        emit(
+            CAMERA_COLOR_UNREGISTERED.warning(
+                "colour is not registered to depth: by the outlines of things photos lie {shift}",
+                remedy=(
+                    "where frames have poses, `scanloom run` moves the colour camera there, `scanloom "
+                    "adjust` does it alone"
+                ),
+                shift=found.said,
+            )
+        )
 
 
-def _least_sharp(scan: Scan) -> tuple[tuple[tuple[str, float], ...], list[str]]:
+def _least_sharp(scan: Scan) -> tuple[tuple[str, float], ...]:
     worst, measured = least_sharp(scan.frames)
     named = tuple((frame.name, value) for frame, value in worst)
     blurred = [name for name, value in named if value < _BLURRED]
-    if not blurred:
-        return named, []
-    shown = ", ".join(blurred[:3]) + (" …" if len(blurred) > 3 else "")
-    return named, [
-        f"blurred, or with next to nothing to see: {shown} "
-        f"({len(blurred)} of the {measured} frames looked at)"
-    ]
+    if blurred:
+        emit(
+            SCAN_FRAMES_BLURRED.warning(
+                "blurred, or with next to nothing to see: {names} ({count} of the {measured} frames "
+                "looked at)",
+                names=", ".join(blurred[:3]) + (" …" if len(blurred) > 3 else ""),
+                count=len(blurred),
+                measured=measured,
+            )
+        )
+    return named
 
 
 def _plan(scan: Scan) -> Plan | None:
+    params = FuseParams()
     try:
-        params = FuseParams()
-        return make_plan(upsampled_alone(scan.frames, params), params, scan.folder, workers())
+        # Fusion reports of its plan itself.
+        with collecting(forward=False):
+            return make_plan(upsampled_alone(scan.frames, params), params, scan.folder, workers())
     except InputError:
         return None
 

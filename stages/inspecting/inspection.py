@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.fusion.scene import Scene, in_words
 from stages.inspecting.camera_path import Path3D
 from stages.inspecting.depth_seen import DepthRange
@@ -13,6 +14,7 @@ from stages.inspecting.outlook import Outlook
 from stages.inspecting.unused import Unused
 from stages.printing import by_figures, table
 from stages.registration.focal import Focal
+from stages.scans.codes import POSE_MISSING
 from stages.scans.scan import Camera, Scan
 from stages.scans.world import Scale, WorldUp
 
@@ -43,8 +45,8 @@ class Inspection:
         still; None where there are poses, or no depth maps.
     focal : of the depth camera, where nobody states it and the frames tell it.
     up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
-    warnings : all that is odd, the reader's own first.
     unused : files of the folder that nobody used.
+    diagnostics : all that is odd, the reader's own first.
     """
 
     scan: Scan
@@ -58,10 +60,10 @@ class Inspection:
     scene: Scene | None
     outlook: Outlook | None
     up: WorldUp | None
-    warnings: tuple[str, ...]
     subject: str | None = None
     focal: Focal | None = None
     unused: tuple[Unused, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -78,7 +80,7 @@ class Inspection:
             "layout": scan.layout,
             "kind": "stereo" if scan.is_stereo else "views" if scan.is_views else "rgbd",
             "frames": len(scan.frames),
-            "skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
+            "skipped": [one.figures() for one in scan.skipped],
             "camera": dataclasses.asdict(camera) if camera.is_calibrated else None,
             "color_size_px": self.color_size,
             "subject": self.subject,
@@ -104,8 +106,7 @@ class Inspection:
             "least_sharp": [{"frame": name, "of_median": value} for name, value in self.least_sharp],
             "scene": self.scene and dataclasses.asdict(self.scene),
             "outlook": self.outlook and dataclasses.asdict(self.outlook),
-            "missing": list(scan.missing),
-            "warnings": list(self.warnings),
+            "missing": [one.figures() for one in scan.missing],
             "unused": [dataclasses.asdict(one) for one in self.unused],
         }
 
@@ -179,11 +180,11 @@ class Inspection:
                 f"{needs.volume_mb:.0f} MB of memory, {needs.disk_mb:.0f} MB on disk"
             )
         found = "" if scan.is_views else "; without, `scanloom run` finds them"
-        lines += [f"missing   {text}{found if text.startswith('poses:') else ''}" for text in scan.missing]
+        lines += [f"missing   {one}{found if one.code == POSE_MISSING.name else ''}" for one in scan.missing]
         lines += [f"left out  {one.name}: {one.reason}" for one in scan.skipped[:5]]
         if len(scan.skipped) > 5:
             lines.append(f"left out  and {len(scan.skipped) - 5} more")
-        lines += [f"warning   {text}" for text in self.warnings]
+        lines += [f"{one.severity.value:<9} {one}" for one in self.diagnostics]
         lines += [f"not used  {one}" for one in self.unused[:_SHOWN]]
         if len(self.unused) > _SHOWN:
             lines.append(f"not used  and {len(self.unused) - _SHOWN} more")

@@ -1,6 +1,6 @@
 """Do the images agree with what the folder says of them? Cheap tests on a few frames.
 
-Each returns sentences about what is odd. They catch the mistakes that give a blurred or mirrored mesh and no
+They emit or return diagnostics. They catch the mistakes that give a blurred or mirrored mesh and no
 error: poses taken the wrong way round, a wrong axis, colour beside depth, left and right exchanged.
 """
 
@@ -12,14 +12,17 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.frames.projection import project, unproject
 from stages.frames.sampling import sample_evenly
-from stages.inspecting.codes import POSE_CONVENTION_SUSPECT
+from stages.inspecting.codes import POSE_CONVENTION_SUSPECT, POSE_INEXACT, SCALE_DEPTH_UNIT_SUSPECT
 from stages.inspecting.meant import AS_GIVEN, advice, motions
 from stages.scans.images import read_depth
 from stages.scans.poses import inverted
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
+from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 RESULT_VERSION = 2
 
@@ -44,30 +47,32 @@ _CLEARLY = 1.25
 _Couple: TypeAlias = tuple[tuple[int, DepthImage], tuple[int, DepthImage]]
 
 
-def require_poses(scan: Scan) -> list[str]:
-    """Stop when another reading of the poses clearly fits the depth better; return what is only suspected.
+def require_poses(scan: Scan) -> None:
+    """Stop when another reading of the poses clearly fits the depth better; warn if that is only suspected.
 
     Raises
     ------
     InputError
         With the comparison of `check_poses`. Where frames do not overlap with the poses as given, there is
-        nothing to compare, and a warning is returned.
+        nothing to compare, which is only suspicious.
     """
-    errors, warnings = check_poses(scan.frames)
-    if warnings and AS_GIVEN in errors:
+    errors, suspicion = check_poses(scan.frames)
+    if suspicion is None:
+        return
+    if AS_GIVEN in errors:
         compared = "; ".join(f"{error * 1000:.0f} mm {name}" for name, error in errors.items())
         raise InputError(
             POSE_CONVENTION_SUSPECT,
-            "{warnings} (compared: {compared}).",
+            "{suspicion} (compared: {compared}).",
             scan.folder,
-            warnings=warnings[0],
+            suspicion=suspicion.message,
             remedy=advice(min(errors, key=lambda name: errors[name])),
             compared=compared,
         )
-    return warnings
+    emit(suspicion)
 
 
-def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
+def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnostic | None]:
     """Reproject depth from frame to frame with the poses as given, inverted, with flipped axes, and both.
 
     And with the last pose for the first frame, and so on: files that list frames the other way round.
@@ -94,22 +99,25 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
                 errors.setdefault(name, []).append(found)
     medians = {name: float(np.median(np.concatenate(found))) for name, found in errors.items()}
     if not medians:
-        return {}, []
+        return {}, None
     distance = float(np.median(np.concatenate(distances)))
     declared = medians.get(AS_GIVEN)
     best = min(medians, key=lambda name: medians[name])
     is_sound = declared is not None and declared < max(2 * medians[best], _SOUND_SHARE * distance)
     if is_sound or medians[best] > _FITTING_SHARE * distance:
-        return medians, []
+        return medians, None
     was = "no overlap" if declared is None else f"{declared * 1000:.0f} mm"
     alike = [name for name, error in medians.items() if error < _CLEARLY * medians[best]]
-    return medians, [
-        f"the poses are probably {', or '.join(alike)}: so taken, the depth of one frame meets another's to "
-        f"{medians[best] * 1000:.0f} mm, as given to {was}"
-    ]
+    return medians, POSE_CONVENTION_SUSPECT.warning(
+        "the poses are probably {alike}: so taken, the depth of one frame meets another's to {best_mm:.0f} "
+        "mm, as given to {given}",
+        alike=", or ".join(alike),
+        best_mm=1000 * medians[best],
+        given=was,
+    )
 
 
-def pose_doubts(frames: Sequence[Frame]) -> list[str]:
+def pose_doubts(frames: Sequence[Frame]) -> None:
     """Carry surfaces from frame to frame by the poses as given; warn when patches lie off as a whole.
 
     Parameters
@@ -124,12 +132,15 @@ def pose_doubts(frames: Sequence[Frame]) -> list[str]:
         if len(meets) > _LEAST_OVERLAP * len(points):
             shares += _off_in_patches(meets)
     usual = float(np.median(shares)) if shares else 0.0
-    if usual <= _INEXACT_SHARE:
-        return []
-    return [
-        f"by the poses, surfaces of one frame lie {usual:.1%} of their distance off another's (median): they "
-        "are inexact; register.enabled=true with register.refine=true brings them nearer by the surfaces"
-    ]
+    if usual > _INEXACT_SHARE:
+        emit(
+            POSE_INEXACT.warning(
+                "by the poses, surfaces of one frame lie {share:.1%} of their distance off another's "
+                "(median): they are inexact",
+                remedy=("register.enabled=true with register.refine=true brings them nearer by the surfaces"),
+                share=usual,
+            )
+        )
 
 
 def _off_in_patches(meets: NDArray[np.float64]) -> list[float]:
@@ -145,8 +156,8 @@ def _off_in_patches(meets: NDArray[np.float64]) -> list[float]:
     ]
 
 
-def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> list[str]:
-    """Reproject depth from frame to frame in each of several units; warn when another than the declared fits.
+def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> Diagnostic | None:
+    """Reproject depth from frame to frame in each of several units; return a warning if another one fits.
 
     Parameters
     ----------
@@ -156,7 +167,7 @@ def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> list[str]:
     frames, poses = _posed(frames)
     couples = _couples(frames)
     if not couples:
-        return []
+        return None
     declared = frames[0].depth_scale
 
     def misfit(units: float) -> float | None:
@@ -164,7 +175,7 @@ def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> list[str]:
 
     given = misfit(1.0)
     if given is not None and given < _SOUND_SCALE_SHARE:
-        return []
+        return None
     found = {
         other: share
         for other in scales
@@ -172,15 +183,18 @@ def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> list[str]:
     }
     best = min(found, key=lambda other: found[other], default=declared)
     if best == declared or found[best] > min(_FITTING_SCALE_SHARE, (given or 1) / 2):
-        return []
+        return None
     if sum(share < _CLEARLY * found[best] for share in found.values()) > 1:
-        return []  # The camera moves too little to tell them apart.
+        return None  # The camera moves too little to tell them apart.
     was = "no overlap" if given is None else f"{given:.1%}"
-    said = (
-        f"depth and poses fit together with scan.depth_scale={best:g}: so taken, depth of one frame meets "
-        f"another's to {found[best]:.1%} of the distance, with {declared:g} units a metre to {was}"
+    return SCALE_DEPTH_UNIT_SUSPECT.warning(
+        "depth and poses fit together with scan.depth_scale={best:g}: so taken, depth of one frame meets "
+        "another's to {share:.1%} of the distance, with {declared:g} units a metre to {was}",
+        best=best,
+        share=found[best],
+        declared=declared,
+        was=was,
     )
-    return [said]
 
 
 def _misfit_share(
@@ -202,21 +216,28 @@ def _misfit_share(
     return float(np.median(shares)) if len(shares) > len(couples) / 2 else None
 
 
-def check_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], rig: StereoRig) -> list[str]:
-    """Match features of left and right: they must lie on the same row if rectified, and left must be left."""
+def report_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], rig: StereoRig) -> None:
+    """Match features of left and right; warn if their rows differ though rectified, or left is right."""
     moves = [_feature_moves(left, right) for left, right in pairs if left is not None and right is not None]
     found = np.concatenate(moves) if moves else np.empty((0, 2))
     if len(found) < 50:
-        return []
+        return
     # With an offset between the centres, disparity may rightly be negative.
     disparity = float(np.median(found[:, 0])) + rig.right.cx - rig.left.cx
     row = float(np.median(np.abs(found[:, 1])))
-    warnings = []
     if disparity < 0:
-        warnings.append(f"left and right seem exchanged: the median disparity is {disparity:.1f} px")
+        emit(
+            DEPTH_PAIR_SWAPPED.warning(
+                "left and right seem exchanged: the median disparity is {disparity:.1f} px",
+                disparity=disparity,
+            )
+        )
     if rig.rectified and row > 0.5:
-        warnings.append(f"the pairs are said to be rectified, but matched features differ by {row:.1f} rows")
-    return warnings
+        emit(
+            DEPTH_PAIR_ROWS_DIFFER.warning(
+                "the pairs are said to be rectified, but matched features differ by {rows:.1f} rows", rows=row
+            )
+        )
 
 
 def _couples(frames: Sequence[Frame]) -> list[_Couple]:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.frames.features import Keypoints, detect_keypoints, find_epipolar_inliers, match_descriptors
 from stages.frames.sampling import sample_evenly
@@ -45,20 +46,20 @@ def require_view_poses(scan: Scan) -> None:
     InputError
         With the comparison of `check_view_poses`.
     """
-    errors, said = check_view_poses(scan.frames)
-    if said:
+    errors, suspicion = check_view_poses(scan.frames)
+    if suspicion is not None:
         compared = "; ".join(f"{error:.1f} px {name}" for name, error in errors.items())
         raise InputError(
             POSE_CONVENTION_SUSPECT,
-            "{said} (compared: {compared}).",
+            "{suspicion} (compared: {compared}).",
             scan.folder,
-            said=said[0],
+            suspicion=suspicion.message,
             remedy=advice(min(errors, key=lambda name: errors[name])),
             compared=compared,
         )
 
 
-def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
+def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], Diagnostic | None]:
     """Match a few couples of views, and measure how far matches are off with the poses meant in several ways.
 
     Parameters
@@ -68,7 +69,7 @@ def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[st
     Returns
     -------
     The median distance of each way from its epipolar lines, in pixels of photos no wider than 1200; infinite
-    where points come to lie behind a camera. And a sentence if another way fits clearly better than the
+    where points come to lie behind a camera. And a warning if another way fits clearly better than the
     declared one.
     """
     posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
@@ -79,16 +80,19 @@ def check_view_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[st
             found.setdefault(name, []).append(_errors(motion, one, other, camera))
     errors = {name: float(np.median(np.concatenate(each))) for name, each in found.items()}
     if not errors:
-        return {}, []
+        return {}, None
     declared, best = errors[AS_GIVEN], min(errors, key=lambda name: errors[name])
     if declared < max(_SOUND_PX, _CLEARLY * errors[best]) or errors[best] > _FITTING_PX:
-        return errors, []
+        return errors, None
     alike = [name for name, error in errors.items() if error < max(_CLEARLY * errors[best], 1.0)]
     was = f"{declared:.0f} px" if np.isfinite(declared) else "behind the cameras"
-    return errors, [
-        f"the poses are probably {', or '.join(alike)}: so taken, what one photo shows lies within "
-        f"{max(errors[best], 0.1):.1f} px of where another has it, as given {was}"
-    ]
+    return errors, POSE_CONVENTION_SUSPECT.warning(
+        "the poses are probably {alike}: so taken, what one photo shows lies within {best_px:.1f} px of "
+        "where another has it, as given {given}",
+        alike=", or ".join(alike),
+        best_px=max(errors[best], 0.1),
+        given=was,
+    )
 
 
 def _matched(

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import InputError
-from stages.lod.codes import LEVELS_LEFT_OUT
+from stages.lod.codes import LEVELS_BOUND_NOT_PROVEN, LEVELS_ISLANDS_DROPPED, LEVELS_LEFT_OUT
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.model import packed
 from stages.params import check as check_params
@@ -19,8 +21,9 @@ from stages.params import param, resolve
 from stages.progress import Progress, silent
 from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES
 from stages.simplification.color_weight import balanced_weight
-from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
+from stages.simplification.in_sheets import in_sheets, is_split, joined, report_split, sheets_of
 from stages.simplification.simplify import simplify
+from stages.surface.codes import MESH_NO_SURFACE
 from stages.surface.color import attributes_of, color_at, is_textured
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
@@ -130,11 +133,15 @@ def build(
     UsageError
         If a parameter is out of range.
     """
-    params = resolve(LodParams, params, changes)
-    given = as_mesh(mesh)
+    with collecting() as diagnostics:
+        hierarchy = _built(as_mesh(mesh), resolve(LodParams, params, changes), progress)
+    return replace(hierarchy, diagnostics=tuple(diagnostics))
+
+
+def _built(given: Mesh, params: LodParams, progress: Progress) -> Hierarchy:
     require_measurable(given, "mesh")
     if len(given.triangles) == 0:
-        raise InputError(LEVELS_LEFT_OUT, "the mesh has no triangles; there are no levels of it.")
+        raise InputError(MESH_NO_SURFACE, "the mesh has no triangles; there are no levels of it.")
     kept, islands = _without_islands(given, params.drop_islands)
     base, shape, color, progress = _base(_plain(kept), params, progress)
     hierarchy = _of_any(base, params, shape, progress)
@@ -170,12 +177,11 @@ def _plain(mesh: Mesh) -> Mesh:
     """Return a mesh with nothing but colours of vertices."""
     lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals, "normals": mesh.normals}
     names = [name for name, value in lost.items() if value is not None]
-    notes = mesh.notes
     if names:
-        notes += (f"lod left out: {', '.join(names)}.",)
+        emit(LEVELS_LEFT_OUT.warning("lod left out: {names}.", names=", ".join(names)))
     if is_textured(mesh):
         mesh = mesh.with_(colors=_colors_of_vertices(mesh))
-    return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, notes=notes, up=mesh.up)
+    return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, up=mesh.up)
 
 
 def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
@@ -185,18 +191,23 @@ def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
     small, islands = find_small_components(mesh, size)
     if small.all():
         raise InputError(
-            LEVELS_LEFT_OUT,
+            LEVELS_ISLANDS_DROPPED,
             "every piece of the mesh is smaller than {size:g} m; nothing is left of it.",
             size=size,
         )
     if not islands:
         return mesh, 0
-    note = (
-        f"{islands:,} loose pieces smaller than {size:g} m, of {int(small.sum()):,} triangles, were dropped: "
-        "of what the mesh has there, nothing is proven."
+    emit(
+        LEVELS_ISLANDS_DROPPED.warning(
+            "{islands:,} loose pieces smaller than {size:g} m, of {triangles:,} triangles, were dropped: of "
+            "what the mesh has there, nothing is proven.",
+            islands=islands,
+            size=size,
+            triangles=np.count_nonzero(small),
+        )
     )
     source = np.flatnonzero(~small)
-    return mesh.with_triangles(mesh.triangles[source], source).with_(notes=(*mesh.notes, note)), islands
+    return mesh.with_triangles(mesh.triangles[source], source), islands
 
 
 def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
@@ -215,14 +226,17 @@ def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, floa
         return mesh, 0.0, 0.0, progress
     count = len(mesh.triangles)
     half = count // 2
-    light = simplify(
-        mesh,
-        method="certified",
-        max_shape=params.base_error,
-        close_bounds=mesh.colors is not None,
-        threads=params.threads,
-        progress=_part(progress, 0, half, count),
-    )
+    with collecting(forward=False):
+        light = simplify(
+            mesh,
+            method="certified",
+            max_shape=params.base_error,
+            close_bounds=mesh.colors is not None,
+            threads=params.threads,
+            progress=_part(progress, 0, half, count),
+        )
+    # Levels have the bounds that are proven, whether or not those are within the one that was asked for.
+    emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
     details = light.details
     bounds = float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
     return light.mesh, *bounds, _part(progress, half, count, count)
@@ -246,14 +260,10 @@ def _of_any(mesh: Mesh, params: LodParams, base_error: float, progress: Progress
         except _kernels.InvalidMeshError:
             # Not a manifold: the sheets it is made of are.
             sheets = sheets_of(mesh)
-    whole, notes = in_sheets(mesh, sheets)
+    whole = in_sheets(mesh, sheets)
     split = is_split(mesh, sheets)
-    if split.any():
-        notes += (
-            f"the surface is no manifold: it was split into sheets, which stay as they are at "
-            f"{split.sum():,} vertices where they touch; run clean first to let these move.",
-        )
-    return _of_manifold(whole.with_(notes=(*mesh.notes, *notes)), split, params, base_error, progress)
+    report_split(split)
+    return _of_manifold(whole, split, params, base_error, progress)
 
 
 def _of_manifold(
@@ -282,11 +292,13 @@ def _of_manifold(
         running=_kernels.Running(threads=params.threads or 0),
         progress=progress,
     )
-    notes = mesh.notes
     if levels.unproven:
-        notes += (
-            f"{levels.unproven:,} triangles have no proof of their level's bound; what is proven of their "
-            "nodes is told as it is.",
+        emit(
+            LEVELS_BOUND_NOT_PROVEN.warning(
+                "{count:,} triangles have no proof of their level's bound; what is proven of their nodes is "
+                "told as it is.",
+                count=levels.unproven,
+            )
         )
     return Hierarchy(
         vertices=levels.vertices,
@@ -306,7 +318,6 @@ def _of_manifold(
         base_shape_bound=0.0,
         base_color_bound=0.0,
         input_triangles=len(mesh.triangles),
-        notes=notes,
     )
 
 

@@ -6,35 +6,60 @@ from stages.diagnostics.diagnostic import Code
 
 LEVELS_FILE_DAMAGED = Code(
     "levels.file-damaged",
-    "Files that are damaged",
+    "Files of levels that are damaged",
     """
-Make it again from its mesh.
+The file is no `.slod` or `.snm` file, or is damaged before its first level. Make it again from its mesh.
 """,
-    "…: this is no .slod file.",
+    "clean.slod: the file is damaged or cut off before its first level.",
+)
+LEVELS_CUT_OFF = Code(
+    "levels.cut-off",
+    "Files of levels that end early",
+    """
+A warning. A `.slod` file that ends early is a coarser mesh: levels before the damage are read. Copy the file
+again, or make it again from its mesh.
+""",
+    "clean.slod: the file ends after 12 of 85 nodes; finer levels are missing.",
+)
+LEVELS_BOUND_NOT_PROVEN = Code(
+    "levels.bound-not-proven",
+    "Triangles that are not proven to be within the bound of their level",
+    """
+A warning. Each node states the bound that is proven for it, which is larger than that of its level here.
+Views and cuts take the proven bound.
+""",
+    ("14 triangles have no proof of their level's bound; what is proven of their nodes is told as it is."),
 )
 LEVELS_TILES = Code(
     "levels.tiles",
     "Tiles",
     """
 Positions of tiles have single precision. A model that is large and finely detailed at once needs coarser
-finest levels
-(`lod.base_error`). The model for `--texture` has to lie where the levels lie.
+finest levels (`lod.base_error`). The model for `--texture` has to lie where the levels lie.
 """,
     (
-        "vertices crowd too close for tiles, whose positions have single precision; "
-        "build the levels with a larger base_error."
+        "vertices crowd too close for tiles, whose positions have single precision; build the levels with a "
+        "larger base_error."
     ),
 )
 LEVELS_LEFT_OUT = Code(
     "levels.left-out",
-    "What levels leave out",
+    "Attributes that levels leave out",
     """
 Warnings. Normals and parts are left out; the image of a mesh is at the end of its file, and comes back
-with `--texture` if that
-is lost. Loose pieces go only with `lod.drop_islands`, and then nothing is proven of them.
+with `--texture` if that is lost. Images of tiles are opaque.
+""",
+    "lod left out: parts, normals of corners.",
+)
+LEVELS_ISLANDS_DROPPED = Code(
+    "levels.islands-dropped",
+    "Small components that are dropped",
+    """
+Small components are dropped only with `lod.drop_islands`, and then nothing is proven of them. A length that
+would drop all of the mesh is refused.
 """,
     (
-        "… loose pieces smaller than … m, of … triangles, were dropped: of what the "
-        "mesh has there, nothing is proven."
+        "20 loose pieces smaller than 0.1 m, of 1,600 triangles, were dropped: of what the mesh has there, "
+        "nothing is proven."
     ),
 )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.lod.model import unpacked
 from stages.printing import by_figures, table
 from stages.surface.mesh import Mesh
@@ -50,7 +51,7 @@ class Levels:
         coarse mesh and the node's part of the input; never less than a child's.
     base_shape_bound, base_color_bound : the same of the mesh the hierarchy was built on.
     input_triangles : of the mesh that was given.
-    notes : what a person should know.
+    diagnostics : of the mesh that the levels were built of, and of the file that they were read from.
     dropped_islands, dropped_triangles : loose pieces of the mesh that was given and their triangles, which no
         level has, so that bounds are one-sided: all of a level is near the mesh, but not these near a level.
     up : (3,) of length 1, what is up in the mesh, where that is known.
@@ -74,7 +75,7 @@ class Levels:
     base_shape_bound: float
     base_color_bound: float
     input_triangles: int
-    notes: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     dropped_islands: int = 0
     dropped_triangles: int = 0
     up: tuple[float, float, float] | None = None
@@ -237,9 +238,7 @@ class Levels:
             below=np.ascontiguousarray(self.vertices_after[first + done]),
         )
         colors = None if self.colors is None else self.colors[front.vertices]
-        mesh = Mesh(
-            self.vertices[front.vertices], front.triangles, colors=colors, notes=self.notes, up=self.up
-        )
+        mesh = Mesh(self.vertices[front.vertices], front.triangles, colors=colors, up=self.up)
         return mesh, np.repeat(chosen, count).astype(np.int32)
 
     def figures(self) -> dict[str, Any]:

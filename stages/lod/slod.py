@@ -18,11 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import content_of, said_of
 from stages.files.replacing import replacing
-from stages.lod.codes import LEVELS_FILE_DAMAGED
+from stages.lod.codes import LEVELS_CUT_OFF, LEVELS_FILE_DAMAGED
 from stages.lod.hierarchy import Hierarchy
 from stages.surface.finite import require_finite
 from stages.surface.mesh import NOT_WRITTEN
@@ -63,7 +65,7 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         "one_sided": h.is_one_sided,
         "dropped_islands": h.dropped_islands,
         "dropped_triangles": h.dropped_triangles,
-        "notes": list(h.notes),
+        "diagnostics": [diagnostic.figures() for diagnostic in h.diagnostics],
         # Only where it is known; whoever does not look for it loses nothing else.
         **({} if h.up is None else {"up": list(h.up)}),
         **({} if h.model_glb is None else {"model_bytes": len(h.model_glb)}),
@@ -105,6 +107,8 @@ def _block(h: Hierarchy, node: int, coordinates: np.dtype[Any]) -> bytes:
 def read_slod(path: Path | str) -> Hierarchy:
     """Read a hierarchy. Of a file that ends early, or is damaged on the way, the nodes before that are read.
 
+    Diagnostics of the mesh that the levels were built of are in the file, and are emitted again.
+
     Raises
     ------
     InputError
@@ -132,7 +136,9 @@ def read_slod(path: Path | str) -> Hierarchy:
             LEVELS_FILE_DAMAGED, "the file is damaged or cut off before its first level.", where=path
         )
     try:
-        return _read(data, _HEADER.size + size, json.loads(text))
+        with collecting() as diagnostics:
+            hierarchy = _read(data, _HEADER.size + size, json.loads(text), path)
+        return replace(hierarchy, diagnostics=tuple(diagnostics))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(
             LEVELS_FILE_DAMAGED,
@@ -142,7 +148,7 @@ def read_slod(path: Path | str) -> Hierarchy:
         ) from None
 
 
-def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:
+def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
     columns = {name: tree["nodes"][name] for name in _NODE}
     count = len(columns["parent"])
     if count == 0 or any(len(column) != count for column in columns.values()):
@@ -181,15 +187,28 @@ def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:
         raise ValueError("its root is not whole")
     hierarchy = _joined(tree, columns, sizes, roots, parts)
     _require_sound(hierarchy)
+    emit(*(Diagnostic.from_figures(figures) for figures in tree["diagnostics"]))
     if len(parts) < count:
-        note = f"the file ends after {len(parts):,} of {count:,} nodes; finer levels are missing."
-        return replace(hierarchy, notes=(*hierarchy.notes, note))
+        emit(
+            LEVELS_CUT_OFF.warning(
+                "the file ends after {there:,} of {count:,} nodes; finer levels are missing.",
+                path,
+                there=len(parts),
+                count=count,
+            )
+        )
+        return hierarchy
     if "model_bytes" not in tree:
         return hierarchy
     model = _whole(data, at, _natural(tree["model_bytes"]))
     if model is None:
-        note = "the file is damaged or cut off in the mesh with its image; colours of vertices are left."
-        return replace(hierarchy, notes=(*hierarchy.notes, note))
+        emit(
+            LEVELS_CUT_OFF.warning(
+                "the file is damaged or cut off in the mesh with its image; colours of vertices are left.",
+                path,
+            )
+        )
+        return hierarchy
     return replace(hierarchy, model_glb=model)
 
 
@@ -237,7 +256,6 @@ def _joined(
         base_shape_bound=float(tree["base_shape_bound"]),
         base_color_bound=float(tree["base_color_bound"]),
         input_triangles=_natural(tree["input_triangles"]),
-        notes=tuple(str(note) for note in tree["notes"]),
         dropped_islands=_natural(tree["dropped_islands"]),
         dropped_triangles=_natural(tree["dropped_triangles"]),
         up=_direction(tree["up"]) if "up" in tree else None,

@@ -8,18 +8,20 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of
 from stages.files.replacing_folder import replacing_folder
 from stages.files.written_by import installed_version
-from stages.lod.codes import LEVELS_FILE_DAMAGED
+from stages.lod.codes import LEVELS_FILE_DAMAGED, LEVELS_LEFT_OUT
 from stages.lod.grid import Grid, on_grid
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_glb import tile_glb
@@ -100,7 +102,7 @@ class Tileset:
     tree : what tileset.json says.
     up : (3,) what is up in the levels, and is turned along z; None where they stay as they are.
     images : of each tile; none where tiles have vertex colours.
-    notes : what a person should know of what was left out.
+    diagnostics : what was left out.
     """
 
     grid: Grid
@@ -109,7 +111,7 @@ class Tileset:
     tree: Tree
     up: tuple[float, float, float] | None
     images: tuple[TileImage, ...] = ()
-    notes: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -183,9 +185,21 @@ def write_tiles(
     UsageError
         If a parameter is out of range.
     """
-    params = resolve(TilesParams, params, changes)
+    with collecting() as diagnostics:
+        params = resolve(TilesParams, params, changes)
+        tiles = _write_tiles(hierarchy, Path(outdir), params, texture, images, progress)
+    return replace(tiles, diagnostics=tuple(diagnostics))
+
+
+def _write_tiles(
+    hierarchy: Hierarchy,
+    outdir: Path,
+    params: TilesParams,
+    texture: MeshLike | None,
+    images: TileImageParams | None,
+    progress: Progress,
+) -> Tileset:
     _require_whole(hierarchy)
-    outdir = Path(outdir)
     require_finite([("vertex", hierarchy.vertices)], outdir, NOT_WRITTEN)
     model = hierarchy.model if texture is None else as_mesh(texture, "model")
     with replacing_folder(outdir, is_tileset, WHAT) as draft:
@@ -210,10 +224,10 @@ def write_tiles(
         for name, content in (tiles_page() if params.page else {}).items():
             (draft / name).parent.mkdir(parents=True, exist_ok=True)
             (draft / name).write_bytes(content)
-    is_lost = model is not None and is_transparent(model)
-    notes = ("tiles left out: the transparency of the model's images.",) if is_lost else ()
+    if model is not None and is_transparent(model):
+        emit(LEVELS_LEFT_OUT.warning("tiles left out: the transparency of the model's images."))
     told = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
-    return Tileset(grid, sizes, triangles, tree, told, of_tiles, notes)
+    return Tileset(grid, sizes, triangles, tree, told, of_tiles)
 
 
 def _up(params: TilesParams, hierarchy: Hierarchy, model: Mesh | None) -> Floats | None:

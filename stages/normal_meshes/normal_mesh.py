@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import content_of
@@ -83,7 +84,7 @@ class NormalMesh:
     tolerance_source : where the tolerance comes from, in plain words; None if decoded.
     max_distances_m : for each level the largest distance found between it and the input; empty if `max_error`
         was not given.
-    warnings : what a person should know of the result, in plain sentences.
+    diagnostics : what was left out or changed, and whether `max_error` is not reached.
     """
 
     levels: tuple[Mesh, ...]
@@ -100,7 +101,7 @@ class NormalMesh:
     tolerance_m: float | None = None
     tolerance_source: str | None = None
     max_distances_m: tuple[float, ...] = ()
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -144,7 +145,6 @@ class NormalMesh:
             "bits_per_vertex": 8 * len(self.data) / len(self.mesh.vertices),
             "by_level": by_level,
             "damage": self.damage,
-            "warnings": list(self.warnings),
         }
 
     def _level_figures(self, level: int) -> dict[str, Any]:
@@ -281,21 +281,30 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
             levels=found.levels,
             why=why,
         )
-    return normal_mesh_of(found, level_notes=())
+    return normal_mesh_of(found)
 
 
 def normal_mesh_of(
-    found: _kernels.NormalMesh,
-    level_notes: tuple[str, ...],
-    **known: Any,
+    found: _kernels.NormalMesh, mesh_diagnostics: tuple[Diagnostic, ...] = (), **known: Any
 ) -> NormalMesh:
-    """Return what a kernel found, with `level_notes` for each of its meshes and what else is known of it."""
+    """Return what a kernel found, and what else is known of it.
+
+    Parameters
+    ----------
+    mesh_diagnostics : of the mesh that was read, for the mesh of each level.
+    """
     numbers = range(found.levels + 1)
     confidence = tuple(values for level in numbers if (values := found.confidence(level)) is not None)
     up = None if found.up is None else (found.up[0], found.up[1], found.up[2])
     return NormalMesh(
         levels=tuple(
-            Mesh(found.vertices(level), found.triangles(level), found.colors(level), notes=level_notes, up=up)
+            Mesh(
+                found.vertices(level),
+                found.triangles(level),
+                found.colors(level),
+                diagnostics=mesh_diagnostics,
+                up=up,
+            )
             for level in numbers
         ),
         offsets=tuple(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,14 +10,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from stages import _kernels
 from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import MeshError
-from stages.normal_meshes.codes import LEVELS_NORMAL_MESH_INEXACT
+from stages.lod.codes import LEVELS_LEFT_OUT
+from stages.normal_meshes.codes import (
+    LEVELS_BASE_LARGE,
+    LEVELS_FOLDED,
+    LEVELS_NORMAL_MESH_INEXACT,
+    LEVELS_TOO_FINE,
+    LEVELS_VERTICES_SPLIT,
+)
 from stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
-from stages.normal_meshes.unmet import too_far
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
 from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
-from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
+from stages.simplification.kernel_input import texture_left_out
 from stages.simplification.simplify import simplify
 from stages.surface.color import attributes_of
 from stages.surface.convert import MeshLike, as_mesh
@@ -186,7 +193,7 @@ def remesh(
     Returns
     -------
     NormalMesh
-        With colours if the input has. Texture and normals are not carried, and a note of the meshes says so.
+        With colours if the input has. Texture and normals are not carried, and a warning says so.
         Its sources are in terms of the input, split or not.
 
     Raises
@@ -204,8 +211,15 @@ def remesh(
     and Schröder, "Normal meshes", 2000; for the other prediction Zorin, Schröder and Sweldens, "Interpolating
     subdivision for meshes with arbitrary topology", 1996.
     """
-    params = resolve(RemeshParams, params, changes)
-    mesh = as_mesh(mesh)
+    with collecting() as diagnostics:
+        params = resolve(RemeshParams, params, changes)
+        result = _normal_mesh(as_mesh(mesh), params, confidence, progress)
+    return replace(result, diagnostics=tuple(diagnostics))
+
+
+def _normal_mesh(
+    mesh: Mesh, params: RemeshParams, confidence: ArrayLike | None, progress: Progress
+) -> NormalMesh:
     values = _confidence(confidence, len(mesh.vertices))
     require_area(mesh, "mesh")
     wanted = params.wanted_base(len(mesh.triangles))
@@ -213,28 +227,29 @@ def remesh(
     bare = mesh.with_(texture=None, normals=None, corner_normals=None, part_ids=None)
     start, original = _start(bare, params, progress)
     sheets = joined(start.mesh)
-    traced, notes = _traced(start, sheets)
+    traced = _traced(start, sheets)
     try:
         found = _remeshed(traced, original, values, params, wanted, progress)
     except _kernels.InvalidMeshError:
         # Few meshes are no manifold: to look only where a mesh is refused saves the others the time.
         sheets = sheets_of(start.mesh)
-        traced, notes = _traced(start, sheets)
+        traced = _traced(start, sheets)
         found = _remeshed(traced, original, values, params, wanted, progress)
     split = 0 if sheets is None else len(np.unique(sheets.vertex_source[is_split(start.mesh, sheets)]))
     if original is None:
         hits = [traced.triangle_source[found.hit_triangle(level)] for level in range(found.levels + 1)]
     else:
         hits = [_nearest(original, found.vertices(0))]
+    _report_left_out(mesh)
+    _report(found, params, wanted, split)
     return normal_mesh_of(
         found,
-        level_notes=(*start.mesh.notes, *_left_out(mesh), *notes),
+        mesh.diagnostics,
         base_source=traced.vertex_source[found.base_source].astype(np.int32),
         triangle_source=tuple(triangles.astype(np.int32) for triangles in hits),
         max_distances_m=tuple(found.reached),
         folded_by_level=tuple(found.folded),
         **_tolerance(found, traced.mesh),
-        warnings=tuple(_warnings(found, params, wanted, split)),
     )
 
 
@@ -248,7 +263,7 @@ def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
         used = np.unique(mesh.triangles)
         farthest = used[np.argmax(away[used])]
         raise MeshError(
-            LEVELS_NORMAL_MESH_INEXACT,
+            LEVELS_TOO_FINE,
             (
                 "most edges are shorter than {finest:.2g} m, which is all that can be told "
                 "apart in a mesh of this size"
@@ -279,9 +294,12 @@ def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced
     def still(done: int, total: int) -> object:  # noqa: ARG001
         return progress(0, 1)
 
-    light = simplify(
-        mesh, method="quadric", triangles=wanted, threads=params.threads, bake=False, progress=still
-    )
+    with collecting(forward=False):
+        light = simplify(
+            mesh, method="quadric", triangles=wanted, threads=params.threads, bake=False, progress=still
+        )
+    # The number of base triangles is a wish.
+    emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
     sources = light.vertex_source.astype(np.int64), light.triangle_source.astype(np.int64)
     return Traced(light.mesh, *sources), mesh
 
@@ -323,13 +341,12 @@ def _nearest(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.integer[Any]
     return Surface(mesh, box).closest(points).triangles
 
 
-def _traced(start: Traced, sheets: Sheets | None) -> tuple[Traced, tuple[str, ...]]:
-    """Return the mesh, or its sheets; and what copies lose that become one."""
+def _traced(start: Traced, sheets: Sheets | None) -> Traced:
+    """Return the mesh, or its sheets."""
     if sheets is None:
-        return start, ()
-    apart, notes = in_sheets(start.mesh, sheets)
+        return start
     sources = start.vertex_source[sheets.vertex_source], start.triangle_source[sheets.triangle_source]
-    return Traced(apart, *sources), notes
+    return Traced(in_sheets(start.mesh, sheets), *sources)
 
 
 def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
@@ -362,35 +379,59 @@ def _tolerance(found: _kernels.NormalMesh, mesh: Mesh) -> dict[str, float | str]
     }
 
 
-def _left_out(mesh: Mesh) -> tuple[str, ...]:
+def _report_left_out(mesh: Mesh) -> None:
     has_normals = mesh.normals is not None or mesh.corner_normals is not None
     lost = {"normals": has_normals or None, "parts": mesh.part_ids}
     names = " and ".join(name for name, value in lost.items() if value is not None)
-    notes = (f"remesh left out: {names}; it carries vertex colours and confidence.",) * bool(names)
-    return notes if mesh.texture is None else (*notes, f"remesh {TEXTURE_LEFT_OUT}")
+    if names:
+        emit(
+            LEVELS_LEFT_OUT.warning(
+                "remesh left out: {names}; it carries vertex colours and confidence.", names=names
+            )
+        )
+    if mesh.texture is not None:
+        emit(texture_left_out("remesh"))
 
 
-def _warnings(
-    found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, split: int
-) -> Iterator[str]:
+def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, split: int) -> None:
     if split:
-        yield (
-            f"{split:,} pinched {'vertex was' if split == 1 else 'vertices were'} split, so that each fan of "
-            "triangles that touched there has its own."
+        emit(
+            LEVELS_VERTICES_SPLIT.warning(
+                "{count:,} pinched {were} split, so that each fan of triangles that touched there has its "
+                "own.",
+                count=split,
+                were="vertex was" if split == 1 else "vertices were",
+            )
         )
     base = len(found.triangles(0))
     asked = params.base_triangles is not None or params.levels is not None
     if asked and wanted_base and base > _FAR_FROM_WANTED * wanted_base:
-        yield (
-            f"the base mesh has {base:,} triangles, not {wanted_base:,}: what is left stands for pieces, "
-            "holes and handles, which all stay, or could not be refined well with fewer. "
-            f"The finest level has {len(found.triangles(found.levels)):,}; fewer levels have fewer."
+        emit(
+            LEVELS_BASE_LARGE.warning(
+                "the base mesh has {base:,} triangles, not {wanted_base:,}: what is left stands for pieces, "
+                "holes and handles, which all stay, or could not be refined well with fewer. The finest "
+                "level has {finest:,}; fewer levels have fewer.",
+                base=base,
+                wanted_base=wanted_base,
+                finest=len(found.triangles(found.levels)),
+            )
         )
     if sum(found.folded):
-        finest = found.folded[-1]
-        yield (
-            f"{sum(found.folded):,} triangles of all levels, {finest:,} of the finest, are turned against "
-            "the surface or have no area."
+        emit(
+            LEVELS_FOLDED.warning(
+                "{count:,} triangles of all levels, {finest:,} of the finest, are turned against the surface "
+                "or have no area.",
+                count=sum(found.folded),
+                finest=found.folded[-1],
+            )
         )
     if params.max_error is not None and found.reached and found.reached[-1] > params.max_error:
-        yield too_far(found.reached[-1], params.max_error)
+        emit(
+            LEVELS_NORMAL_MESH_INEXACT.unmet(
+                "the finest level is up to {reached:.4g} m from the input, more than max_error "
+                "({max_error:g} m)",
+                remedy="give more levels or a finer base.",
+                reached=found.reached[-1],
+                max_error=params.max_error,
+            )
+        )

@@ -16,23 +16,28 @@ REPORT_INCOMPLETE = Code(
     "report.incomplete",
     "The page of a run",
     """
-The page is made of what lies in OUT. If something there is missing or changed, run again: what is cached
-is only
-placed. Photos and triangles are left out until the page fits `report.page_size`. A clean mesh of more than 5
-million triangles is shown coarsely, what lies in a cell of a grid as one; for that the file must be as
-the run wrote it.
+The page is made of the files in OUT. If something there is missing or changed, run again: cached results are
+only copied.
 """,
-    "the page takes … bytes, more than …, as small as it gets.",
+    "out/photos/12.jpg: this photo is missing; run once more.",
+)
+REPORT_REDUCED = Code(
+    "report.reduced",
+    "A page that is larger than asked, or without some photos",
+    """
+A warning. Photos and triangles are left out until the page fits `report.page_size`. A larger size keeps more;
+the complete result is a file of its own.
+""",
+    "40 of the photos are left out of the page, which may take 20,000,000 bytes.",
 )
 RENDER_LIBRARY_MISSING = Code(
     "render.library-missing",
     "Videos and plots",
     """
 Not every build of OpenCV has every encoder: `--codec mpeg4` is in nearly all, and pictures always work.
-Plots need `pip install
-"scanloom[plot]"`.
+Plots need `pip install "scanloom[plot]"`.
 """,
-    "…: OpenCV has no encoder for … here; write pictures (.png).",
+    "turn.mp4: OpenCV has no encoder for h264 here; write pictures (.png).",
 )
 MACHINE_PORT_TAKEN = Code(
     "machine.port-taken",
@@ -40,5 +45,5 @@ MACHINE_PORT_TAKEN = Code(
     """
 `scanloom view` listens on 127.0.0.1; without `--port` it takes any that is free.
 """,
-    "port … cannot be listened on: ….",
+    "port 8080 cannot be listened on: Address already in use.",
 )

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.collector import collecting
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.files.replacing import replacing
 from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
@@ -31,14 +33,14 @@ class Page:
     title : of the page.
     html : the file.
     width, height : of its frame in a notebook: in CSS, and pixels.
-    warnings : what was left out to keep it small, in plain sentences.
+    diagnostics : what was left out to keep it small.
     """
 
     title: str
     html: bytes
     width: str
     height: int
-    warnings: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     def __repr__(self) -> str:
         size = f"{len(self.html) / 1e6:.1f} MB"
@@ -106,16 +108,12 @@ def show(
             USAGE_VALUE_INVALID, "height is {height} px; it must be at least 1 px.", height=height
         )
     given = {title: thing, **(beside or {})}
-    meshes = {name: _mesh_of(one, name) for name, one in given.items()}
-    stands = meshes[title].up if up is None else _direction(up)
-    warnings: list[str] = []
-    html = packed_page(
-        title,
-        {name: Shown(mesh.with_(up=stands)) for name, mesh in meshes.items()},
-        int(1e6 * page_size),
-        warnings.append,
-    )
-    return Page(title=title, html=html, width=width, height=height, warnings=tuple(warnings))
+    with collecting() as diagnostics:
+        meshes = {name: _mesh_of(one, name) for name, one in given.items()}
+        stands = meshes[title].up if up is None else _direction(up)
+        shown = {name: Shown(mesh.with_(up=stands)) for name, mesh in meshes.items()}
+        html = packed_page(title, shown, int(1e6 * page_size))
+    return Page(title=title, html=html, width=width, height=height, diagnostics=tuple(diagnostics))
 
 
 def _mesh_of(thing: Any, name: str) -> Mesh:

@@ -108,7 +108,8 @@ def line(thing: object, said: Iterable[str]) -> str:
 
 def by_figures(self: Any) -> str:
     """For `__repr__`: what the mesh is, if there is one, and the figures that are no tables of their own."""
-    return line(self, [*_mesh_facts(getattr(self, "mesh", None)), *facts(_own_figures(self))])
+    diagnostics = counted(len(getattr(self, "diagnostics", ())), "diagnostic")
+    return line(self, [*_mesh_facts(getattr(self, "mesh", None)), *facts(_own_figures(self)), diagnostics])
 
 
 def by_fields(self: Any) -> str:
@@ -123,6 +124,7 @@ def table(self: Any) -> str:
     rows = [("mesh", told)] if told else []
     if not hasattr(self, "_facts"):
         rows += _rows(_own_figures(self) if hasattr(self, "figures") else _fields(self))
+    rows += [(one.severity.value, str(one)) for one in getattr(self, "diagnostics", ())]
     cells = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(_cut(value))}</td></tr>"
         for name, value in rows[:_MOST_ROWS]

@@ -84,7 +84,7 @@ def make_chain(
         try:
             return read_view(frame, max_depth)
         except InputError as error:
-            return SkippedFrame(frame.name, error.diagnostic)
+            return SkippedFrame(frame.name, error.diagnostic.within(frame=None))
 
     def couples() -> Iterator[tuple[int, View, int, View]]:
         before: tuple[int, View] | None = None

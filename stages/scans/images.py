@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.files.images import decode_color, file_bytes, read_raw_depth, read_stored, require_raw_depth
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, CAMERA_INTRINSICS_GUESSED, SCAN_FRAMES_SKIPPED
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, CAMERA_INTRINSICS_GUESSED, FRAME_IMAGE_MISSING
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
 from stages.scans.shutter import turn_of_color
 from stages.scans.undistortion import Maps, maps_of, undistorted
@@ -77,7 +78,7 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
         If there is no image, it cannot be read, or it is of another shape than its camera's.
     """
     if frame.color is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", f"frame {frame.name}")
+        raise InputError(FRAME_IMAGE_MISSING, "there is no colour image.", Where(frame=frame.name))
     image = _color(frame.color, frame.name)
     height, width = image.shape[:2]
     known = frame.color_camera or frame.camera
@@ -203,7 +204,7 @@ def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:
         raise InputError(
             USAGE_ARGUMENT_INVALID,
             "colour must be (h, w, 3) uint8, not {image_shape} {image_dtype}.",
-            f"frame {name}",
+            Where(frame=name),
             image_shape=image.shape,
             image_dtype=image.dtype,
         )
@@ -251,8 +252,8 @@ def _in_size(image: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT), np.uint8)
 
 
-def _called(source: object, name: str) -> Path | str:
+def _called(source: object, name: str) -> Path | str | Where:
     """Return how a message calls the image of a frame."""
     if isinstance(source, Path):
         return source
-    return str(source) if isinstance(source, Packed) else f"frame {name}"
+    return str(source) if isinstance(source, Packed) else Where(frame=name)

@@ -85,12 +85,9 @@ class ScanParams(ReadingParams):
         if not (0 < units < math.inf and 0 < metres < math.inf):
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                (
-                    "is {known_distance!r}; it must be a distance as it is "
-                    "measured and in metres, `1.37 0.75`, or two points and the metres between "
-                    "them, `x,y,z x,y,z 0.75`.",
-                    Where(parameter="known_distance"),
-                ),
+                "is {known_distance!r}; it must be a distance as it is measured and in metres, `1.37 0.75`, "
+                "or two points and the metres between them, `x,y,z x,y,z 0.75`.",
+                Where(parameter="known_distance"),
                 known_distance=self.known_distance,
             )
         return metres / units

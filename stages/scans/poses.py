@@ -130,9 +130,9 @@ def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     if len(numbers) != 3 or not math.hypot(*numbers) <= _MOST_TURN:
         raise InputError(
             CAMERA_ADJUSTED_MISMATCH,
-            "shutter_turn is no rotation vector of three numbers, {most_turn:g} radian at most.",
+            "{place}: shutter_turn is no rotation vector of three numbers, {most_turn:g} radian at most.",
             path,
-            where=where,
+            place=where,
             most_turn=_MOST_TURN,
         )
     return np.array(numbers, np.float64)
@@ -150,9 +150,9 @@ def pose_from_quaternion(
     if not 0.99 < length < 1.01:
         raise InputError(
             POSE_INVALID,
-            "the quaternion has length {length:.4g}, not 1.",
+            "{place}: the quaternion has length {length:.4g}, not 1.",
             path,
-            where=where,
+            place=where,
             length=length,
         )
     x, y, z, w = x / length, y / length, z / length, w / length

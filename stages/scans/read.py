@@ -11,16 +11,23 @@ from pathlib import Path
 import numpy as np
 
 from stages._opencv import require_opencv
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic, Severity
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.blas_buffers import require_buffers
 from stages.files.codes import FILE_PATH_INVALID
 from stages.files.noting import noting
-from stages.files.telling import in_sentences, telling
+from stages.files.repeated import merge_repeated
 from stages.scans.codes import (
     CAMERA_CALIBRATION_MISMATCH,
+    FRAME_IMAGE_MISSING,
+    FRAME_POSE_MISSING,
+    POSE_ASSUMED,
+    POSE_MISSING,
     SCAN_LAYOUT_UNKNOWN,
     SCAN_OPTION_UNUSED,
     SCAN_SELECTION_EMPTY,
+    SCAN_TIMES_IRREGULAR,
     SCAN_TOO_MANY_FRAMES_SKIPPED,
 )
 from stages.scans.layouts import plain_views
@@ -31,6 +38,7 @@ from stages.scans.poses import AS_WRITTEN, meant
 from stages.scans.reading.adjusted import with_adjusted
 from stages.scans.reading.axis_alignment import aligned
 from stages.scans.reading.files import common_size
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.mask_folder import with_masks
 from stages.scans.reading.rotated_bits import with_bits_turned_back
@@ -61,11 +69,21 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     require_opencv()
     folder = Path(folder)
     options = options or ScanParams()
+    with collecting() as diagnostics:
+        scan = _read(folder, options)
+        if complete:
+            require_complete(scan, folder)
+        _require_equal_sides(scan.frames, folder)
+    return replace(scan, diagnostics=tuple(diagnostics))
+
+
+def _read(folder: Path, options: ScanParams) -> Scan:
+    """Read all frames of a folder, and return those that are chosen."""
     layout = _layout_of(folder, options)
-    with noting() as noted, telling() as told:
+    with noting() as noted, collecting(forward=False) as diagnostics:
         read = layout.read(folder, options)
     _require_used(options, folder, layout, read, noted)
-    read = replace(read, warnings=(*read.warnings, *in_sentences(told)))
+    emit(*merge_repeated(diagnostics))
     read = _as_meant(read, options.pose_convention)
     scan = with_up(_without_still_poses(replace(read, read_from=_files_of(read, noted))), layout, options)
     if layout.name != "sun-rgbd":  # It looks for itself.
@@ -81,14 +99,9 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     scan = _without_lost(_without_absent(scan), folder)
     if options.align_axes:
         scan = aligned(scan, folder)
-    warnings = (*scan.warnings, *_time_warnings(scan.frames))
-    scan = _split(replace(scan, frames=_selected(scan, options), warnings=warnings), options.hold_out)
-    if len(scan.frames) == 1:
-        scan = _at_origin(scan)
-    if complete:
-        require_complete(scan, folder)
-    _require_equal_sides(scan.frames, folder)
-    return scan
+    _check_times(scan.frames)
+    scan = _split(replace(scan, frames=_selected(scan, options)), options.hold_out)
+    return _at_origin(scan) if len(scan.frames) == 1 else scan
 
 
 def _layout_of(folder: Path, options: ScanParams) -> Layout:
@@ -184,9 +197,12 @@ def _files_of(scan: Scan, noted: Collection[Path]) -> frozenset[Path]:
 
 def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
     """Raise InputError if a scan lacks what a mesh needs; poses only if it has to be `posed`."""
-    lacking = [what for what in scan.missing if posed or not what.startswith("poses:")]
+    lacking = [one for one in scan.missing if posed or one.code != POSE_MISSING.name]
+    if len(lacking) == 1:
+        raise InputError.of(replace(lacking[0], severity=Severity.ERROR).at(folder))
     if lacking:
-        raise InputError(CODE_UNKNOWN, "; and ".join(f"no {what}" for what in lacking) + ".", folder)
+        message = "; and ".join(map(str, lacking))
+        raise InputError.of(Diagnostic(lacking[0].code, Severity.ERROR, message).at(folder))
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:
@@ -211,6 +227,11 @@ def matching(folder: Path) -> tuple[Layout, str] | None:
     InputError
         If there is no such folder, it cannot be listed, or it is of a layout that cannot be read yet.
     """
+    with collecting(forward=False):
+        return _matching(folder)
+
+
+def _matching(folder: Path) -> tuple[Layout, str] | None:
     _require_place(folder, [suffix for one in LAYOUTS for suffix in one.suffixes])
     if folder.is_file():
         return next((one, folder.name) for one in LAYOUTS if folder.suffix.lower() in one.suffixes)
@@ -321,7 +342,11 @@ def _without_still_poses(scan: Scan) -> Scan:
         frames=[replace(frame, world_from_camera=None) for frame in scan.frames],
         missing=(
             *scan.missing,
-            f"poses: all {len(poses)} frames have the same one; give a trajectory with scan.poses=FILE",
+            poses_missing(
+                "all {count} frames have the same one",
+                remedy="give a trajectory with scan.poses=FILE",
+                count=len(poses),
+            ),
         ),
     )
 
@@ -331,12 +356,11 @@ def _at_origin(scan: Scan) -> Scan:
     (frame,) = scan.frames
     if frame.world_from_camera is not None:
         return scan
-    said = "a single frame without a pose: its camera is the origin of the mesh"
+    emit(POSE_ASSUMED.warning("a single frame without a pose: its camera is the origin of the mesh"))
     return replace(
         scan,
         frames=[replace(frame, world_from_camera=np.eye(4))],
-        warnings=(*scan.warnings, said),
-        missing=tuple(what for what in scan.missing if not what.startswith("poses:")),
+        missing=tuple(one for one in scan.missing if one.code != POSE_MISSING.name),
     )
 
 
@@ -350,7 +374,8 @@ def _without_absent(scan: Scan) -> Scan:
         if lacking is None:
             frames.append(frame)
         else:
-            absent.append(SkippedFrame(frame.name, f"{lacking.name} is missing"))
+            reason = FRAME_IMAGE_MISSING.warning("{file} is missing", file=lacking.name)
+            absent.append(SkippedFrame(frame.name, reason))
     return replace(scan, frames=frames, skipped=(*scan.skipped, *absent))
 
 
@@ -360,7 +385,7 @@ def _without_lost(scan: Scan, folder: Path) -> Scan:
     if not frames and scan.missing and scan.frames:
         return scan
     lost = [
-        SkippedFrame(frame.name, "tracking was lost: it has no pose")
+        SkippedFrame(frame.name, FRAME_POSE_MISSING.warning("tracking was lost: it has no pose"))
         for frame in scan.frames
         if frame.world_from_camera is None
     ]
@@ -401,18 +426,18 @@ def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
         )
 
 
-def _time_warnings(frames: Sequence[Frame]) -> list[str]:
+def _check_times(frames: Sequence[Frame]) -> None:
+    """Warn of times that are repeated, that go back, and of gaps."""
     times = [frame.timestamp for frame in frames if frame.timestamp is not None]
     steps = np.diff(np.array(times, np.float64))
-    warnings = []
-    if (steps == 0).any():
-        warnings.append(f"{np.count_nonzero(steps == 0)} timestamps are repeated")
-    if (steps < 0).any():
-        earlier = np.count_nonzero(steps < 0)
-        warnings.append(
-            f"{earlier} timestamps are earlier than the one before: frames stay in the order of their files"
+    if repeated := int(np.count_nonzero(steps == 0)):
+        emit(SCAN_TIMES_IRREGULAR.warning("{count} timestamps are repeated", count=repeated))
+    if earlier := int(np.count_nonzero(steps < 0)):
+        emit(
+            SCAN_TIMES_IRREGULAR.warning(
+                "{count} timestamps are earlier than the one before: frames stay in the order of their files",
+                count=earlier,
+            )
         )
-    gaps = np.count_nonzero(steps > 5 * max(float(np.median(steps)), 1.0)) if len(steps) else 0
-    if gaps:
-        warnings.append(f"{gaps} gaps in time are longer than five frames")
-    return warnings
+    if gaps := int(np.count_nonzero(steps > 5 * max(float(np.median(steps)), 1.0))) if len(steps) else 0:
+        emit(SCAN_TIMES_IRREGULAR.warning("{count} gaps in time are longer than five frames", count=gaps))

@@ -7,22 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
+from stages.scans.codes import SCALE_NOT_METRIC
 from stages.scans.params import ScanParams
 from stages.scans.scan import Frame, Pose, Scan, StereoRig
 from stages.scans.tag_scale import scale_by_tags
 from stages.scans.world import Scale
 
-NOT_METRIC = (
-    "this scan has no metric scale: a unit of its world is taken for a metre, and lengths of all results are "
-    "such units; scan.scale=METRES_PER_UNIT, scan.known_distance='MEASURED METRES' or scan.tag_size=METRES "
-    "give metres"
-)
 # Lengths that are metres are corrected by per cents, and not by more.
 _CORRECTION = 0.1
 
 
 def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
-    """Return a scan in metres, if something says how long a unit of it is; else it says that it is not.
+    """Return a scan in metres, if something says how long a unit of it is; else warn that it is not metric.
 
     All its lengths are multiplied, depth too, so that what fits still does. Where depth is measured in metres
     and poses come from another file, these alone are.
@@ -32,34 +29,48 @@ def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
     InputError
         If the scale has to be found in the images, and cannot be.
     """
-    scale, said = _scale(scan, options, folder)
+    scale = _scale(scan, options, folder)
     if scale is None:
-        return scan if scan.is_metric else replace(scan, warnings=(*scan.warnings, NOT_METRIC))
+        if not scan.is_metric:
+            emit(
+                SCALE_NOT_METRIC.warning(
+                    "this scan has no metric scale: a unit of its world is taken for a metre, and lengths of "
+                    "all results are such units",
+                    remedy="scan.scale=METRES_PER_UNIT, scan.known_distance='MEASURED METRES' or "
+                    "scan.tag_size=METRES give metres",
+                )
+            )
+        return scan
     factor = scale.metres_per_unit
     if options.poses is not None and scan.is_metric and not scan.is_views:
         frames = [_moved(frame, factor) for frame in scan.frames]
-        return replace(scan, frames=frames, warnings=(*scan.warnings, *said), scale=scale)
+        return replace(scan, frames=frames, scale=scale)
     is_stated = options.depth_scale is not None or options.poses is not None
     if scan.is_metric and not is_stated and abs(factor - 1) > _CORRECTION:
-        said = [*said, f"lengths of layout {scan.layout} are metres, and are multiplied by {factor:.4g}"]
+        emit(
+            SCALE_NOT_METRIC.warning(
+                "lengths of layout {layout} are metres, and are multiplied by {factor:.4g}",
+                layout=scan.layout,
+                factor=factor,
+            )
+        )
     return replace(
         scan,
         frames=[_scaled(frame, factor) for frame in scan.frames],
         rig=None if scan.rig is None else _scaled_rig(scan.rig, factor),
         box=None if scan.box is None else scan.box * factor,
-        warnings=(*scan.warnings, *said),
         is_metric=True,
         scale=scale,
     )
 
 
-def _scale(scan: Scan, options: ScanParams, folder: Path) -> tuple[Scale | None, list[str]]:
+def _scale(scan: Scan, options: ScanParams, folder: Path) -> Scale | None:
     stated = options.stated_scale()
     if stated is not None:
-        return Scale(stated, "given" if options.scale is not None else "a known distance"), []
+        return Scale(stated, "given" if options.scale is not None else "a known distance")
     if options.tag_size is not None:
         return scale_by_tags(scan.frames, options.tag_size, options.tag_family, folder)
-    return None, []
+    return None
 
 
 def _moved(frame: Frame, factor: float) -> Frame:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
+from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import InputError
 from stages.printing import counted, line, table
 from stages.scans.arrays import (
@@ -209,7 +209,7 @@ class Frame:
             raise InputError(
                 USAGE_FRAME_INVALID,
                 "world_from_camera must be a (4, 4) array; Frame.from_arrays takes other forms.",
-                f"frame {self.name}",
+                Where(frame=self.name),
             )
         if isinstance(depth, np.ndarray) and not np.issubdtype(depth.dtype, np.floating):
             raise InputError(
@@ -218,7 +218,7 @@ class Frame:
                     "a depth array must be floats in metres, not {depth_dtype}; "
                     "Frame.from_arrays takes integers with depth_scale."
                 ),
-                f"frame {self.name}",
+                Where(frame=self.name),
                 depth_dtype=depth.dtype,
             )
 
@@ -446,7 +446,7 @@ class Scan:
                 raise InputError(
                     USAGE_FRAME_INVALID,
                     "it has {describe_kind}, but frame {numbered_name} has {describe_kind_2}.",
-                    f"frame {frame.name}",
+                    Where(frame=frame.name),
                     describe_kind=_describe_kind(kind),
                     numbered_name=numbered[0].name,
                     describe_kind_2=_describe_kind(kinds[0]),

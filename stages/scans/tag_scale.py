@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCALE_NOT_METRIC
+from stages.scans.codes import SCALE_TAGS_UNRELIABLE
 from stages.scans.images import read_photo
 from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
@@ -42,7 +43,7 @@ _OFF_SHARE, _OFF_PX = 0.08, 2.0
 _ROUNDS = 3
 # Rays that meet at a smaller angle do not say where, degrees.
 _LEAST_ANGLE_DEG = 2.0
-# Tags that differ by a larger share are not of one size; of a smaller one, it is told.
+# Tags that differ by a larger share are not of one size; by the smaller one, a warning is due.
 _DISAGREE, _DOUBTFUL = 0.05, 0.02
 
 
@@ -64,8 +65,8 @@ class _Tag:
     views: tuple[int, ...]
 
 
-def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Path) -> tuple[Scale, list[str]]:
-    """Return the scale of the world of the frames' poses, and what is odd about it.
+def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Path) -> Scale:
+    """Return the scale of the world of the frames' poses.
 
     Parameters
     ----------
@@ -80,18 +81,18 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
     posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
     if not posed:
         raise InputError(
-            SCALE_NOT_METRIC, "tags are looked for in photos with poses, and there are none.", folder
+            SCALE_TAGS_UNRELIABLE, "tags are looked for in photos with poses, and there are none.", folder
         )
     chosen = _spread(posed, _MOST_PHOTOS)
     views = [view for view in _looked_at(chosen, family) if view is not None]
     seen = sorted({number for view in views for number in view.tags})
     if not seen:
-        raise InputError(SCALE_NOT_METRIC, _none_found(chosen, family), folder)
+        raise InputError(SCALE_TAGS_UNRELIABLE, _none_found(chosen, family), folder)
     tags = [tag for number in seen if (tag := _placed(number, views)) is not None]
     if not tags:
         named = ", ".join(map(str, seen[:8])) + (" …" if len(seen) > 8 else "")
         raise InputError(
-            SCALE_NOT_METRIC,
+            SCALE_TAGS_UNRELIABLE,
             (
                 "tags are seen in its photos ({named}), but none in two from different "
                 "places whose poses agree where it is."
@@ -99,16 +100,20 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
             folder,
             named=named,
         )
-    tags, warnings = _agreeing(tags, edge, folder)
+    tags = _agreeing(tags, edge, folder)
     factors = np.array([edge / tag.edges.mean() for tag in tags])
     factor = float(np.median(factors))
     compared = factors if len(tags) > 1 else edge / tags[0].edges
     spread = float(np.abs(compared / factor - 1).max())
     if spread > _DOUBTFUL:
-        warnings.append(f"the scale by tags is known to {spread:.1%} only: so far their sizes differ")
+        emit(
+            SCALE_TAGS_UNRELIABLE.warning(
+                "the scale by tags is known to {spread:.1%} only: so far their sizes differ", spread=spread
+            )
+        )
     which = f"tag {tags[0].number}" if len(tags) == 1 else f"{len(tags)} tags"
     count = len({view for tag in tags for view in tag.views})
-    return Scale(factor, f"{which} of {edge:g} m in {count} photos", spread), warnings
+    return Scale(factor, f"{which} of {edge:g} m in {count} photos", spread)
 
 
 def _spread(frames: Sequence[Frame], most: int) -> list[Frame]:
@@ -243,13 +248,13 @@ def _agree(corners: Floats, views: Sequence[_View], number: int) -> list[int]:
     return places
 
 
-def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> tuple[list[_Tag], list[str]]:
-    """Return the tags that are of one size, and a warning that names others, if they are fewer."""
+def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> list[_Tag]:
+    """Return the tags that are of one size, with a warning that names others, if they are fewer."""
     square = [tag for tag in tags if np.ptp(tag.edges) < 2 * _DISAGREE * tag.edges.mean()]
     if not square:
         edges = tags[0].edges
         raise InputError(
-            SCALE_NOT_METRIC,
+            SCALE_TAGS_UNRELIABLE,
             (
                 "by the poses, edges of tag {number} are {min:.4g} to {max:.4g} units long: "
                 "that is no square, and tells no scale."
@@ -264,14 +269,18 @@ def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> tuple[list[_Ta
     if len(square) > 1 and np.count_nonzero(same) <= len(square) / 2:
         told = ", ".join(f"tag {tag.number} {edge / tag.edges.mean():.4g}" for tag in square[:8])
         raise InputError(
-            SCALE_NOT_METRIC,
+            SCALE_TAGS_UNRELIABLE,
             "the tags do not agree how many metres a unit is: {told}. Are they of one size?",
             folder,
             told=told,
         )
     kept = [tag for tag, is_same in zip(square, same, strict=True) if is_same]
     others = [tag.number for tag in tags if tag not in kept]
-    if not others:
-        return kept, []
-    named = ", ".join(map(str, others))
-    return kept, [f"left out of the scale, of another size than most tags or no squares: {named}"]
+    if others:
+        emit(
+            SCALE_TAGS_UNRELIABLE.warning(
+                "tags left out of the scale, of another size than most tags or no squares: {numbers}",
+                numbers=", ".join(map(str, others)),
+            )
+        )
+    return kept

@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
+from stages.scans.codes import SCALE_UP_UNCERTAIN
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Frame, Scan
@@ -40,35 +42,37 @@ def _with_own_ups(frames: Sequence[Frame], up: Direction) -> list[Frame]:
     ]
 
 
-def known_up(scan: Scan) -> tuple[WorldUp | None, list[str]]:
-    """Return which way is up in the world of the frames' poses, None where nothing says it; and warnings.
+def known_up(scan: Scan) -> WorldUp | None:
+    """Return the up direction in the world of the frames' poses, None where nothing says it.
 
-    What the layout says counts; else what was measured while the frames were taken, which goes with them into
-    any world that poses are found in.
+    The direction of the layout counts; else the one measured while the frames were taken, which goes with
+    them into any world that poses are found in. Emits a warning if it does not fit the poses.
     """
-    if scan.up is not None:
-        return scan.up, []
-    return _measured(scan.frames)
+    return _measured(scan.frames) if scan.up is None else scan.up
 
 
-def _measured(frames: Sequence[Frame]) -> tuple[WorldUp | None, list[str]]:
-    """Return the median over the frames of what is up, by coordinates of the world."""
+def _measured(frames: Sequence[Frame]) -> WorldUp | None:
+    """Return the median up direction of the frames, by coordinates of the world."""
     found = [
         frame.world_from_camera[:3, :3] @ frame.up
         for frame in frames
         if frame.world_from_camera is not None and frame.up is not None
     ]
     if not found:
-        return None, []
+        return None
     directions = np.array(found)
     median = np.median(directions, axis=0)
     length = float(np.linalg.norm(median))
     up = median / max(length, np.finfo(np.float64).tiny)
     spread = float(np.median(np.degrees(np.arccos(np.clip(directions @ up, -1, 1)))))
     if spread > _LARGEST_SPREAD_DEG:
-        return None, [
-            "what the accelerometer says is up does not go with the poses: it differs from frame to frame by "
-            f"{spread:.0f}° (median); it is not used"
-        ]
+        emit(
+            SCALE_UP_UNCERTAIN.warning(
+                "what the accelerometer says is up does not go with the poses: it differs from frame to "
+                "frame by {spread:.0f}° (median); it is not used",
+                spread=spread,
+            )
+        )
+        return None
     x, y, z = up.tolist()
-    return WorldUp((x, y, z), "gravity of the IMU"), []
+    return WorldUp((x, y, z), "gravity of the IMU")

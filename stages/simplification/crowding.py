@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from stages.diagnostics.collector import emit
+from stages.simplification.codes import SIMPLIFY_CROWDED
 from stages.simplification.result import Simplified
 from stages.surface.edges import edges_of
 
@@ -13,28 +15,33 @@ from stages.surface.edges import edges_of
 _CROWDED = 0.5
 
 
-def crowded_by_topology(result: Simplified[Any]) -> tuple[str, ...]:
-    """Return a warning if most edges stand for holes, handles and loose pieces."""
+def report_crowded_by_topology(result: Simplified[Any]) -> None:
+    """Warn if most edges stand for holes, handles and loose pieces."""
     share = share_of_edges(result, "topology", "bridge")
-    if share <= _CROWDED:
-        return ()
-    return (
-        f"{share:.0%} of the edges that are left stand for holes, handles and loose pieces, which "
-        "all stay, so that the rest lost more than it had to; fill or remove small ones first "
-        "(fill_holes and min_island_area of clean), or keep more triangles.",
-    )
+    if share > _CROWDED:
+        emit(
+            SIMPLIFY_CROWDED.warning(
+                "{share:.0%} of the edges that are left stand for holes, handles and loose pieces, which "
+                "all stay, so that the rest lost more than it had to",
+                remedy="fill or remove small ones first (fill_holes and min_island_area of clean), or keep "
+                "more triangles.",
+                share=share,
+            )
+        )
 
 
-def crowded_by_locks(result: Simplified[Any]) -> tuple[str, ...]:
-    """Return a warning if most edges are between vertices that must stay, and nothing else is left."""
+def report_crowded_by_locks(result: Simplified[Any]) -> None:
+    """Warn if most edges are between vertices that must stay, and nothing else is left."""
     share = share_of_edges(result, "locked")
-    if result.stopped_by != "bounds" or share <= _CROWDED:
-        return ()
-    return (
-        f"{min(share, 1):.0%} of the edges that are left lie where sheets touch that cannot be joined, "
-        "as doubled faces do and parts that stand on each other, or are locked; they all stay. Run clean "
-        "first: it takes doubled faces away and lets the others move.",
-    )
+    if result.stopped_by == "bounds" and share > _CROWDED:
+        emit(
+            SIMPLIFY_CROWDED.warning(
+                "{share:.0%} of the edges that are left lie where sheets touch that cannot be joined, as "
+                "doubled faces do and parts that stand on each other, or are locked; they all stay.",
+                remedy="Run clean first: it takes doubled faces away and lets the others move.",
+                share=min(share, 1),
+            )
+        )
 
 
 def share_of_edges(result: Simplified[Any], *rules: str) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import StageError
 from stages.simplification.result import Simplified
 from stages.surface.codes import FUSE_TOO_LARGE
@@ -148,7 +149,7 @@ def numbers_of(cut: Cut, light: Simplified[Any]) -> Numbers:
     stayed = cut.is_of_both[source]
     if not np.array_equal(light.mesh.vertices[stayed], cut.mesh.vertices[source[stayed]]):
         raise StageError(
-            FUSE_TOO_LARGE, "a vertex that was to stay has moved, which is a defect of this program."
+            MACHINE_BUG, "a vertex that was to stay has moved, which is a defect of this program."
         )
     return np.where(stayed, cut.numbers[source], -1)
 
@@ -166,8 +167,7 @@ def joined(found: Sequence[tuple[Mesh, Numbers]], count: int) -> Mesh:
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
     place, first = rank[place], first[order]
-    mesh = _merged([mesh for mesh, _ in found], first, place)
-    return mesh.with_(notes=tuple(dict.fromkeys(note for one, _ in found for note in one.notes)))
+    return _merged([mesh for mesh, _ in found], first, place)
 
 
 def _merged(meshes: Sequence[Mesh], first: NDArray[np.intp], place: NDArray[np.intp]) -> Mesh:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.printing import by_fields
@@ -50,15 +51,17 @@ class Dropped:
         """Return all counts and areas, ready for JSON."""
         return asdict(self)
 
-    def warnings(self) -> tuple[str, ...]:
-        """Return a sentence for the user if anything was removed."""
-        if not self.components and not self.holes:
-            return ()
-        return (
-            f"drop_below removed {self.components:,} connected components smaller than {self.size_m:g} m "
-            f"({self.component_triangles:,} triangles, {self.component_area_m2:.3g} m²) and filled "
-            f"{self.holes:,} holes ({self.hole_area_m2:.3g} m²); no bound covers these.",
-        )
+    def report(self) -> None:
+        """Emit a warning if anything was removed."""
+        if self.components or self.holes:
+            emit(
+                SIMPLIFY_COMPONENTS_REMOVED.warning(
+                    "drop_below removed {components:,} connected components smaller than {size_m:g} m "
+                    "({component_triangles:,} triangles, {component_area_m2:.3g} m²) and filled "
+                    "{holes:,} holes ({hole_area_m2:.3g} m²); no bound covers these.",
+                    **self.figures(),
+                )
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.collector import collecting, emit
+from stages.simplification.codes import SIMPLIFY_ATTRIBUTES_LOST, SIMPLIFY_NOT_MANIFOLD
 from stages.simplification.grown_together import grown_together
 from stages.simplification.result import Details, Simplified
 from stages.simplification.seams.similar import equal_sets, may_have_equal
@@ -44,13 +46,9 @@ def run_in_sheets(task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Sim
 
 def run_on(sheets: Sheets, task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simplified[D]:
     """Return what `run` makes of a task whose mesh is taken for these sheets."""
-    mesh, notes = in_sheets(task.mesh, sheets)
+    mesh = in_sheets(task.mesh, sheets)
     split = is_split(task.mesh, sheets)
-    if split.any():
-        notes += (
-            f"the surface is no manifold: it was split into sheets, which stay as they are at "
-            f"{split.sum():,} vertices where they touch; run clean first to let these move.",
-        )
+    report_split(split)
     sets, source = sheets.sets, sheets.vertex_source
     locked = np.zeros(len(sets), bool)
     locked[sets[task.lock]] = True
@@ -66,7 +64,6 @@ def run_on(sheets: Sheets, task: Task[P], run: Callable[[Task[P]], Simplified[D]
     )
     return replace(
         found,
-        mesh=found.mesh.with_(notes=(*found.mesh.notes, *notes)),
         vertex_source=source[found.vertex_source],
         triangle_source=sheets.triangle_source[found.triangle_source],
         triangles_before=len(task.mesh.triangles),
@@ -75,7 +72,8 @@ def run_on(sheets: Sheets, task: Task[P], run: Callable[[Task[P]], Simplified[D]
 
 def _run_apart(task: Task[P], run: Callable[[Task[P]], Simplified[D]], *, may_touch: bool) -> Simplified[D]:
     """Return what `run` makes of sheets that touch: where they would grow together, all stays as it is."""
-    found = run(task)
+    with collecting(forward=False) as diagnostics:
+        found = run(task)
     # It has been told then that all is done; what is done once more does not go back.
     again = replace(task, progress=lambda _done, total: task.progress(total, total))
     while may_touch and found.stopped_by != "request":
@@ -83,7 +81,9 @@ def _run_apart(task: Task[P], run: Callable[[Task[P]], Simplified[D]], *, may_to
         if not stays.any():
             break
         again = replace(again, lock=again.lock | stays)
-        found = run(again)
+        with collecting(forward=False) as diagnostics:
+            found = run(again)
+    emit(*diagnostics)
     return found
 
 
@@ -114,49 +114,65 @@ def is_split(mesh: Mesh, sheets: Sheets) -> NDArray[np.bool_]:
     return split
 
 
-def in_sheets(mesh: Mesh, sheets: Sheets) -> tuple[Mesh, tuple[str, ...]]:
-    """Return a mesh with the vertices of its sheets, and what copies lose that become one."""
+def report_split(split: NDArray[np.bool_]) -> None:
+    """Warn if vertices were split; see `is_split`."""
+    if split.any():
+        emit(
+            SIMPLIFY_NOT_MANIFOLD.warning(
+                "the surface is no manifold: it was split into sheets, which stay as they are at "
+                "{count:,} vertices where they touch",
+                remedy="run clean first to let these move.",
+                count=np.count_nonzero(split),
+            )
+        )
+
+
+def in_sheets(mesh: Mesh, sheets: Sheets) -> Mesh:
+    """Return a mesh with the vertices of its sheets; copies that lose something are reported."""
     source = sheets.vertex_source
-    colors, color_note = _one_color(mesh, sheets.sets)
-    normals, normal_note = _one_normal(mesh, sheets.sets)
-    whole = mesh.with_triangles(sheets.triangles, sheets.triangle_source).with_(
+    colors, normals = _one_color(mesh, sheets.sets), _one_normal(mesh, sheets.sets)
+    return mesh.with_triangles(sheets.triangles, sheets.triangle_source).with_(
         vertices=mesh.vertices[source],
         colors=None if colors is None else colors[source],
         normals=None if normals is None else normals[source],
     )
-    return whole, (*color_note, *normal_note)
 
 
-def _one_color(mesh: Mesh, sets: NDArray[Any]) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
+def _one_color(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.uint8] | None:
     """Return the mean colour of the copies of each vertex (n, 3)."""
     if mesh.colors is None:
-        return None, ()
+        return None
     mean = _means(mesh.colors, sets)
     apart = np.abs(mean - mesh.colors).max(initial=0.0)
     if apart <= _SAME_COLOR:
-        return mesh.colors, ()
-    note = (
-        f"copies of vertices in one place differ in colour by up to {2 * apart:.0f} levels; their mean "
-        "was taken, while method seams of simplify keeps both."
+        return mesh.colors
+    emit(
+        SIMPLIFY_ATTRIBUTES_LOST.warning(
+            "copies of vertices in one place differ in colour by up to {levels:.0f} levels; their mean "
+            "was taken, while method seams of simplify keeps both.",
+            levels=2 * apart,
+        )
     )
-    return np.rint(mean).astype(np.uint8), (note,)
+    return np.rint(mean).astype(np.uint8)
 
 
-def _one_normal(mesh: Mesh, sets: NDArray[Any]) -> tuple[NDArray[np.float64] | None, tuple[str, ...]]:
+def _one_normal(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.float64] | None:
     """Return the mean normal of the copies of each vertex (n, 3), of length 1 or 0."""
     if mesh.normals is None:
-        return None, ()
+        return None
     mean = _means(mesh.normals, sets)
     length = np.linalg.norm(mean, axis=1, keepdims=True)
     mean = np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
     cosine = np.einsum("ij,ij->i", mean, mesh.normals)
     if cosine.min(initial=1.0) >= _SAME_NORMAL:
-        return mesh.normals, ()
-    note = (
-        "copies of vertices in one place have normals of their own; their mean was taken, while method "
-        "seams of simplify keeps them."
+        return mesh.normals
+    emit(
+        SIMPLIFY_ATTRIBUTES_LOST.warning(
+            "copies of vertices in one place have normals of their own; their mean was taken, while method "
+            "seams of simplify keeps them."
+        )
     )
-    return mean, (note,)
+    return mean
 
 
 def _means(values: NDArray[Any], sets: NDArray[Any]) -> NDArray[np.float64]:

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.diagnostics.diagnostic import Where
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import UsageError
 from stages.progress import Progress
-from stages.simplification.codes import USAGE_METHOD_MISMATCH
+from stages.simplification.codes import SIMPLIFY_ATTRIBUTES_LOST, USAGE_METHOD_MISMATCH
 from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
@@ -21,8 +22,13 @@ Ids = NDArray[np.int32]
 Levels = NDArray[np.uint8]
 
 
-# What is said, after who it is, where an image stays behind.
-TEXTURE_LEFT_OUT = "left out: texture; method seams carries it, and bake makes a new image from the old one."
+def texture_left_out(who: str) -> Diagnostic:
+    """Return the warning of a function that leaves out the texture."""
+    return SIMPLIFY_ATTRIBUTES_LOST.warning(
+        "{who} left out: texture",
+        remedy="method seams carries it, and bake makes a new image from the old one.",
+        who=who,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,17 +127,30 @@ def fitted(
 def as_result(
     mesh: Mesh, vertices: Floats, attributes: Floats, triangles: Ids, vertex_source: Ids, who: str
 ) -> Mesh:
-    """Return what `mesh` has become, with what can follow of its attributes; `who` is named in a note."""
+    """Return what `mesh` has become, with what can follow of its attributes.
+
+    Attributes that are lost are reported.
+
+    Parameters
+    ----------
+    who : name of the function in diagnostics.
+    """
     colors = None
     if mesh.colors is not None:
         # The best colour at a place can lie outside the range of colours a little.
         colors = np.rint(attributes).clip(0, 255).astype(np.uint8)
     normals = None if mesh.normals is None else mesh.normals[vertex_source]
-    notes = mesh.notes
     lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals}
     names = [name for name, value in lost.items() if value is not None]
     if mesh.texture is not None:
-        notes += (f"{who} {TEXTURE_LEFT_OUT}",)
+        emit(texture_left_out(who))
     if names:
-        notes += (f"{who} left out: {', '.join(names)}; method seams carries them.",)
-    return Mesh(vertices, triangles, colors=colors, normals=normals, notes=notes, up=mesh.up)
+        emit(
+            SIMPLIFY_ATTRIBUTES_LOST.warning(
+                "{who} left out: {names}",
+                remedy="method seams carries them.",
+                who=who,
+                names=", ".join(names),
+            )
+        )
+    return Mesh(vertices, triangles, colors=colors, normals=normals, diagnostics=mesh.diagnostics, up=mesh.up)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.simplification.codes import SIMPLIFY_LINES_LEFT_OUT
 from stages.simplification.seams.similar import equal_sets, may_have_equal
 from stages.surface.mesh import Mesh
 from stages.surface.topology import repeats_vertex
@@ -31,12 +33,15 @@ def lost_lines(mesh: Mesh) -> NDArray[np.bool_]:
     return lost
 
 
-def lines_left_out(mesh: Mesh) -> tuple[str, ...]:
-    """Return what to say of those that are lost."""
+def report_lost_lines(mesh: Mesh) -> None:
+    """Warn of triangles that are lost."""
     lost = lost_lines(mesh)
-    if not lost.any():
-        return ()
-    return (
-        "triangles with two corners in one place that lie beside no other triangle were left out, and no "
-        f"bound is about them: {np.count_nonzero(lost):,} of {len(lost):,}.",
-    )
+    if lost.any():
+        emit(
+            SIMPLIFY_LINES_LEFT_OUT.warning(
+                "triangles with two corners in one place that lie beside no other triangle were left out, "
+                "and no bound is about them: {lost:,} of {count:,}.",
+                lost=np.count_nonzero(lost),
+                count=len(lost),
+            )
+        )

@@ -11,9 +11,9 @@ from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, described, hints_of, param
+from stages.simplification.codes import USAGE_METHOD_MISMATCH
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.shared_params import HOW_FAR
-from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -92,7 +92,7 @@ class _Goal:
         check(self)
         if self.keep_uv and self.bake:
             raise UsageError(
-                SIMPLIFY_IMAGES_NOT_BAKED,
+                USAGE_METHOD_MISMATCH,
                 "and bake are both given",
                 Where(parameter="keep_uv"),
                 remedy="give one of them.",

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.printing import by_figures, table
 from stages.simplification.dropping import Dropped
 from stages.simplification.records.record import CollapseRecord
@@ -47,9 +48,8 @@ class Details:
         names = (field.name for field in fields(self) if field.name not in self.arrays)
         return {name: _plain(getattr(self, name)) for name in names}
 
-    def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:  # noqa: ARG002
-        """Return what a person should know of the result, in plain sentences."""
-        return ()
+    def report(self, result: Simplified[Any]) -> None:
+        """Emit warnings about the result; none by default."""
 
     def text(self) -> str:
         """Return what else to say to a person who has seen the figures; nothing if there is nothing."""
@@ -87,6 +87,7 @@ class Simplified(Generic[D_co]):
     kept_images : colour errors, where the model's own images were chosen over baked ones; else None.
     baked : Baked, where images were baked for the mesh, with their colour error; None where none were.
     default_max_shape : metres, the bound that was derived from the model as nothing was asked; else None.
+    diagnostics : what was left out or changed, and requirements that are not reached.
     """
 
     __repr__ = by_figures
@@ -107,16 +108,11 @@ class Simplified(Generic[D_co]):
     kept_images: KeptImages | None = None
     baked: Baked | None = None
     default_max_shape: float | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     def follow(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
         return values[self.vertex_source]
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a person should know of the result, in plain sentences."""
-        dropped = () if self.dropped is None else self.dropped.warnings()
-        return (*dropped, *self.details.warnings(self))
 
     def figures(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; what the method alone has to tell is under "details"."""
@@ -136,7 +132,6 @@ class Simplified(Generic[D_co]):
             **({} if self.dropped is None else {"dropped": self.dropped.figures()}),
             **({} if self.kept_images is None else {"kept_images": asdict(self.kept_images)}),
             "details": self.details.figures(),
-            "warnings": list(self.warnings),
             **derived,
             **of_baking,
         }

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from stages import _kernels
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import MeshError
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.simplification.auto import chosen, has_no_goal, require_taken
-from stages.simplification.codes import SIMPLIFY_COORDINATES_UNWEIGHABLE
+from stages.simplification.codes import (
+    SIMPLIFY_ATTRIBUTES_LOST,
+    SIMPLIFY_COORDINATES_UNWEIGHABLE,
+    SIMPLIFY_IMAGES_KEPT,
+    SIMPLIFY_IMAGES_REMADE,
+)
 from stages.simplification.corner_attributes import is_in_pieces
 from stages.simplification.dropping import drop_small
-from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
-from stages.simplification.lines import lines_left_out
+from stages.simplification.kernel_input import texture_left_out
+from stages.simplification.lines import report_lost_lines
 from stages.simplification.params import AUTO, SimplifyParams
 from stages.simplification.regions import Region, resolve_control
 from stages.simplification.result import Simplified
@@ -32,6 +40,7 @@ from stages.simplification.textured import (
     misses_count,
     plan_baking,
 )
+from stages.simplification.unmet import report_unmet
 from stages.surface.codes import MESH_NO_SURFACE
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
@@ -129,7 +138,7 @@ def simplify(
     ----------
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Vertices in one place
         are one; where that is no oriented manifold, the surface is split into sheets, which stay as they are
-        where they touch, and a note says so. Vertices without triangles and triangles that name a vertex
+        where they touch, and a warning says so. Vertices without triangles and triangles that name a vertex
         twice are left out.
     params : SimplifyParams; single fields can be given by name instead. `triangles` or `ratio`, and bounds,
         `max_shape` (metres) and `max_color` (8-bit levels), say how far: whichever comes first. `drop_below`
@@ -149,7 +158,8 @@ def simplify(
     Simplified
         With `details` of the method's own type. Images of the input are baked anew (`baked`, see
         `stages.simplification.textured`), unless `keep_uv` or a method that carries them is given. Otherwise
-        the mesh has colours if the input has. A note says what was left out, and when bounds are not proven.
+        the mesh has colours if the input has. `diagnostics` name what was left out, and requirements that are
+        not reached: a number of triangles without a bound, and bounds that are not proven.
 
     Raises
     ------
@@ -158,35 +168,39 @@ def simplify(
     UsageError
         For a parameter out of range or of another method, or what the method cannot do with this mesh.
     """
-    params = resolve(SimplifyParams, params, dict(changes))
-    mesh = as_mesh(mesh)
-    require_measurable(mesh, "mesh")
-    locked, factors = resolve_control(mesh, lock, importance, regions)
+    with collecting() as diagnostics:
+        params = resolve(SimplifyParams, params, dict(changes))
+        mesh = as_mesh(mesh)
+        require_measurable(mesh, "mesh")
+        control = _Control(*resolve_control(mesh, lock, importance, regions), record, partial, progress)
+        found = _simplified(mesh, params, control)
+        report_unmet(params, found.figures())
+    return replace(found, diagnostics=tuple(diagnostics))
+
+
+@dataclass(frozen=True, eq=False)
+class _Control:
+    """Arguments of `simplify` beside mesh and parameters.
+
+    Attributes
+    ----------
+    lock : (n,) bool.
+    importance : (n,) float64; (0,) where it is 1 everywhere.
+    record, partial, progress : as `simplify` takes them.
+    """
+
+    lock: NDArray[np.bool_]
+    importance: NDArray[np.float64]
+    record: bool
+    partial: bool
+    progress: Progress
+
+
+def _simplified(mesh: Mesh, params: SimplifyParams, control: _Control) -> Simplified[Any]:
+    """Simplify with parameters and control that are checked; unmet requirements are not reported."""
     if params.drop_below is not None:
-        remainder = drop_small(mesh, params.drop_below, locked)
-        target = params.target(len(mesh.triangles))
-        rest = resolve(
-            SimplifyParams,
-            params,
-            {"drop_below": None, "triangles": None if target is None else max(target, 1), "ratio": None},
-        )
-        found = simplify(
-            remainder.mesh,
-            rest,
-            lock=locked[remainder.vertex_source],
-            importance=factors[remainder.vertex_source] if len(factors) else None,
-            record=record,
-            partial=partial,
-            progress=progress,
-        )
-        return replace(
-            found,
-            vertex_source=remainder.vertex_source[found.vertex_source],
-            triangle_source=remainder.triangle_source[found.triangle_source],
-            triangles_before=len(mesh.triangles),
-            dropped=remainder.dropped,
-        )
-    plan, reason = plan_baking(mesh, params, record=record)
+        return _simplified_remainder(mesh, params, params.drop_below, control)
+    plan, reason = plan_baking(mesh, params, record=control.record)
     bound = None
     if has_no_goal(params) and has_texture_images(mesh):
         bound = derive_max_shape(mesh)
@@ -194,28 +208,141 @@ def simplify(
     if plan is not None and params.max_shape is not None:
         # The proof is about joined copies of vertices; the smaller bound makes it hold for the given mesh.
         params = resolve(SimplifyParams, params, {"max_shape": max(params.max_shape - plan.shift, 0.0)})
-    shape, notes = mesh if plan is None else plan.shape, lines_left_out(mesh)
-    if reason is not None:
-        notes += (reason,)
-    if params.bake is False and not params.keep_uv and has_texture_images(mesh) and params.method == AUTO:
-        shape = mesh.with_(texture=None)
-        notes += (f"simplify {TEXTURE_LEFT_OUT}",)
-    method = chosen(params, in_pieces=is_in_pieces(shape))
-    has_lock, has_importance = bool(locked.any()), len(factors) > 0
-    require_taken(method, lock=has_lock, importance=has_importance, record=record, partial=partial)
+    # Results of attempts may be dropped, and their diagnostics with them.
+    with collecting(forward=False) as diagnostics:
+        report_lost_lines(mesh)
+        if reason is not None:
+            emit(reason)
+        shape = mesh if plan is None else plan.shape
+        if params.bake is False and not params.keep_uv and has_texture_images(mesh) and params.method == AUTO:
+            shape = mesh.with_(texture=None)
+            emit(texture_left_out("simplify"))
+        target = params.target(len(mesh.triangles))
+        found = replace(_run(shape, params, target, control), default_max_shape=bound)
+
+    def at_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
+        return control.progress(found.collapses, found.collapses)
+
+    def simplify_again(**changes: bool) -> Simplified[Any]:
+        again = replace(control, record=False, progress=at_end)
+        return _simplified(mesh, resolve(SimplifyParams, params, changes), again)
+
+    if plan is None:
+        is_missed = target is not None and misses_count(found, target) and found.stopped_by == "bounds"
+        if reason is None or not is_missed or params.max_shape is not None:
+            emit(*diagnostics)
+            return found
+        try:
+            with collecting(forward=False) as of_remade:
+                remade = simplify_again(bake=True)
+        except MeshError:
+            emit(*diagnostics)
+            return found
+        if not is_better_baked(mesh, remade, found):
+            emit(*diagnostics)
+            return found
+        emit(
+            *of_remade,
+            SIMPLIFY_IMAGES_REMADE.warning(
+                "with its own images the model keeps {count:,} triangles along texture seams and differs "
+                "more from the input: new images are baked",
+                remedy="keep_uv=True keeps the old.",
+                count=len(found.mesh.triangles),
+            ),
+        )
+        return remade
+    baked: Simplified[Any] | None = None
+    failure: Diagnostic | None = None
+    try:
+        with collecting(forward=False) as of_baking:
+            baked = plan.bake(found)
+        diagnostics += of_baking
+    except MeshError as error:
+        if params.bake:
+            raise
+        if params.method != AUTO:
+            emit(
+                *diagnostics,
+                SIMPLIFY_ATTRIBUTES_LOST.warning(
+                    "the images are left out, as they could not be baked anew: {reason}", reason=str(error)
+                ),
+            )
+            return found
+        failure = SIMPLIFY_IMAGES_KEPT.warning(
+            "the images are kept with their seams, as they could not be baked anew: {reason}",
+            reason=str(error),
+        )
+    if baked is not None and not _has_alternative(mesh, params, baked):
+        emit(*diagnostics)
+        return baked
+    try:
+        with collecting(forward=False) as of_kept:
+            kept = simplify_again(keep_uv=True)
+    except MeshError:
+        # Texture coordinates that cannot be weighed against the shape do not matter to baked images.
+        if baked is None:
+            raise
+        emit(*diagnostics)
+        return baked
+    if baked is not None:
+        better = choose_texture(mesh, baked, kept)
+        emit(*(diagnostics if better.kept_images is None else of_kept))
+        return better
+    emit(*of_kept)
+    if failure is not None:
+        emit(failure)
+    return replace(kept, default_max_shape=bound)
+
+
+def _simplified_remainder(
+    mesh: Mesh, params: SimplifyParams, size: float, control: _Control
+) -> Simplified[Any]:
+    """Simplify without components and holes that are smaller than a size in metres."""
+    remainder = drop_small(mesh, size, control.lock)
+    remainder.dropped.report()
+    target = params.target(len(mesh.triangles))
+    rest = resolve(
+        SimplifyParams,
+        params,
+        {"drop_below": None, "triangles": None if target is None else max(target, 1), "ratio": None},
+    )
+    source, importance = remainder.vertex_source, control.importance
+    own = resolve_control(
+        remainder.mesh, control.lock[source], importance[source] if len(importance) else None, ()
+    )
+    found = _simplified(remainder.mesh, rest, replace(control, lock=own[0], importance=own[1]))
+    return replace(
+        found,
+        vertex_source=remainder.vertex_source[found.vertex_source],
+        triangle_source=remainder.triangle_source[found.triangle_source],
+        triangles_before=len(mesh.triangles),
+        dropped=remainder.dropped,
+    )
+
+
+def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Control) -> Simplified[Any]:
+    """Simplify with the method that the parameters name, or that suits the mesh."""
+    method = chosen(params, in_pieces=is_in_pieces(mesh))
+    require_taken(
+        method,
+        lock=bool(control.lock.any()),
+        importance=len(control.importance) > 0,
+        record=control.record,
+        partial=control.partial,
+    )
     task = Task(
-        mesh=shape,
+        mesh=mesh,
         params=method.own(params),
-        triangles=params.target(len(mesh.triangles)),
-        lock=locked,
-        importance=factors,
+        triangles=target,
+        lock=control.lock,
+        importance=control.importance,
         threads=params.threads or 0,
-        record=record,
-        partial=partial,
-        progress=_contented(progress) if partial else progress,
+        record=control.record,
+        partial=control.partial,
+        progress=_contented(control.progress) if control.partial else control.progress,
     )
     try:
-        found = _with_notes(replace(method.run(task), default_max_shape=bound), notes)
+        found = method.run(task)
     except _kernels.InvalidMeshError as error:
         if method.takes.texture:
             raise MeshError(
@@ -229,59 +356,8 @@ def simplify(
                 error=error,
             ) from error
         raise MeshError(MESH_NO_SURFACE, "{error}.", "mesh", error=error) from error
-
-    def at_end(done: int, total: int) -> object:  # noqa: ARG001 - as all progress is called
-        return progress(found.collapses, found.collapses)
-
-    def simplify_again(**changes: bool) -> Simplified[Any]:
-        return simplify(
-            mesh,
-            resolve(SimplifyParams, params, changes),
-            lock=locked,
-            importance=factors if len(factors) else None,
-            partial=partial,
-            progress=at_end,
-        )
-
-    note: str | None = None
-    if plan is None:
-        target = task.triangles
-        is_missed = target is not None and misses_count(found, target) and found.stopped_by == "bounds"
-        if reason is None or not is_missed or params.max_shape is not None:
-            return found
-        try:
-            remade = simplify_again(bake=True)
-        except MeshError:
-            return found
-        if not is_better_baked(mesh, remade, found):
-            return found
-        note = (
-            f"with its own images the model keeps {len(found.mesh.triangles):,} triangles along texture "
-            "seams and differs more from the input: new images are baked; keep_uv=True keeps the old."
-        )
-        return _with_notes(remade, (note,))
-    baked: Simplified[Any] | None = None
-    try:
-        baked = plan.bake(found)
-    except MeshError as error:
-        if params.bake:
-            raise
-        if params.method != AUTO:
-            note = f"the images are left out, as they could not be baked anew: {error}"
-            return _with_notes(found, (note,))
-        note = f"the images are kept with their seams, as they could not be baked anew: {error}"
-    if baked is not None and not _has_alternative(mesh, params, baked):
-        return baked
-    try:
-        kept = simplify_again(keep_uv=True)
-    except MeshError:
-        # Texture coordinates that cannot be weighed against the shape do not matter to baked images.
-        if baked is None:
-            raise
-        return baked
-    if baked is not None:
-        return choose_texture(mesh, baked, kept)
-    return _with_notes(replace(kept, default_max_shape=bound), (note,) if note else ())
+    found.details.report(found)
+    return found
 
 
 def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: Simplified[Any]) -> bool:
@@ -293,10 +369,6 @@ def _has_alternative(mesh: Mesh, params: SimplifyParams, baked: Simplified[Any])
     if not (is_open and is_count and not is_bounded and is_done and is_visibly_different(baked)):
         return False
     return has_few_seams(mesh, len(baked.mesh.triangles))
-
-
-def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:
-    return replace(found, mesh=found.mesh.with_(notes=(*found.mesh.notes, *notes))) if notes else found
 
 
 def _contented(progress: Progress) -> Progress:

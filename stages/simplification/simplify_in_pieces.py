@@ -20,9 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.diagnostic import Where
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic, Severity, Where
 from stages.diagnostics.errors import UsageError
 from stages.progress import Progress, silent
+from stages.simplification.codes import (
+    SIMPLIFY_DEFAULT_COUNT,
+    SIMPLIFY_DROP_BELOW_UNUSED,
+    USAGE_METHOD_MISMATCH,
+)
 from stages.simplification.cuts import (
     Cut,
     Numbers,
@@ -36,9 +42,9 @@ from stages.simplification.params import SimplifyParams
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
 from stages.simplification.strips import Strips
+from stages.simplification.unmet import report_unmet
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import MOST_AT_ONCE, Pieces
-from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
 
 # Of meshes that are too large to be simplified at once: part of their key alone.
 RESULT_VERSION = 1
@@ -78,13 +84,13 @@ class InPieces:
     parts : figures of each inside, and of the strips; see `Simplified.figures`.
     whole : of the round over all of it, by parts again where it is large; none where what is left of the
         bounds is too little for one.
-    notes : what a person should know.
+    diagnostics : of the round over all of it, and requirements that are not reached.
     """
 
     mesh: Mesh
     parts: tuple[Mapping[str, Any], ...]
     whole: tuple[Mapping[str, Any], ...]
-    notes: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     def figures(self) -> dict[str, Any]:
         """Return sums of counts; of bounds the worst of the parts' and the whole's together."""
@@ -109,8 +115,6 @@ class InPieces:
             "attempts": sum(one["attempts"] for one in rounds),
             "details": details,
             "parts": len(self.parts),
-            # What is told of parts is mostly of where they were cut.
-            "warnings": [*self.notes, *sorted({text for one in self.whole for text in one["warnings"]})],
         }
 
 
@@ -134,9 +138,16 @@ def simplify_in_pieces(
     InputError, MeshError, UsageError
         As `read_ply` and `simplify`.
     """
+    with collecting() as diagnostics:
+        found = _in_pieces(path, params, scratch, progress)
+        report_unmet(params, found.figures())
+    return replace(found, diagnostics=tuple(diagnostics))
+
+
+def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progress: Progress) -> InPieces:
     if params.bake:
         raise UsageError(
-            SIMPLIFY_IMAGES_NOT_BAKED,
+            USAGE_METHOD_MISMATCH,
             "is for meshes that are simplified in one piece",
             Where(parameter="bake"),
             remedy="leave it out, and enable the stage bake.",
@@ -168,21 +179,29 @@ def simplify_in_pieces(
         return progress(total + int(done * rest), steps)
 
     goal = _of_whole(params, total)
-    notes: tuple[str, ...] = ()
     if params.drop_below is not None:
-        notes = (
-            f"drop_below has no effect on this mesh: it has {total:,} triangles, which are simplified in "
-            "parts; remove small components with clean.min_island_area.",
+        emit(
+            SIMPLIFY_DROP_BELOW_UNUSED.warning(
+                "has no effect on this mesh: it has {total:,} triangles, which are simplified in parts",
+                Where(parameter="drop_below"),
+                remedy="remove small components with clean.min_island_area.",
+                total=total,
+            )
         )
     if left > MOST_AT_ONCE and goal.triangles is None and not _asked_bounds(params):
         goal = replace(goal, triangles=MOST_AT_ONCE)
-        notes += (
-            f"within the default bounds {left:,} triangles would be left, more than what follows takes at "
-            f"once; {MOST_AT_ONCE:,} are. Give simplify.triangles, ratio or max_shape for another number.",
+        emit(
+            SIMPLIFY_DEFAULT_COUNT.warning(
+                "within the default bounds {left:,} triangles would be left, more than what follows takes at "
+                "once; {most_at_once:,} are.",
+                remedy="Give simplify.triangles, ratio or max_shape for another number.",
+                left=left,
+                most_at_once=MOST_AT_ONCE,
+            )
         )
     found = _simplified(again, left, goal, told, is_last=True)
     progress(steps, steps)
-    return InPieces(joined(found.meshes, count), tuple(parts), tuple(found.figures), notes)
+    return InPieces(joined(found.meshes, count), tuple(parts), tuple(found.figures))
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +247,9 @@ def _simplified(
         else:
             made.meshes.append((light.mesh, numbers_of(cut, light)))
             made.figures.append(light.figures())
+            if is_last:
+                # Those of parts are mostly about where they were cut. Requirements are about all of it.
+                emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
         passed += count
         left = max(left - len(made.meshes[-1][0].triangles), 0)
         progress(passed)
@@ -240,7 +262,8 @@ def _light(
     def told(done: int, total: int) -> object:
         return progress(passed + len(cut.mesh.triangles) * done // max(total, 1))
 
-    return simplify(cut.mesh, params, lock=cut.lock(), progress=told)
+    with collecting(forward=False):
+        return simplify(cut.mesh, params, lock=cut.lock(), progress=told)
 
 
 def _of_parts(params: SimplifyParams, total: int) -> SimplifyParams:

@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from stages.comparing.asked import asked
 from stages.comparing.compare import CompareParams, compare, compare_searched, sampled_color_error
 from stages.comparing.needles import WithNeedles
-from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
+from stages.simplification.codes import SIMPLIFY_IMAGES_KEPT
+from stages.simplification.kernel_input import texture_left_out
 from stages.simplification.methods import METHODS
 from stages.simplification.params import AUTO, SimplifyParams
 from stages.simplification.result import KeptImages, Simplified
@@ -94,8 +97,8 @@ class BakePlan:
         """Return the simplified mesh with its new images."""
         mesh = found.mesh
         if not areas(mesh.vertices, mesh.triangles).any():
-            note = f"simplify {TEXTURE_LEFT_OUT}"
-            return replace(found, mesh=mesh.with_(texture=None, notes=(*mesh.notes, note)))
+            emit(texture_left_out("simplify"))
+            return replace(found, mesh=mesh.with_(texture=None))
         if not self.classes:
             baked = bake(mesh, self.original)
         else:
@@ -122,7 +125,9 @@ def has_texture_images(mesh: Mesh) -> bool:
     return any(pixels_of(material) is not None or has_images(material) for material in materials)
 
 
-def plan_baking(mesh: Mesh, params: SimplifyParams, *, record: bool) -> tuple[BakePlan | None, str | None]:
+def plan_baking(
+    mesh: Mesh, params: SimplifyParams, *, record: bool
+) -> tuple[BakePlan | None, Diagnostic | None]:
     """Plan the baking of a mesh; return None and a reason if images are kept.
 
     Parameters
@@ -291,7 +296,7 @@ def _smooth_normals(mesh: Mesh) -> Mesh:
     return mesh.with_(normals=unit[place], corner_normals=None)
 
 
-def _find_reason(mesh: Mesh) -> str | None:
+def _find_reason(mesh: Mesh) -> Diagnostic | None:
     """Find a reason to keep the images of a mesh; None if there is none."""
     texture = mesh.texture
     assert texture is not None
@@ -312,13 +317,15 @@ def _find_reason(mesh: Mesh) -> str | None:
     if not total:
         return None
     if shown.sum() > _MAX_REPEATS * total:
-        return (
+        return SIMPLIFY_IMAGES_KEPT.warning(
             "the images repeat on the surface: texture coordinates and images are kept, since an atlas of as "
-            "few texels would lose detail; bake=True makes one all the same."
+            "few texels would lose detail",
+            remedy="bake=True makes one all the same.",
         )
     if area[shown < 1].sum() > _MAX_PALETTE * area.sum():
-        return (
+        return SIMPLIFY_IMAGES_KEPT.warning(
             "the images are palettes, of which triangles show single texels: texture coordinates and images "
-            "are kept; bake=True makes an atlas all the same."
+            "are kept",
+            remedy="bake=True makes an atlas all the same.",
         )
     return None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +19,18 @@ from stages.comparing.measurable import measurable
 from stages.comparing.needles import WithNeedles
 from stages.comparing.sampling import sampled
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, rows_table, table
 from stages.progress import Progress, silent
+from stages.simplification.codes import (
+    SIMPLIFY_COUNT_NOT_REACHED,
+    SIMPLIFY_CROWDED,
+    SIMPLIFY_SEAM_DRIFT,
+    SIMPLIFY_TRADEOFF,
+)
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.simplify import simplify
 from stages.surface.color import color_at, has_color
@@ -38,6 +46,8 @@ if TYPE_CHECKING:
     from stages.params.keywords import TradeoffKeywords
 
 _PERCENT = 95
+# Codes of diagnostics about a number of triangles alone.
+_OF_FEWEST = (SIMPLIFY_COUNT_NOT_REACHED.name, SIMPLIFY_CROWDED.name, SIMPLIFY_SEAM_DRIFT.name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +119,7 @@ class Tradeoff:
     why : what that number is suggested for.
     mesh : with so many triangles, or else with the fewest.
     record : replays to any other number.
-    warnings : what a person should know of the figures, in plain sentences.
+    diagnostics : of the simplification and of the figures.
     """
 
     method: str
@@ -118,7 +128,7 @@ class Tradeoff:
     why: str
     mesh: Mesh
     record: CollapseRecord
-    warnings: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
 
@@ -129,7 +139,6 @@ class Tradeoff:
             "suggested_triangles": self.suggested,
             "suggested_for": self.why,
             "points": [point.figures() for point in self.points],
-            "warnings": list(self.warnings),
         }
 
     def rows(self) -> list[list[str]]:
@@ -183,29 +192,44 @@ def tradeoff(
     ----------
     The bend after Satopää, Albrecht, Irwin and Raghavan, "Finding a kneedle in a haystack", 2011.
     """
-    params = resolve(TradeoffParams, params, changes)
+    with collecting() as diagnostics:
+        found = _tradeoff(mesh, resolve(TradeoffParams, params, changes), counts, progress)
+    return replace(found, diagnostics=tuple(diagnostics))
+
+
+def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], progress: Progress) -> Tradeoff:
     reference = measurable(mesh, "mesh")
     before = len(reference.triangles)
     wanted = _wanted(before, params, counts)
     progress(0, len(wanted) + 1)
-    light = simplify(reference, triangles=wanted[-1], record=True)
+    with collecting(forward=False):
+        light = simplify(reference, triangles=wanted[-1], record=True)
+    # Nobody asked for the fewest triangles, so that nothing about them alone counts.
+    emit(*(one for one in light.diagnostics if one.code not in _OF_FEWEST))
     progress(1, len(wanted) + 1)
     record = light.record
     assert record is not None, "it was asked for"
-    warnings = list(light.mesh.notes[len(reference.notes) :])
     fewest = len(light.mesh.triangles)
     if fewest > wanted[-1]:
-        warnings.append(f"no edge may collapse any more at {fewest:,} triangles, which holes and pieces need")
+        emit(
+            SIMPLIFY_TRADEOFF.warning(
+                "no edge may collapse any more at {fewest:,} triangles, which holes and pieces need",
+                fewest=fewest,
+            )
+        )
         wanted = [*(count for count in wanted if count > fewest), fewest]
     if record.wedges is not None:
-        warnings.append(
-            "distances are those before the fit that simplify ends with, which a record of textured "
-            "meshes cannot repeat: simplify to a number comes nearer"
+        emit(
+            SIMPLIFY_TRADEOFF.info(
+                "distances are those before the fit that simplify ends with, which a record of textured "
+                "meshes cannot repeat: simplify to a number comes nearer"
+            )
         )
     measure = _Measure(reference, params.samples)
     points, meshes = [], []
     for done, count in enumerate(wanted, 2):
-        meshes.append(record.replay(triangles=count, fit=record.wedges is None).mesh)
+        with collecting(forward=False):
+            meshes.append(record.replay(triangles=count, fit=record.wedges is None).mesh)
         points.append(measure.point(meshes[-1], before, with_bytes=params.glb_bytes))
         progress(done, len(wanted) + 1)
     at, why = _suggested(points, params.within)
@@ -216,7 +240,6 @@ def tradeoff(
         why=why,
         mesh=meshes[-1 if at is None else at],
         record=record,
-        warnings=tuple(warnings),
     )
 
 

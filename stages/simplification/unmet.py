@@ -1,19 +1,21 @@
-"""Whether a simplified mesh is what was asked for: its number of triangles, and its bounds."""
+"""Requirements of simplification: the number of triangles, and the bounds."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from stages.diagnostics.collector import emit
 from stages.printing import at_most
+from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COUNT_NOT_REACHED
 from stages.simplification.params import SimplifyParams
 
 # With any of these, stopping short of a number of triangles is what was asked for.
 _BOUNDS = ("max_shape", "max_color", "max_seam_drift", "resolution")
 
 
-def unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a sentence for each thing that was asked for and is not reached.
+def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
+    """Emit a diagnostic for each requirement that is not reached.
 
     A number of triangles is asked for where no bound is: with both, whichever comes first ends the work. Who
     asked for what there is by then (`stopped_by` is "request") asked for no number any more; bounds have to
@@ -23,23 +25,35 @@ def unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> tuple[str, ...]
     ----------
     figures : of the result, as `Simplified.figures` returns them.
     """
-    said = []
     details = figures["details"]
     if details.get("proven") is False and figures.get("default_max_shape_m") is None:
         most = f"{at_most(details['shape_bound_m'])} m"
         if details["color_bound_levels"] is not None:
             most += f" and {at_most(details['color_bound_levels'])} levels"
-        said.append(f"the bounds that were asked for are not proven; proven are {most}.")
+        emit(
+            SIMPLIFY_BOUND_NOT_PROVEN.unmet(
+                "the bounds that were asked for are not proven; proven are {most}.", most=most
+            )
+        )
     measured, max_color = details.get("color_measured_levels"), details.get("max_color_levels")
     if measured is not None and max_color is not None and measured > max_color:
-        said.append(f"colours differ by up to {measured:.3g} levels, which is more than was asked for.")
+        emit(
+            SIMPLIFY_BOUND_NOT_PROVEN.unmet(
+                "colours differ by up to {measured:.3g} levels, which is more than was asked for.",
+                measured=measured,
+            )
+        )
     wanted, left = params.target(figures["triangles_before"]), figures["triangles"]
     is_alone = all(getattr(params, name) is None for name in _BOUNDS)
     if wanted is not None and is_alone and left > wanted and figures["stopped_by"] != "request":
-        said.append(
-            f"{left:,} triangles are left, not {wanted:,} as asked: {_why(figures['refused_edges'])}."
+        emit(
+            SIMPLIFY_COUNT_NOT_REACHED.unmet(
+                "{left:,} triangles are left, not {wanted:,} as asked: {why}.",
+                left=left,
+                wanted=wanted,
+                why=_why(figures["refused_edges"]),
+            )
         )
-    return tuple(said)
 
 
 def _why(refused: Mapping[str, int]) -> str:

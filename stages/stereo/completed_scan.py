@@ -113,7 +113,7 @@ def _completed_frame(
         color = read_matching_color(frame, depth)
         seen = read_seen(frame) if frame.mask is not None else None
     except InputError as error:
-        return frame, SkippedFrame(frame.name, error.diagnostic)
+        return frame, SkippedFrame(frame.name, error.diagnostic.within(frame=None))
     too_far = depth > farthest
     measured = DepthMap(
         np.where(too_far, np.float32(0), depth),

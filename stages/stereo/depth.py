@@ -195,7 +195,7 @@ def _measure_frame(stage: PairStage, frame: Frame) -> tuple[Frame, DepthMap | Sk
     try:
         pair = _read_pair(stage, frame)
     except InputError as error:
-        return frame, SkippedFrame(frame.name, error.diagnostic)
+        return frame, SkippedFrame(frame.name, error.diagnostic.within(frame=None))
     with collecting() as diagnostics:
         result = stage.measure(*pair)
     result = replace(result, diagnostics=tuple(diagnostics))

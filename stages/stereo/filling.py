@@ -51,7 +51,7 @@ def filled_again(
             color = color_of(frames[at])
             depth, confidence, told = depths(at, color)
         except InputError as error:
-            return SkippedFrame(frames[at].name, error.diagnostic)
+            return SkippedFrame(frames[at].name, error.diagnostic.within(frame=None))
         return filled_with(_with_images(found, depth, confidence, color), told)
 
     yield from read_ahead(fill, range(len(rest)), threads=threads, ahead=threads + 2)

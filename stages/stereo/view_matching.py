@@ -58,7 +58,7 @@ def measured_view(
     try:
         color = color_of(scan.frames[at])
     except InputError as error:
-        return SkippedFrame(name, error.diagnostic)
+        return SkippedFrame(name, error.diagnostic.within(frame=None))
     if network is None and params.views == SWEEP:
         return _swept(scan, views, chosen[at], params, outline, images, at, color)
     depths: list[DepthImage] = []

@@ -203,7 +203,7 @@ def _results(
             try:
                 color = color_of(scan.frames[at])
             except InputError as error:
-                return SkippedFrame(scan.frames[at].name, error.diagnostic)
+                return SkippedFrame(scan.frames[at].name, error.diagnostic.within(frame=None))
             said = agreeing_views(views[at], depth, others, tolerance, _NEARLY * tolerance)
             trust = kept.confidence(at)
             dropped = (

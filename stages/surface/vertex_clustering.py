@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
-from stages.picturing.codes import REPORT_INCOMPLETE
 from stages.surface.codes import MESH_FILE_DAMAGED
 from stages.surface.formats.ply_format import CORNERS, LENGTH, Rows, rows_of_triangles
 from stages.surface.mesh import Mesh
@@ -97,7 +96,7 @@ def _box(vertices: Rows) -> tuple[Floats, float]:
         return np.zeros(3), 0.0
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     if not np.isfinite([low, high]).all():
-        raise InputError(REPORT_INCOMPLETE, "a vertex is not finite; the file is damaged.", vertices.path)
+        raise InputError(MESH_FILE_DAMAGED, "a vertex is not finite; the file is damaged.", vertices.path)
     return low, float((high - low).max())
 
 
@@ -140,7 +139,7 @@ def _triangles(faces: Rows, of: NDArray[np.int32], path: Path) -> NDArray[np.int
     for rows in faces.some(_AT_ONCE):
         corners = rows[CORNERS]
         if (rows[LENGTH] != 3).any():
-            raise InputError(REPORT_INCOMPLETE, "it has faces that are no triangles.", path)
+            raise InputError(MESH_FILE_DAMAGED, "it has faces that are no triangles.", path)
         if corners.min() < 0 or corners.max() >= len(of):
             raise InputError(
                 MESH_FILE_DAMAGED, "the file is damaged: a triangle names a vertex that is not there.", path

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from stages.comparing.compare import ColorError, CompareParams, compare_surfaces
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
@@ -143,6 +144,7 @@ class Baked:
         were none.
     resolution_scale : of a side of an image, below 1 where it was made smaller to have no more bytes.
     quality : of JPEG or WebP, the lowest of all images; None for PNG.
+    diagnostics : what baking left out.
     """
 
     mesh: Mesh
@@ -159,6 +161,7 @@ class Baked:
     source_image_bytes: int | None = None
     resolution_scale: float = 1.0
     quality: int | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -225,6 +228,12 @@ def bake(
         colours.
     """
     params = resolve(BakeParams, params, changes)
+    with collecting() as diagnostics:
+        found = _baked(light, original, params, progress)
+    return replace(found, diagnostics=tuple(diagnostics))
+
+
+def _baked(light: MeshLike, original: MeshLike, params: BakeParams, progress: Progress) -> Baked:
     given, reference = as_mesh(light, "light mesh"), as_mesh(original, "original")
     require_area(given, "light mesh")
     require_area(reference, "original")
@@ -257,11 +266,14 @@ def bake(
     painted = painted_pages(given, pages, samples, colors_of, progress=progress)
     mesh = _textured(given, pages, painted.images, reference)
     if is_transparent(reference):
-        mesh = mesh.with_(notes=(*mesh.notes, "bake left out: the transparency of the original's images."))
+        emit(TEXTURE_BAKE_LEFT_OUT.warning("bake left out: the transparency of the original's images."))
     if shown is not reference:
         sizes = ", ".join(f"{width} × {height}" for width, height in pages.sizes)
-        note = f"bake left out: detail of the original's images that {sizes} texels cannot show."
-        mesh = mesh.with_(notes=(*mesh.notes, note))
+        emit(
+            TEXTURE_BAKE_LEFT_OUT.warning(
+                "bake left out: detail of the original's images that {sizes} texels cannot show.", sizes=sizes
+            )
+        )
     error, before = (_color_error(surface, one, box) for one in (mesh, given))
     assert error is not None
     return Baked(

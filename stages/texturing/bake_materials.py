@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from stages.comparing.asked import asked
 from stages.comparing.compare import sampled_color_error
+from stages.diagnostics.collector import collecting, emit
 from stages.progress import Progress, silent
 from stages.surface.color import color_at
 from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
@@ -28,6 +29,7 @@ from stages.surface.raycasting import bounding_box
 from stages.surface.texture import Image, Material, Texture, signed_areas
 from stages.surface.topology import areas
 from stages.texturing.bake import Baked
+from stages.texturing.codes import SIMPLIFY_IMAGES_SMALLER, TEXTURE_BAKE_LEFT_OUT
 from stages.texturing.correspondence import Correspondence, TexelPoints, locate_vertices
 from stages.texturing.detail import details_of
 from stages.texturing.filling import fill_gaps
@@ -133,7 +135,6 @@ class _Totals:
     turned: int = 0
     charts: int = 0
     padding: float = math.inf
-    notes: list[str] = field(default_factory=list)
 
 
 def bake_materials(
@@ -159,6 +160,19 @@ def bake_materials(
     MeshError
         If a class cannot be laid out in an atlas.
     """
+    with collecting() as diagnostics:
+        baked = _bake_all(simplified, original, class_ids, original_class_ids, classes, progress)
+    return replace(baked, diagnostics=tuple(diagnostics))
+
+
+def _bake_all(
+    simplified: Mesh,
+    original: Mesh,
+    class_ids: NDArray[np.int32],
+    original_class_ids: NDArray[np.int32],
+    classes: Sequence[MaterialClass],
+    progress: Progress,
+) -> Baked:
     assert original.texture is not None
     drafts: list[_Draft | Material] = []
     uvs = np.zeros((len(simplified.triangles), 3, 2))
@@ -197,14 +211,16 @@ def bake_materials(
     )
     materials = _attach_images(drafts, encoded)
     if scale < 1:
-        totals.notes.append(
-            f"baked images have {scale:.0%} of the resolution of the old ones along each side, so that the "
-            "file is no larger than the input."
+        emit(
+            SIMPLIFY_IMAGES_SMALLER.warning(
+                "baked images have {scale:.0%} of the resolution of the old ones along each side, so that "
+                "the file is no larger than the input.",
+                scale=scale,
+            )
         )
     mesh = simplified.with_(
         colors=None,
         texture=Texture(uvs, material_ids, tuple(materials)),
-        notes=(*simplified.notes, *totals.notes),
     )
     box = bounding_box(original, mesh)
     color = sampled_color_error(asked(original, box), asked(mesh, box), _COMPARED)
@@ -452,7 +468,7 @@ class _ClassBaker:
                 for (_, path), canvas in zip(jobs, canvases, strict=True)
             ],
             places,
-            lambda images: self._build_material(first, images, totals),
+            lambda images: self._build_material(first, images),
         )
 
     def _first_material(self) -> Material:
@@ -669,15 +685,13 @@ class _ClassBaker:
             covered *= 4
         return canvas
 
-    def _build_material(self, first: Material, images: dict[Path, Image], totals: _Totals) -> Material:
+    def _build_material(self, first: Material, images: dict[Path, Image]) -> Material:
         """Build the material of the class from its baked images."""
         base = images.get(BASE_COLOR)
         color = first.base_color if self._keeps_color() or base is None else None
         clamp = ("clamp", "clamp")
         if isinstance(first.kept, MtlStatements):
-            return replace(
-                first, image=base, base_color=color, wrap=clamp, kept=_remove_maps(first.kept, totals)
-            )
+            return replace(first, image=base, base_color=color, wrap=clamp, kept=_remove_maps(first.kept))
         if not isinstance(first.kept, GltfStatements):
             return replace(first, image=base, base_color=color, wrap=clamp, kept=None)
         tree = copy.deepcopy(first.kept.tree)
@@ -704,7 +718,7 @@ class _ClassBaker:
         return replace(first, image=base, base_color=color, wrap=clamp, kept=kept)
 
 
-def _remove_maps(kept: MtlStatements, totals: _Totals) -> MtlStatements:
+def _remove_maps(kept: MtlStatements) -> MtlStatements:
     """Remove the maps of an MTL material, which the atlas does not hold."""
     lines, lost = [], []
     for line in kept.lines:
@@ -716,7 +730,11 @@ def _remove_maps(kept: MtlStatements, totals: _Totals) -> MtlStatements:
             continue
         lines.append(line)
     if lost:
-        totals.notes.append(f"bake left out: {', '.join(lost)} of the original's materials.")
+        emit(
+            TEXTURE_BAKE_LEFT_OUT.warning(
+                "bake left out: {maps} of the original's materials.", maps=", ".join(lost)
+            )
+        )
     return MtlStatements(tuple(lines), {}, kept.color, None)
 
 

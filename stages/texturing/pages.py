@@ -16,7 +16,7 @@ from stages.progress import Progress, silent
 from stages.surface.mesh import Mesh
 from stages.surface.texture import signed_areas
 from stages.surface.topology import areas
-from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED, TEXTURE_ATLAS_TOO_SMALL
+from stages.texturing.codes import TEXTURE_ATLAS_TOO_SMALL
 
 # Of an image, that charts fill in the mean; used to choose its size.
 _FILLED = 0.62
@@ -248,7 +248,7 @@ def lay_out_within(
             # Of several images, the last one is only as high as it has to be.
             scale *= min(math.sqrt(min(most, side**2) / total), 0.97) if total > most else 1 / _GROWTH_OF_ONE
     raise MeshError(
-        SIMPLIFY_IMAGES_NOT_BAKED, "falls into too many charts for an image of so few texels.", "mesh"
+        TEXTURE_ATLAS_TOO_SMALL, "falls into too many charts for an image of so few texels.", "mesh"
     )
 
 

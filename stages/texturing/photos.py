@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import InputError
 from stages.progress import Progress
 from stages.scans.codes import SCAN_FRAMES_SKIPPED
@@ -62,7 +63,7 @@ def photo_of(frame: Frame) -> Photo:
         If it has none, or no pose, it cannot be read, or hardly anything but black and white is in it.
     """
     if frame.world_from_camera is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no camera pose.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no camera pose.", Where(frame=frame.name))
     image, camera, seen = read_photo(frame)
     black_or_white = _black_or_white(image)
     # Of what masks leave: a thing that is cut out of its photo may fill little of it.
@@ -72,7 +73,7 @@ def photo_of(frame: Frame) -> Photo:
         raise InputError(
             TEXTURE_PHOTOS_UNUSABLE,
             "{cut_off:.0%} of the photo is black or white.",
-            f"frame {frame.name}",
+            Where(frame=frame.name),
             cut_off=cut_off,
         )
     pose = inverted(np.asarray(frame.world_from_camera, np.float64))
@@ -128,7 +129,7 @@ class Photos:
         """
         return self.kept[number] if number in self.kept else photo_of(self.frames[number])
 
-    def without(self, wrong: dict[int, str]) -> Photos:
+    def without(self, wrong: Mapping[int, Diagnostic]) -> Photos:
         """Return the photos without some, by their numbers, and why."""
         rest = [i for i in range(len(self)) if i not in wrong]
         return Photos(
@@ -153,7 +154,7 @@ def photos_of(frames: Sequence[Frame], progress: Progress) -> Photos:
         try:
             photo = photo_of(frame)
         except InputError as error:
-            return SkippedFrame(frame.name, str(error))
+            return SkippedFrame(frame.name, error.diagnostic.within(frame=None))
         return photo, sharpness(photo.image)
 
     used: list[Frame] = []

@@ -13,6 +13,7 @@ from stages.comparing.codes import TEXTURE_PHOTOS_MISMATCH
 from stages.diagnostics.errors import InputError
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas
+from stages.texturing.codes import TEXTURE_PHOTOS_INCONSISTENT
 from stages.texturing.exposure import Exposures, exposures, no_exposure
 from stages.texturing.photos import Photos
 from stages.texturing.views import DrawnMesh, see
@@ -124,12 +125,17 @@ def judged(
     compared = np.where(surveyed.flat[:, None], np.int32(-1), views)
     found = exposures(compared, colors, radii2, len(photos))
     unseen = np.bincount(views[views >= 0], minlength=len(photos)) == 0
-    wrong = {int(i): "its photo does not show the mesh." for i in np.flatnonzero(unseen)}
+    wrong = {
+        int(i): TEXTURE_PHOTOS_MISMATCH.warning("its photo does not show the mesh.")
+        for i in np.flatnonzero(unseen)
+    }
     usual = max(float(np.median(found.differences[~unseen])), 1.0)
     off = (found.differences > max(_WRONG_TIMES * usual, _WRONG_LEVELS)) & (found.samples >= _WRONG_POINTS)
     wrong |= {
-        int(i): f"its photo shows something else than the others: {found.differences[i]:.0f} levels "
-        "difference in the median."
+        int(i): TEXTURE_PHOTOS_INCONSISTENT.warning(
+            "its photo shows something else than the others: {levels:.0f} levels difference in the median.",
+            levels=float(found.differences[i]),
+        )
         for i in np.flatnonzero(off & ~unseen)
     }
     if wrong:

@@ -10,8 +10,8 @@ painted again. Where all are there already, it is painted again with the details
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.image_bytes import encoded_image
 from stages.params import check, param, resolve
@@ -35,7 +36,11 @@ from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import require_area
 from stages.surface.vertex_normals import vertex_normals
-from stages.texturing.codes import TEXTURE_PHOTOS_UNUSABLE
+from stages.texturing.codes import (
+    TEXTURE_PHOTOS_INCONSISTENT,
+    TEXTURE_PHOTOS_UNUSABLE,
+    TEXTURE_SURFACE_UNSEEN,
+)
 from stages.texturing.exposure import Exposures
 from stages.texturing.filling import filled_up
 from stages.texturing.local_exposure import in_levels
@@ -159,7 +164,7 @@ class Textured:
     seams_over_photos : that over the same of photos that show both texels: photos end where things do.
     labels : of each image (h, w) int32, the photo that counts most, -1 where none shows the surface.
     counts : of each image (h, w) uint8, photos that count.
-    warnings : what is odd.
+    diagnostics : what is odd.
     """
 
     mesh: Mesh
@@ -182,7 +187,7 @@ class Textured:
     seams_over_photos: float | None
     labels: tuple[NDArray[np.int32], ...]
     counts: tuple[NDArray[np.uint8], ...]
-    warnings: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -192,7 +197,7 @@ class Textured:
         return {
             "triangles": len(self.mesh.triangles),
             "photos": len(self.photos),
-            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "frames_skipped": [one.figures() for one in self.skipped],
             "images": [list(size) for size in self.sizes],
             "charts": self.charts,
             "filled_share": self.filled,
@@ -208,7 +213,6 @@ class Textured:
             "uneven_levels": self.uneven,
             "seam_ratio": self.seams,
             "seam_ratio_over_photos": self.seams_over_photos,
-            "warnings": list(self.warnings),
         }
 
 
@@ -245,6 +249,14 @@ def texture(
     Blending after Burt and Adelson 1983, shifts after Zhou and Koltun 2014, exposures after Goldman 2010.
     """
     params = resolve(TextureParams, params, changes)
+    with collecting() as diagnostics:
+        found = _textured(mesh, frames, params, progress)
+    return replace(found, diagnostics=tuple(diagnostics))
+
+
+def _textured(
+    mesh: MeshLike, frames: Scan | Iterable[Frame], params: TextureParams, progress: Progress
+) -> Textured:
     given = as_mesh(mesh)
     require_area(given, "mesh")
     where = frames.folder if isinstance(frames, Scan) else None
@@ -301,6 +313,7 @@ def texture(
         made = list(map(partial(finish, seams=seams), painted))
     progress(1000, 1000)
     found = _Found(used, exposures, seen, shift, uneven, seams.ratio(), seams.over_photos())
+    _report(given, found)
     return _result(given, found, pages, made)
 
 
@@ -465,22 +478,34 @@ def _result(mesh: Mesh, found: _Found, pages: Pages, images: Sequence[_Image]) -
         seams_over_photos=found.seams_over_photos,
         labels=tuple(one.labels for one in images),
         counts=tuple(one.views for one in images),
-        warnings=tuple(_warnings(mesh, found)),
     )
 
 
-def _warnings(mesh: Mesh, found: _Found) -> Iterator[str]:
+def _report(mesh: Mesh, found: _Found) -> None:
+    """Warn of surface in no photo, and of photos that do not fit the mesh or each other."""
     unseen = 1 - found.seen
     if unseen > _MUCH_UNSEEN:
-        colors = "the mesh's own colours" if mesh.colors is not None else "no colours of its own"
-        yield f"{unseen:.0%} of the surface is in no photo and has {colors}"
+        emit(
+            TEXTURE_SURFACE_UNSEEN.warning(
+                "{share:.0%} of the surface is in no photo and has {colors}",
+                share=unseen,
+                colors="the mesh's own colours" if mesh.colors is not None else "no colours of its own",
+            )
+        )
     if found.shift > _MUCH_OFF:
-        yield (
-            f"photos are off the mesh by {found.shift:.1%} of their width in the mean: poses or calibration "
-            "are wrong, and details are blurred; see `scanloom adjust`"
+        emit(
+            TEXTURE_PHOTOS_INCONSISTENT.warning(
+                "photos are off the mesh by {share:.1%} of their width in the mean: poses or calibration are "
+                "wrong, and details are blurred",
+                remedy="see `scanloom adjust`",
+                share=found.shift,
+            )
         )
     if found.exposures.after > _MUCH_DIFFERENCE:
-        yield (
-            f"photos differ by {found.exposures.after:.0f} levels in the median where they show the same: "
-            "poses or calibration are wrong, or things moved"
+        emit(
+            TEXTURE_PHOTOS_INCONSISTENT.warning(
+                "photos differ by {levels:.0f} levels in the median where they show the same: poses or "
+                "calibration are wrong, or things moved",
+                levels=found.exposures.after,
+            )
         )

@@ -15,6 +15,7 @@ from stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, Ste
 from stages.printing import line
 from stages.scans.scan import Packed, SkippedFrame
 from stages.surface import thumbnail
+from stages.surface.codes import MESH_LEFT_OUT
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 
@@ -99,7 +100,12 @@ def everything():
         Image("photo.jpg", encoded=b"\xff\xd8\xff" * 1000),
         Material("grey", base_color=(0.5, 0.5, 0.5, 1.0)),
         scan,
-        replace(scan, frames=frames(0), missing=("poses: none", "x" * 400), warnings=("odd",)),
+        replace(
+            scan,
+            frames=frames(0),
+            missing=(MESH_LEFT_OUT.warning("poses: none"), MESH_LEFT_OUT.warning("x" * 400)),
+            diagnostics=(MESH_LEFT_OUT.warning("odd"),),
+        ),
         scan.frames[0],
         CAMERA,
         far,
@@ -183,8 +189,10 @@ def test_a_mesh_says_how_large_it_is():
         repr(mesh.with_(vertices=mesh.vertices / 1000)) == "Mesh(320 triangles, colours, 6.2 × 4.1 × 2.4 mm)"
     )
     assert repr(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))) == "Mesh(no triangles)"
-    parts = mesh.with_(part_ids=np.zeros(320, np.int32), part_names=("a", "b"), notes=("said",))
-    assert repr(parts) == "Mesh(320 triangles, colours, 2 parts, 6.2 × 4.1 × 2.4 m, 1 note)"
+    parts = mesh.with_(
+        part_ids=np.zeros(320, np.int32), part_names=("a", "b"), diagnostics=(MESH_LEFT_OUT.warning("said"),)
+    )
+    assert repr(parts) == "Mesh(320 triangles, colours, 2 parts, 6.2 × 4.1 × 2.4 m, 1 diagnostic)"
 
 
 def test_other_results_say_what_matters(results):

@@ -10,11 +10,13 @@ look.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stages.diagnostics.collector import collecting
 from stages.inspecting.coverage.borders import Border, border_of
 from stages.inspecting.coverage.continued import continued
 from stages.inspecting.coverage.covered import Coverage, Covered
@@ -90,7 +92,10 @@ def coverage(
     """
     where = frames.folder if isinstance(frames, Scan) else None
     shown = list(frames.frames if isinstance(frames, Scan) else frames)
-    return _covered(_surface_of(mesh), shown, where, resolve(CoverageParams, params, changes), progress)
+    params = resolve(CoverageParams, params, changes)
+    with collecting() as diagnostics:
+        found = _covered(_surface_of(mesh), shown, where, params, progress)
+    return replace(found, diagnostics=tuple(diagnostics))
 
 
 def _surface_of(mesh: MeshLike | Piecewise) -> OnePiece | Piecewise:

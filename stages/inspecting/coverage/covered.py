@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.inspecting.coverage.evidence import Evidence
 from stages.inspecting.coverage.painted import Painted, painted
 from stages.inspecting.coverage.place import Place
@@ -77,6 +78,7 @@ class Coverage:
     thin_areas : m² of the surface, by kind.
     missing_areas : m² of what is not there at all, by kind; also of places that are not told.
     ends_area : m² where the scan ends: nobody measured anything beyond, and it is open to the other side.
+    diagnostics : what is odd about mesh and frames.
     """
 
     places: tuple[Place, ...]
@@ -94,6 +96,7 @@ class Coverage:
     thin_areas: dict[str, float]
     missing_areas: dict[str, float]
     ends_area: float
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -126,7 +129,7 @@ class Coverage:
         """Return what there is to say, for JSON, units in the names."""
         return {
             "frames_used": self.frames,
-            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "frames_skipped": [one.figures() for one in self.skipped],
             "surface_m2": self.surface_area,
             "spread_median_m": self.spread_median,
             "spread_95_m": self.spread_95,

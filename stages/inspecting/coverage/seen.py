@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
-from stages.inspecting.codes import COVERAGE_LIMITED
+from stages.inspecting.codes import COVERAGE_MESH_UNMEASURED
 from stages.inspecting.coverage.evidence import Evidence, Measured, measured_by
 from stages.inspecting.coverage.nearest import Remembered
 from stages.inspecting.coverage.probes import Probes, probes_of
@@ -81,7 +81,7 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
         try:
             view = read_view(frame, ground.origin)
         except InputError as error:
-            return SkippedFrame(frame.name, str(error))
+            return SkippedFrame(frame.name, error.diagnostic.within(frame=None))
         return view, measured_by(view, ground.probes, ground.origin, ground.edge)
 
     seen = Seen(Evidence.none(len(ground.probes.points) + 1), [], [])
@@ -96,17 +96,17 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
             seen.frames.append(Remembered.of(number, view))
         progress(number + 1, len(frames))
     if not seen.frames:
-        first = f" The first, {seen.skipped[0].name}: {seen.skipped[0].reason}" if seen.skipped else ""
+        first = f" (the first, {seen.skipped[0].name}: {seen.skipped[0].reason})" if seen.skipped else ""
         raise InputError(
-            COVERAGE_LIMITED,
-            "none of the {frames_count} frames has a camera pose and depth.{first}",
+            COVERAGE_MESH_UNMEASURED,
+            "none of the {frames_count} frames has a camera pose and depth{first}.",
             where,
             frames_count=len(frames),
             first=first,
         )
     if not seen.evidence.frames.any():
         raise InputError(
-            COVERAGE_LIMITED,
+            COVERAGE_MESH_UNMEASURED,
             "none of the {frames_count} frames measured the mesh: do poses and mesh belong together?",
             where,
             frames_count=len(seen.frames),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
@@ -103,9 +104,9 @@ def read_view(frame: Frame, origin: Floats) -> View:
     pose = require_rigid_pose(frame)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", f"frame {frame.name}")
+        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", Where(frame=frame.name))
     if not depth.any():
-        raise InputError(SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", f"frame {frame.name}")
+        raise InputError(SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", Where(frame=frame.name))
     to_camera = inverted(pose)
     step = max(1, round(max(depth.shape) / _COARSE))
     coarse = _least(depth, step)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting, emit
 from stages.exporting.images import with_images
 from stages.exporting.presets import preset
 from stages.files.opening import content_of
+from stages.picturing.codes import REPORT_REDUCED
 from stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
 from stages.picturing.page.standing import facing
 from stages.scans.prefetch import read_ahead, workers
@@ -22,9 +24,6 @@ from stages.simplification.simplify import simplify
 from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.mesh import Mesh
 from stages.surface.upright import turn_along_z
-
-# Told what a person should know, in a sentence.
-Warn = Callable[[str], None]
 
 # How often models are made lighter, until the page is small enough.
 _ATTEMPTS = 8
@@ -90,11 +89,10 @@ def packed_page(
     title: str,
     models: Models,
     most_bytes: int,
-    warn: Warn,
     told: Mapping[str, Any] | None = None,
     cameras: Sequence[PageCamera] = (),
 ) -> bytes:
-    """Return a page of at most `most_bytes`, if it can be; what that takes is told in it, and warned of.
+    """Return a page of at most `most_bytes`, if it can be; parts that are left out are reported.
 
     Parameters
     ----------
@@ -103,7 +101,13 @@ def packed_page(
     """
     cameras, photos = _with_photos_within(cameras, most_bytes // _PHOTOS_SHARE)
     if photos:
-        warn(f"{photos} of the photos are left out of the page, which may take {most_bytes:,} bytes.")
+        emit(
+            REPORT_REDUCED.warning(
+                "{photos} of the photos are left out of the page, which may take {most_bytes:,} bytes.",
+                photos=photos,
+                most_bytes=most_bytes,
+            )
+        )
     first, *others = (_Plan.of(name, shown) for name, shown in models.items())
     plans = [
         first.lighter(most_bytes / (_BYTES_EACH * max(first.triangles, 1))),
@@ -130,7 +134,13 @@ def packed_page(
             plan if share == 1 else replace(plan, shown=done[plan][0]).lighter(share)
             for plan, share in zip(plans, shares, strict=True)
         ]
-    warn(f"the page takes {len(page):,} bytes, more than {most_bytes:,}, as small as it gets.")
+    emit(
+        REPORT_REDUCED.warning(
+            "the page takes {size:,} bytes, more than {most_bytes:,}, as small as it gets.",
+            size=len(page),
+            most_bytes=most_bytes,
+        )
+    )
     return page
 
 
@@ -219,6 +229,12 @@ def _simplified(shown: Shown, triangles: int) -> Shown:
 
 def _packed(plan: _Plan) -> tuple[Shown, PageModel]:
     """Return the model as light as it may be, and as a file."""
+    # The complete model is a file of its own: nobody asked for this number of triangles or these images.
+    with collecting(forward=False):
+        return _as_file(plan)
+
+
+def _as_file(plan: _Plan) -> tuple[Shown, PageModel]:
     shown = plan.shown
     if plan.triangles < len(shown.mesh.triangles):
         shown = _simplified(shown, plan.triangles)
@@ -233,7 +249,7 @@ def _packed(plan: _Plan) -> tuple[Shown, PageModel]:
         looks.append(PageLook("vertex colours", None, words))
     # A page is looked at closely, and has room for it.
     web = replace(preset("web"), position_bits=16, texel_steps=0, quality=85)
-    written, _ = with_images(mesh, web.images, web.quality, plan.image_size)
+    written = with_images(mesh, web.images, web.quality, plan.image_size)
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         path = Path(folder) / "model.glb"
         write_gltf(path, written, compress=web.compress, shading=web.shading, values=_values(paints))

@@ -14,14 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
-from stages.files.telling import tell
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_ASSUMED,
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_CALIBRATION_MISMATCH,
+)
 from stages.scans.formats import azure_kinect, named_arrays, named_text, orb_slam, realsense, ros_text, zed
-from stages.scans.formats.contradictions import tell_of_camera
+from stages.scans.formats.contradictions import check_camera
 from stages.scans.formats.image_size import for_images, stated_size, with_rows_first
 from stages.scans.formats.lens_names import distortion_in
 from stages.scans.formats.table_values import MATRICES, matrix_in, number_of, number_row, table_in
@@ -55,8 +59,8 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
     A 3x3 (or 4x4) matrix as text or .npy, or text of names and numbers; or JSON, TOML, YAML or .npz with `fx
     fy cx cy`, or `camera_matrix`, `K` or `intrinsic_matrix` (as Open3D, column-major), and `distortion`;
     Kalibr's camchain of one camera; ORB-SLAM's settings, RealSense's and Azure Kinect's. Of several the one
-    for this size is taken, or that of colour; a camera for another size of the same shape is scaled. Both are
-    told.
+    for this size is taken, or that of colour; a camera for another size of the same shape is scaled. Both
+    give a warning.
     """
     document = document_of(path)
     if document is None:
@@ -180,7 +184,7 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     fisheye = is_fisheye(values.get("distortion_model"), path)
     distortion = coefficients(distortion_in(values, path, fisheye=fisheye), path, fisheye=fisheye)
     camera = with_rows_first(_without_model(values, distortion, *size, path), width, height)
-    tell_of_camera(values, camera, path)
+    check_camera(values, camera, path)
     return for_images(replace(camera, fisheye=fisheye), width, height, path)
 
 
@@ -215,7 +219,14 @@ def _of_one_camera(values: dict[str, Any], width: int, height: int, path: Path) 
             path,
             inner=", ".join(list(inner)[:8]),
         )
-    tell(f"holds the cameras {', '.join(list(inner)[:8])}: {chosen[0]} is taken", path)
+    emit(
+        CAMERA_CALIBRATION_ASSUMED.warning(
+            "it holds the cameras {names}: {chosen} is taken",
+            path,
+            names=", ".join(list(inner)[:8]),
+            chosen=chosen[0],
+        )
+    )
     return inner[chosen[0]]
 
 

@@ -1,4 +1,4 @@
-"""Numbers of one calibration that contradict each other: told, with the one that is taken."""
+"""Warnings about numbers of one calibration that contradict each other."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
-from stages.files.telling import tell
+from stages.scans.codes import CAMERA_CALIBRATION_CONTRADICTORY
 from stages.scans.formats.table_values import MATRICES, matrix_in
 from stages.scans.scan import Camera, Pose, StereoRig
 
@@ -26,81 +27,106 @@ _NOT_FILLED_IN = 1.0
 _SAME_TURN_DEG = 0.5
 
 
-def tell_of_rig(
+def check_rig(
     document: dict[str, Any], values: dict[str, Any], rig: StereoRig, length: float, path: Path
 ) -> None:
-    """Tell where a calibration states how its cameras stand to each other twice, and differently.
+    """Warn if a calibration states the baseline twice and differently, or very different cameras.
 
     Parameters
     ----------
     document, values : as it is written, and under the names of our own calibrations.
     rig : that was made of it.
-    length : the baseline that is taken, in the unit of the file.
+    length : the baseline that is used, in the unit of the file.
     """
     found = list(_baselines(document, values, path))
     others = [(name, value) for name, value in found if not _is_length(value, length)]
     if others:
         taken = next((name for name, value in found if _is_length(value, length)), "R and T")
         shown = " and ".join(f"{value:.4g} ({name})" for name, value in others[:2])
-        tell(
-            f"states more than one baseline, {length:.4g} ({taken}) and {shown}: the first is taken; "
-            "scan.baseline=METRES states another",
-            path,
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it states more than one baseline, {length:.4g} ({name}) and {others}: the first is taken",
+                path,
+                remedy="scan.baseline=METRES states another",
+                length=length,
+                name=taken,
+                others=shown,
+            )
         )
     left, right = rig.left.fx, rig.right.fx
     if not 1 / _ALIKE < left / right < _ALIKE:
-        tell(
-            f"has focal lengths of {left:.4g} and {right:.4g} px for the two cameras of a pair: is one for "
-            "another size of the images?",
-            path,
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it has focal lengths of {left:.4g} and {right:.4g} px for the two cameras of a pair: is one "
+                "for another size of the images?",
+                path,
+                left=left,
+                right=right,
+            )
         )
 
 
-def tell_of_rectified(rig: StereoRig, path: Path) -> None:
-    """Tell that images are said to be rectified, and cameras that differ in more than their place."""
-    turn = _degrees(rig.right_from_left)
-    bent = ", with distortion" if any(rig.left.distortion + rig.right.distortion) else ""
-    tell(
-        f"says that its images are rectified, but its cameras are not those of rectified ones (turned by "
-        f"{turn:.2g}° to each other{bent}): rectified=false has them rectified here",
-        path,
+def warn_not_rectified(rig: StereoRig, path: Path) -> None:
+    """Warn that a calibration of rectified images has cameras that are not parallel, or distorted."""
+    emit(
+        CAMERA_CALIBRATION_CONTRADICTORY.warning(
+            "it says that its images are rectified, but its cameras are not those of rectified ones (turned "
+            "by {turn:.2g}° to each other{distortion})",
+            path,
+            remedy="rectified=false has them rectified here",
+            turn=_degrees(rig.right_from_left),
+            distortion=", with distortion" if any(rig.left.distortion + rig.right.distortion) else "",
+        )
     )
 
 
-def tell_of_two_relations(first: Pose, second: Pose, names: str, path: Path) -> None:
-    """Tell where two relations of the same cameras, of which the first is taken, are not one."""
+def check_relations(first: Pose, second: Pose, names: str, path: Path) -> None:
+    """Warn if two relations of the same cameras, of which the first is taken, differ."""
     lengths = [float(np.linalg.norm(pose[:3, 3])) for pose in (first, second)]
     apart = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
     turn = _degrees(np.linalg.inv(first) @ second)
     if apart > _SAME_LENGTH * max(lengths) or turn > _SAME_TURN_DEG:
-        tell(
-            f"states by {names} how its cameras stand to each other, and they differ by {apart:.3g} and "
-            f"{turn:.2g}°: the first is taken",
-            path,
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it states by {names} how its cameras stand to each other, and they differ by {apart:.3g} "
+                "and {turn:.2g}°: the first is taken",
+                path,
+                names=names,
+                apart=apart,
+                turn=turn,
+            )
         )
 
 
-def tell_of_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
-    """Tell where the table of a camera states a focal length twice, or one that no lens has.
+def check_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
+    """Warn if the table of a camera states a focal length twice, or one that no lens has.
 
     Parameters
     ----------
     camera : that was made of it, for the images' size that it states.
     """
     if not 1 / _ALIKE < camera.fx / camera.fy < _ALIKE:
-        tell(
-            f"has focal lengths of {camera.fx:.4g} px across and {camera.fy:.4g} px down, which no lens has: "
-            "are its numbers in the order fx, fy, cx, cy?",
-            path,
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it has focal lengths of {fx:.4g} px across and {fy:.4g} px down, which no lens has: are its "
+                "numbers in the order fx, fy, cx, cy?",
+                path,
+                fx=camera.fx,
+                fy=camera.fy,
+            )
         )
     stated = values.get("fx")
     if not isinstance(stated, (int, float)) or not any(name in values for name in MATRICES):
         return
     if abs(stated - camera.fx) > _SAME_FOCAL_LENGTH * camera.fx:
-        tell(
-            f"states the focal lengths {camera.fx:.6g} px, by its matrix, and {stated:.6g} px, by fx: the "
-            "first is taken",
-            path,
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it states the focal lengths {by_matrix:.6g} px, by its matrix, and {stated:.6g} px, by fx: "
+                "the first is taken",
+                path,
+                by_matrix=camera.fx,
+                stated=stated,
+            )
         )
 
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
-from stages.files.telling import tell
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, CAMERA_CALIBRATION_SCALED
 from stages.scans.formats.table_values import number_of, number_row
 from stages.scans.scan import Camera, scaled
 
@@ -23,8 +24,6 @@ _SAME_SHAPE = 0.01
 _OFF_CENTRE = 0.25
 # Where the centre says another size, both of its numbers say the same one.
 _SAME_FACTOR = 0.1
-# How what is said of a scaled camera begins.
-_SCALED = "is for images of "
 
 
 def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[int, int]:
@@ -57,7 +56,7 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
 def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
     """Return the camera of a calibration for images of this size, which are the same ones made smaller.
 
-    That it is scaled is told, and that its centre is not theirs.
+    Warns if the camera is scaled, and if its principal point is far from the centre of the images.
 
     Raises
     ------
@@ -65,7 +64,7 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
         If the size that the calibration is for has another shape: images are then cropped or turned.
     """
     if (camera.width, camera.height) == (width, height):
-        _tell_of_centre(camera, path)
+        _check_centre(camera, path)
         return camera
     if not is_of_shape((camera.width, camera.height), (width, height)):
         raise InputError(
@@ -81,9 +80,16 @@ def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
             width=width,
             height=height,
         )
-    tell(
-        f"is for images of {camera.width}×{camera.height}: its camera is scaled to these of {width}×{height}",
-        path,
+    emit(
+        CAMERA_CALIBRATION_SCALED.warning(
+            "it is for images of {camera_width}×{camera_height}: its camera is scaled to these of "
+            "{width}×{height}",
+            path,
+            camera_width=camera.width,
+            camera_height=camera.height,
+            width=width,
+            height=height,
+        )
     )
     return scaled(camera, width, height)
 
@@ -98,9 +104,9 @@ def is_of_shape(first: tuple[int, int], second: tuple[int, int]) -> bool:
     return abs(first[0] * second[1] / (first[1] * second[0]) - 1) <= _SAME_SHAPE
 
 
-def was_scaled(told: Sequence[tuple[str, Path]]) -> bool:
-    """Say whether a camera that was read meanwhile was for another size."""
-    return any(said.startswith(_SCALED) for said, _ in told)
+def was_scaled(diagnostics: Sequence[Diagnostic]) -> bool:
+    """Say whether a camera was for another size, by what was emitted while it was read."""
+    return any(one.code == CAMERA_CALIBRATION_SCALED.name for one in diagnostics)
 
 
 def is_off_centre(camera: Camera) -> bool:
@@ -128,7 +134,7 @@ def _centre(camera: Camera) -> tuple[float, float]:
     return (camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height
 
 
-def _tell_of_centre(camera: Camera, path: Path) -> None:
+def _check_centre(camera: Camera, path: Path) -> None:
     if not is_off_centre(camera):
         return
     across, down = _centre(camera)
@@ -136,9 +142,16 @@ def _tell_of_centre(camera: Camera, path: Path) -> None:
     if across > 0 and abs(across / max(down, 1e-9) - 1) < _SAME_FACTOR:
         larger = (across + down) * camera.width, (across + down) * camera.height
         hint = f", such as {larger[0]:.0f}×{larger[1]:.0f}"
-    tell(
-        f"has its principal point at ({camera.cx:g}, {camera.cy:g}), far from the centre of images of "
-        f"{camera.width}×{camera.height}: it may be for another size{hint}; scan.intrinsics=fx,fy,cx,cy "
-        "states the right one",
-        path,
+    emit(
+        CAMERA_CALIBRATION_MISMATCH.warning(
+            "it has its principal point at ({cx:g}, {cy:g}), far from the centre of images of "
+            "{width}×{height}: it may be for another size{hint}",
+            path,
+            remedy="scan.intrinsics=fx,fy,cx,cy states the right one",
+            cx=camera.cx,
+            cy=camera.cy,
+            width=camera.width,
+            height=camera.height,
+            hint=hint,
+        )
     )

@@ -1,4 +1,4 @@
-"""How a lens bends, under whatever names calibrations state it."""
+"""Names under which calibrations state the distortion of a lens."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from stages.files.telling import tell
+from stages.diagnostics.collector import emit
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
 from stages.scans.formats.pair_names import lenses_of_pair
 
 _KNOWN = re.compile("d|coeffs|dist(ortion)?_?(coef.*|param.*)?", re.IGNORECASE)
@@ -18,7 +19,7 @@ _FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
 def distortion_in(values: dict[str, Any], path: Path, *, fisheye: bool) -> object:
     """Return what a camera's table states: coefficients in a row, also of `k1` and so on; None if nothing.
 
-    What seems to be a lens under a name that is not known is told.
+    Warns about a lens under a name that is not known.
     """
     named = {key: value for key, value in values.items() if _KNOWN.fullmatch(str(key))}
     stated = next((value for value in named.values() if value is not None), None)
@@ -28,7 +29,7 @@ def distortion_in(values: dict[str, Any], path: Path, *, fisheye: bool) -> objec
         names = _FISHEYE_TERMS if fisheye else _TERMS if terms.keys() & set(_TERMS[5:]) else _TERMS[:5]
         return [terms.get(name, 0.0) for name in names]
     if not named:
-        _tell_of_others(values, path)
+        _warn_of_others(values, path)
     return stated
 
 
@@ -36,12 +37,18 @@ def distortions_of_pair(values: dict[str, Any], path: Path) -> tuple[object, obj
     """Return what a table of two cameras states of the first and the second lens, likewise."""
     keys = lenses_of_pair(values)
     if keys is None:
-        _tell_of_others(values, path)
+        _warn_of_others(values, path)
         return None, None
     return values[keys[0]], values[keys[1]]
 
 
-def _tell_of_others(values: dict[str, Any], path: Path) -> None:
+def _warn_of_others(values: dict[str, Any], path: Path) -> None:
     for key, value in values.items():
         if _ALIKE.search(str(key)) and isinstance(value, (list, dict)) and value:
-            tell(f"states {str(key)[:40]}, which is not known: the lens is taken to be straight", path)
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "it states {key}, which is not known: the lens is taken to be straight",
+                    path,
+                    key=str(key)[:40],
+                )
+            )

@@ -13,9 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
-from stages.files.telling import tell
-from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID, CAMERA_PAIR_UNCALIBRATED
+from stages.scans.codes import (
+    CAMERA_ADJUSTED_MISMATCH,
+    CAMERA_CALIBRATION_ASSUMED,
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_PAIR_UNCALIBRATED,
+)
 from stages.scans.formats import orb_slam, zed
 from stages.scans.formats.calibration import (
     MATRIX_AND_BASELINE,
@@ -28,7 +33,7 @@ from stages.scans.formats.calibration import (
     text_matrix,
     text_numbers,
 )
-from stages.scans.formats.contradictions import tell_of_rectified, tell_of_rig, tell_of_two_relations
+from stages.scans.formats.contradictions import check_relations, check_rig, warn_not_rectified
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.lens_names import distortions_of_pair
 from stages.scans.formats.pair_names import matrices_of_pair
@@ -54,8 +59,8 @@ def read_rig(
     *,
     document: dict[str, Any] | None = None,
     baseline: float | None = None,
-) -> tuple[StereoRig, list[str]]:
-    """Read a stereo rig for images of this size in pixels, and return it with what is odd about the file.
+) -> StereoRig:
+    """Read a stereo rig for images of this size in pixels.
 
     Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
     `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T`, under any names that part both sides (`mtxL`,
@@ -114,13 +119,16 @@ def read_rig(
 
     length = float(np.linalg.norm(right_from_left[:3, 3]))
     if baseline is None:
-        right_from_left, warnings = _in_metres(right_from_left, values.get("unit"), path)
+        right_from_left = _in_metres(right_from_left, values.get("unit"), path)
     else:
-        right_from_left, warnings = with_baseline(right_from_left, baseline), []
+        right_from_left = with_baseline(right_from_left, baseline)
     if infos is not None:
-        warnings.append(
-            "the images are taken as they left the cameras, as ROS's image_raw; for image_rect give a file "
-            "with P1 and P2 alone"
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the images are taken as they left the cameras, as ROS's image_raw",
+                path,
+                remedy="for image_rect give a file with P1 and P2 alone",
+            )
         )
     looks_rectified = _looks_rectified(left, right, right_from_left)
     rectified = values.get("rectified", looks_rectified)
@@ -142,10 +150,10 @@ def read_rig(
         )
     rig = StereoRig(left, right, right_from_left, bool(rectified))
     if rectified and not looks_rectified:
-        tell_of_rectified(rig, path)
+        warn_not_rectified(rig, path)
     if baseline is None:
-        tell_of_rig(document, values, rig, length, path)
-    return rig, warnings
+        check_rig(document, values, rig, length, path)
+    return rig
 
 
 def states_a_pair(values: dict[str, Any]) -> bool:
@@ -172,7 +180,7 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
     if all("T_cam_imu" in values[side] for side in ("cam0", "cam1")):
         left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
         by_body = right @ inverted(left)
-        tell_of_two_relations(right_from_left, by_body, "cam1.T_cn_cnm1 and T_cam_imu", path)
+        check_relations(right_from_left, by_body, "cam1.T_cn_cnm1 and T_cam_imu", path)
     return cameras[0], cameras[1], right_from_left
 
 
@@ -221,7 +229,11 @@ def _is_of_fisheyes(values: dict[str, Any], path: Path) -> bool:
     """Say whether a table of two cameras is of fisheyes: it says so, or its file's name does."""
     model = values.get("distortion_model")
     if model is None and _FISHEYE in path.stem.lower():
-        tell("has a name that says fisheye: its lenses are taken as OpenCV's fisheye model", path)
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "its name says fisheye: its lenses are taken as OpenCV's fisheye model", path
+            )
+        )
         return True
     return is_fisheye(model, path)
 
@@ -311,7 +323,7 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     return _finite_pose(matrix, "R, T", path)
 
 
-def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, list[str]]:
+def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
     """Return the extrinsics in metres; calibration boards are often measured in millimetres."""
     length = float(np.linalg.norm(right_from_left[:3, 3]))
     if length == 0:
@@ -320,28 +332,37 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, l
             "the two cameras stand at the same place (baseline 0); no depth can be had.",
             path,
         )
-    warnings = []
     if unit is None:
         unit = "mm" if length > _WIDEST_METRES else "m"
         if unit == "mm":
-            warnings.append(
-                f"the baseline of {path.name} is {length:g} without a unit, taken as millimetres; where "
-                f"it is not (in centimetres it were {length / 100:g} m), set scan.baseline=METRES"
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "the baseline is {length:g} without a unit, taken as millimetres",
+                    path,
+                    remedy="where it is not (in centimetres it were {by_centimetres:g} m), set "
+                    "scan.baseline=METRES",
+                    length=length,
+                    by_centimetres=length / 100,
+                )
             )
         elif length > _WIDE_METRES:
-            warnings.append(
-                f"the baseline of {path.name} is {length:g} without a unit, taken as metres, which few rigs "
-                "are wide: where the board was measured in centimetres, or counted in squares, set "
-                "scan.baseline=METRES"
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "the baseline is {length:g} without a unit, taken as metres, which few rigs are wide",
+                    path,
+                    remedy="where the board was measured in centimetres, or counted in squares, set "
+                    "scan.baseline=METRES",
+                    length=length,
+                )
             )
     scale = {"m": 1.0, "cm": 0.01, "mm": 0.001}.get(str(unit))
     if scale is None:
         raise InputError(
             CAMERA_CALIBRATION_INVALID, "unit is {unit!r}; it must be m, cm or mm.", path, unit=unit
         )
-    metric = right_from_left.copy()
+    metric: Pose = right_from_left.copy()
     metric[:3, 3] *= scale
-    return metric, warnings
+    return metric
 
 
 def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool:

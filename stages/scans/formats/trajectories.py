@@ -15,12 +15,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import read_array
 from stages.files.row_numbers import numbers_on
-from stages.files.telling import tell
-from stages.scans.codes import POSE_TRAJECTORY_UNREADABLE
+from stages.scans.codes import POSE_ASSUMED, POSE_TRAJECTORY_UNREADABLE
 from stages.scans.poses import LARGEST_VALUE, inverted, matrix_of, pose_from_quaternion, rigid
 from stages.scans.scan import Pose
 
@@ -433,7 +433,15 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
         return list(values)
     last = [int((re.findall(r"\d+", name) or ["-1"])[-1]) for name in names]
     if len(values) > len(names) == len(set(last)) and min(last) >= 0 and max(last) < len(values):
-        tell(f"holds {len(values)} {what} for {len(names)} frames: each has that of its name's number", path)
+        emit(
+            POSE_ASSUMED.warning(
+                "it holds {value_count} {what} for {frame_count} frames: each has that of its name's number",
+                path,
+                value_count=len(values),
+                what=what,
+                frame_count=len(names),
+            )
+        )
         return [values[number] for number in last]
     raise InputError(
         POSE_TRAJECTORY_UNREADABLE,

@@ -16,9 +16,15 @@ from pathlib import Path
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, SCAN_FILES_MISSING
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_MISMATCH,
+    FRAME_IMAGE_MISSING,
+    FRAME_POSE_MISSING,
+    SCAN_FILES_MISSING,
+)
 from stages.scans.formats import calibration
 from stages.scans.reading.files import IMAGES, common_size, has
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.phones import least_confidence
@@ -62,10 +68,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     is_posed = path.exists() or options.poses is not None
     size = common_size(list(depths.values()))
     stated = stated_camera(options, folder, *size)
-    warnings: list[str] = []
     if stated is None and not cameras:
-        stated, _, warnings = found_camera(folder, *size)
-    least, said = least_confidence(options, _LEVELS, folder)
+        stated, _ = found_camera(folder, *size)
+    least = least_confidence(options, _LEVELS, folder) if confidences else 0
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     moments = [time * _MILLISECOND for time in sorted(depths)]
@@ -77,11 +82,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         color, pincam = _beside(colors, time), _beside(cameras, time)
         camera = stated or (None if pincam is None else _camera(pincam, size))
         if pose is None and is_posed:
-            skipped.append(SkippedFrame(depth.stem, "no pose within 0.005 s"))
+            skipped.append(SkippedFrame(depth.stem, FRAME_POSE_MISSING.warning("no pose within 0.005 s")))
             continue
         if camera is None or (color is None and colors):
             lacking = ".pincam" if camera is None else "colour image"
-            skipped.append(SkippedFrame(depth.stem, f"its {lacking} is missing"))
+            reason = FRAME_IMAGE_MISSING.warning("its {lacking} is missing", lacking=lacking)
+            skipped.append(SkippedFrame(depth.stem, reason))
             continue
         frames.append(
             Frame(
@@ -96,11 +102,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 least_confidence=least,
             )
         )
-    lacking = "poses: lowres_wide.traj is missing; name a trajectory with scan.poses=FILE"
-    missing = () if is_posed else (lacking,)
-    if confidences:
-        warnings.append(said)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    missing = () if is_posed else (poses_missing("lowres_wide.traj is missing"),)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
 def _by_time(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:

@@ -8,10 +8,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import common_size, images, pair
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
@@ -64,9 +66,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     names = [depth.stem for depth, _ in pairs]
     path = options.file("poses", folder) or _trajectory(folder)
     poses: list[Pose | None] = [None] * len(names)
-    missing: tuple[str, ...] = ()
+    missing: tuple[Diagnostic, ...] = ()
     if path is None:
-        missing = ("poses: there is no one .log or *-traj.txt; name a trajectory with scan.poses=FILE",)
+        missing = (poses_missing("there is no one .log or *-traj.txt"),)
     else:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     size = common_size([depth for depth, _ in pairs])
@@ -82,7 +84,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
         for name, (depth, color), pose in zip(names, pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
 LAYOUT = Layout(

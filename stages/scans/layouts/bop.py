@@ -17,13 +17,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_FILES_MISSING
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_INVALID,
+    FRAME_IMAGE_MISSING,
+    FRAME_POSE_MISSING,
+    SCAN_FILES_MISSING,
+    SCAN_FRAMES_SKIPPED,
+)
 from stages.scans.formats import calibration, trajectories
 from stages.scans.formats.table_values import number_of, number_row
 from stages.scans.poses import inverted, rigid
 from stages.scans.reading.files import COLOR_FOLDERS, DEPTHS, IMAGES, common_size, first_existing, images
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
@@ -65,7 +73,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     has_world = matched is not None or any(key in tables[number] for number in used for key in _POSE)
     frames: list[Frame] = []
     skipped = [
-        SkippedFrame(streams[number].stem, f"{_CAMERAS} has no entry for it")
+        SkippedFrame(
+            streams[number].stem, SCAN_FRAMES_SKIPPED.warning("{file} has no entry for it", file=_CAMERAS)
+        )
         for number in sorted(streams.keys() - tables.keys())
     ]
     for number in used:
@@ -74,10 +84,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         try:
             pose = _pose(table, path) if matched is None else matched[number]
             if pose is None and has_world:
-                skipped.append(SkippedFrame(name, "it has no pose"))
+                skipped.append(SkippedFrame(name, FRAME_POSE_MISSING.warning("it has no pose")))
                 continue
             if color is None and colors:
-                skipped.append(SkippedFrame(name, "its colour image is missing"))
+                skipped.append(SkippedFrame(name, FRAME_IMAGE_MISSING.warning("its colour image is missing")))
                 continue
             camera = stated or _camera(table, size, path)
             if depth is None and color is not None:
@@ -85,16 +95,20 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 continue
             scale = options.depth_scale or _MILLIMETRES / _depth_scale(table, path)
         except InputError as error:
-            skipped.append(SkippedFrame(name, str(error)))
+            skipped.append(SkippedFrame(name, error.diagnostic))
             continue
         frames.append(
             Frame(name, camera, color=color, depth=depth, depth_scale=scale, world_from_camera=pose)
         )
     alone = len(tables.keys() - streams.keys())
-    warnings = [f"{_CAMERAS} has entries for {alone} images that are not there"] if alone else []
-    lacking = f"poses: {_CAMERAS} has no cam_R_w2c; name a trajectory with scan.poses=FILE"
-    missing = () if has_world else (lacking,)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    if alone:
+        emit(
+            SCAN_FRAMES_SKIPPED.warning(
+                "{file} has entries for {count} images that are not there", file=_CAMERAS, count=alone
+            )
+        )
+    missing = () if has_world else (poses_missing("{file} has no cam_R_w2c", file=_CAMERAS),)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
 def _tables(path: Path) -> dict[int, Table]:

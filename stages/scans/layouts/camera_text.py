@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, headed_text, trajectories
 from stages.scans.formats.headed_text import HeadedText
 from stages.scans.reading.beside import small_documents
@@ -93,7 +94,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             poses_count=len(text.poses),
             next=next(iter(text.poses), "frame-000000"),
         )
-    lacking = [SkippedFrame(name, "it has no depth map") for name in text.poses if name not in found]
+    without_depth = FRAME_IMAGE_MISSING.warning("it has no depth map")
+    lacking = [SkippedFrame(name, without_depth) for name in text.poses if name not in found]
     given = options.file("poses", folder)
     poses = text.poses
     if given is not None:
@@ -101,12 +103,16 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = dict(zip(found, matched, strict=True))
     depths = [depth for depth, _ in found.values()]
     colors = [color for _, color in found.values() if color is not None]
-    cameras, warnings = _cameras(folder, options, text, depths, colors, path)
+    cameras = _cameras(folder, options, text, depths, colors, path)
     rotated = are_rotated(depths, is_scale_stated=False)
     if not rotated:
-        warnings.append(
-            "the bits of the depth maps are not rotated, as the APC toolbox has them: they are read as "
-            f"millimetres; set scan.depth_scale={_TENTHS_OF_MILLIMETRES:g} where they are tenths"
+        emit(
+            SCAN_ASSUMED.warning(
+                "the bits of the depth maps are not rotated, as the APC toolbox has them: they are read as "
+                "millimetres",
+                remedy="set scan.depth_scale={tenths:g} where they are tenths",
+                tenths=_TENTHS_OF_MILLIMETRES,
+            )
         )
     scale = options.depth_scale or (_TENTHS_OF_MILLIMETRES if rotated else _MILLIMETRES)
     frames = [
@@ -123,8 +129,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         for name, (depth, color) in found.items()
     ]
     if text.others:
-        warnings.append(f"{path.name} states more, which is left aside: {'; '.join(text.others[:3])}")
-    return Scan(LAYOUT.name, frames, None, folder, tuple(lacking), tuple(warnings))
+        emit(
+            SCAN_ASSUMED.warning(
+                "it states more, which is left aside: {others}", path, others="; ".join(text.others[:3])
+            )
+        )
+    return Scan(LAYOUT.name, frames, None, folder, tuple(lacking))
 
 
 def _frames(folder: Path, text: HeadedText) -> dict[str, tuple[Path, Path | None]]:
@@ -171,25 +181,24 @@ def _cameras(
     depths: Sequence[Path],
     colors: Sequence[Path],
     path: Path,
-) -> tuple[_Cameras, list[str]]:
-    """Return the cameras and what is to be said about them."""
+) -> _Cameras:
     size = common_size(depths)
     color_size = common_size(colors) if colors else size
     stated = stated_camera(options, folder, *size)
     if stated is not None:
-        return _Cameras(stated), []
+        return _Cameras(stated)
     if size != color_size and text.color is not None and text.depth is not None:
         depth, color = (
             calibration.matrix_camera(matrix, (), *of, path)
             for matrix, of in ((text.depth, size), (text.color, color_size))
         )
-        return _Cameras(depth, color, text.color_from_depth), []
+        return _Cameras(depth, color, text.color_from_depth)
     # Maps of colour's size are registered to it, and of its camera.
     matrix = text.depth if text.color is None else text.color
     if matrix is None:
-        camera, _, warnings = found_camera(folder, *size)
-        return _Cameras(camera), warnings
-    return _Cameras(calibration.matrix_camera(matrix, (), *size, path)), []
+        camera, _ = found_camera(folder, *size)
+        return _Cameras(camera)
+    return _Cameras(calibration.matrix_camera(matrix, (), *size, path))
 
 
 LAYOUT = Layout(

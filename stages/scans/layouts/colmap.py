@@ -17,10 +17,16 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import image_size
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_FRAMES_SKIPPED
+from stages.scans.codes import (
+    DEPTH_RANGE_UNKNOWN,
+    FRAME_IMAGE_MISSING,
+    SCAN_ASSUMED,
+    SCAN_FILES_MISSING,
+)
 from stages.scans.formats import colmap, trajectories
 from stages.scans.formats.colmap import View
 from stages.scans.reading.files import numbers
@@ -61,17 +67,22 @@ def _models(folder: Path) -> list[Path]:
     return []
 
 
-def _largest(models: Sequence[Path]) -> tuple[Path, list[str]]:
-    """Return the model with the most images, and what is said of the others."""
+def _largest(models: Sequence[Path]) -> Path:
+    """Return the model with the most images, with a warning about the others."""
     if len(models) == 1:
-        return models[0], []
+        return models[0]
     counts = [colmap.count_images(model) for model in models]
-    largest = counts.index(max(counts))
-    others = ", ".join(f"{one.name}/ ({n})" for one, n in zip(models, counts, strict=True))
-    return models[largest], [
-        f"of {len(models)} models, {models[largest].name}/ is read: it has the most images ({others}). They "
-        "have no common world"
-    ]
+    largest = models[counts.index(max(counts))]
+    emit(
+        SCAN_ASSUMED.warning(
+            "of {count} models, {largest}/ is read: it has the most images ({sizes}). They have no common "
+            "world",
+            count=len(models),
+            largest=largest.name,
+            sizes=", ".join(f"{one.name}/ ({n})" for one, n in zip(models, counts, strict=True)),
+        )
+    )
+    return largest
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
@@ -82,9 +93,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.",
             folder,
         )
-    workspace, said = _workspace(folder, places)
-    model, warnings = _largest(_models(workspace))
-    warnings = said + warnings
+    workspace = _workspace(folder, places)
+    model = _largest(_models(workspace))
     views = sorted(colmap.read_model(model), key=lambda view: (numbers(view.name), view.name))
     depths = {view.name: _depth_map(workspace, view) for view in views}
     alone = not any(depths.values())
@@ -103,41 +113,49 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 frames.append(single_view(name, camera, images / view.name, pose, points=found))
                 continue
             if depth is None:
-                raise InputError(SCAN_FRAMES_SKIPPED, "it has no depth map.")
+                raise InputError(FRAME_IMAGE_MISSING, "it has no depth map.")
             frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
-            skipped.append(SkippedFrame(name, str(error)))
-    warnings += _warnings(frames)
+            skipped.append(SkippedFrame(name, error.diagnostic))
+    _check_depths(frames)
     if alone and not points:
-        warnings.append(
-            "there are no points (points3D.bin or .txt): how far away things are follows from the images "
-            "alone; depth.min_depth and depth.max_depth state it"
+        emit(
+            DEPTH_RANGE_UNKNOWN.warning(
+                "there are no points (points3D.bin or .txt): how far away things are follows from the images "
+                "alone",
+                remedy="depth.min_depth and depth.max_depth state it",
+            )
         )
     # A trajectory that is given is in metres; depth maps stay in the unit of the model.
     is_metric = options.depth_scale is not None or (alone and options.poses is not None)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), is_metric=is_metric)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), is_metric=is_metric)
 
 
-def _workspace(folder: Path, places: Sequence[Path]) -> tuple[Path, list[str]]:
-    """Return the place to read of those that have a model, and what is to be said of it.
+def _workspace(folder: Path, places: Sequence[Path]) -> Path:
+    """Return the folder to read of those that have a model.
 
     One with depth maps is preferred, and one whose images are there and of the shape of its cameras.
     """
     fitting = [one for one in places if _fits(one)] or places
     workspace = next((one for one in fitting if (one / "stereo" / "depth_maps").is_dir()), fitting[0])
-    if places[0] in fitting:
-        return workspace, []
-    said = (
-        f"the images of {_models(places[0])[0].relative_to(folder).as_posix()}/ are not there, or of another "
-        f"shape: {workspace.relative_to(folder).as_posix()}/ is read, which has its own"
-    )
-    return workspace, [said]
+    if places[0] not in fitting:
+        emit(
+            SCAN_ASSUMED.warning(
+                "the images of {model}/ are not there, or of another shape: {other}/ is read, which has its "
+                "own",
+                model=_models(places[0])[0].relative_to(folder).as_posix(),
+                other=workspace.relative_to(folder).as_posix(),
+            )
+        )
+    return workspace
 
 
 def _fits(workspace: Path) -> bool:
     """Say whether the images of some of a model's views are there, and can be of their cameras."""
     try:
-        views = colmap.read_model(_largest(_models(workspace))[0])
+        with collecting(forward=False):
+            model = _largest(_models(workspace))
+        views = colmap.read_model(model)
         for view in views[:: max(1, len(views) // _LOOKED_AT)]:
             image = _images(workspace) / view.name
             if image.is_file():
@@ -213,21 +231,25 @@ def _frame(
     )
 
 
-def _warnings(frames: Sequence[Frame]) -> list[str]:
-    warnings = []
+def _check_depths(frames: Sequence[Frame]) -> None:
+    """Warn of depth maps that may be of another model, and of unconfirmed ones."""
     if any(frame.camera.distortion and frame.depth is not None for frame in frames):
-        warnings.append(
-            "the cameras have lens distortion, which those of COLMAP's own depth maps never have: is this "
-            "the model of the dense workspace?"
+        emit(
+            SCAN_ASSUMED.warning(
+                "the cameras have lens distortion, which those of COLMAP's own depth maps never have: is "
+                "this the model of the dense workspace?"
+            )
         )
     unchecked = sum(
         isinstance(one.depth, Packed) and ".photometric." in one.depth.file.name for one in frames
     )
     if unchecked:
-        warnings.append(
-            f"{unchecked} depth maps are photometric: no other view confirms them, and they are noisier"
+        emit(
+            SCAN_ASSUMED.warning(
+                "{count} depth maps are photometric: no other view confirms them, and they are noisier",
+                count=unchecked,
+            )
         )
-    return warnings
 
 
 LAYOUT = Layout(

@@ -19,13 +19,20 @@ from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_stored
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_LENS_UNKNOWN, SCAN_TABLE_DAMAGED
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_LENS_UNKNOWN,
+    FRAME_IMAGE_MISSING,
+    FRAME_POSE_MISSING,
+    SCAN_TABLE_DAMAGED,
+)
 from stages.scans.formats import calibration, rig_calibration
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import number_row
 from stages.scans.poses import inverted, matrix_of, rigid
 from stages.scans.reading.files import common_size, first_existing, has
 from stages.scans.reading.gravity import ups_of
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Accelerometer
@@ -60,14 +67,16 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     size = common_size(list(streams[0].values()))
     chain = options.file("calibration", folder) or first_existing(folder, _CAMCHAIN)
     if chain is not None and (options.calibration or not has(mav, "cam0/sensor.yaml")):
-        (rig, warnings), body_from_left = _chained(chain, size, options)
+        rig, body_from_left = _chained(chain, size, options)
     else:
-        (rig, body_from_left), warnings = _rig(mav, size, options), []
+        rig, body_from_left = _rig(mav, size, options)
     path = options.file("poses", folder) or first_existing(mav, *_GROUND_TRUTH)
     accelerometer = _accelerometer(mav, body_from_left)
     frames: list[Frame] = []
     skipped = [
-        SkippedFrame(str(time), f"cam{1 - side} has no image of this moment")
+        SkippedFrame(
+            str(time), FRAME_IMAGE_MISSING.warning("cam{side} has no image of this moment", side=1 - side)
+        )
         for side in (0, 1)
         for time in sorted(streams[side].keys() - streams[1 - side].keys())
     ]
@@ -78,7 +87,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = poses_at(path, times, [str(time) for time in times], _TOLERANCE, options)
     for time, pose in zip(times, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(str(time), "no pose within 0.03 s"))
+            skipped.append(SkippedFrame(str(time), FRAME_POSE_MISSING.warning("no pose within 0.03 s")))
             continue
         frames.append(
             Frame(
@@ -91,11 +100,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     moments = np.array([frame.timestamp for frame in frames], np.int64)
-    ups, about_up = ups_of(accelerometer if frames else None, moments)
+    ups = ups_of(accelerometer if frames else None, moments)
     frames = [replace(frame, up=up) for frame, up in zip(frames, ups, strict=True)]
-    lacking = f"poses: {_GROUND_TRUTH[0]} is missing; name a trajectory of the body with scan.poses=FILE"
+    lacking = poses_missing(
+        "{file} is missing",
+        remedy="name a trajectory of the body with scan.poses=FILE",
+        file=_GROUND_TRUTH[0],
+    )
     missing = (lacking,) if path is None else ()
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *about_up), missing)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
 def _stream(camera: Path) -> dict[int, Path]:
@@ -177,16 +190,14 @@ def _high_bytes(path: Path) -> NDArray[np.uint8]:
     return (image >> 8).astype(np.uint8)
 
 
-def _chained(
-    path: Path, size: tuple[int, int], options: ReadingParams
-) -> tuple[tuple[StereoRig, list[str]], Pose]:
-    """Return the rig of Kalibr's file, what is odd about it, and where its left camera sits on the body."""
+def _chained(path: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
+    """Return the rig of Kalibr's file, and the pose of its left camera on the body."""
     document = documents.read_document(path)
-    rig, warnings = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+    rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     stated = options.camera(*size)
     if stated is not None:
         rig = replace(rig, left=stated, right=stated)
-    return (rig, warnings), inverted(rig_calibration.camera_from_body(document, "cam0", path))
+    return rig, inverted(rig_calibration.camera_from_body(document, "cam0", path))
 
 
 def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingParams, path: Path) -> Camera:

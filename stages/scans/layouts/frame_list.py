@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import read_raw_depth
 from stages.files.noting import only_looking
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import divided, matrix_of, rigid
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, inside, numbers
@@ -100,7 +101,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         else trajectories.match(trajectory, names, given)
     )
     meanings = [_meaning(_info(entry), options, path) for entry in entries]
-    meanings, warnings = _checked(meanings, [depth for _, depth in images], path)
+    meanings = _checked(meanings, [depth for _, depth in images], path)
     frames = [
         Frame(
             name=name,
@@ -114,7 +115,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             names, entries, images, meanings, poses, strict=True
         )
     ]
-    return Scan(LAYOUT.name, frames, None, folder, (), tuple(warnings))
+    return Scan(LAYOUT.name, frames, None, folder)
 
 
 def _images(folder: Path, entry: dict[str, Any], number: int, path: Path) -> tuple[Path | None, Path]:
@@ -195,27 +196,36 @@ def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _checked(
-    meanings: Sequence[_Meaning], depths: Sequence[Path], path: Path
-) -> tuple[list[_Meaning], list[str]]:
-    """Return the meanings, without a largest unit that takes most of the depth, and what is to be said."""
+def _checked(meanings: Sequence[_Meaning], depths: Sequence[Path], path: Path) -> list[_Meaning]:
+    """Return the meanings, without a depth_max that would leave out most of the depth."""
     limits = {meaning.most for meaning in meanings} - {None}
     beyond = _share_beyond(meanings, depths)
     if not limits or beyond < _LEAST_TOLD:
-        return list(meanings), []
+        return list(meanings)
     most, scale = max(one for one in limits if one is not None), meanings[0].scale
     far = most / scale
     if beyond <= _MOST_BEYOND:
-        said = (
-            f"{beyond:.1%} of the depth looked at lies beyond the depth_max of {path.name}, {far:.3g} m: it "
-            "is left out"
+        emit(
+            SCAN_ASSUMED.warning(
+                "{beyond:.1%} of the depth looked at lies beyond the depth_max of {file}, {far:.3g} m: it is "
+                "left out",
+                beyond=beyond,
+                file=path.name,
+                far=far,
+            )
         )
-        return list(meanings), [said]
-    said = (
-        f"{beyond:.0%} of the depth looked at lies beyond the depth_max of {path.name}, which would be "
-        f"{far:.3g} m: it is not applied; fuse.max_depth=METRES leaves out what is farther"
+        return list(meanings)
+    emit(
+        SCAN_ASSUMED.warning(
+            "{beyond:.0%} of the depth looked at lies beyond the depth_max of {file}, which would be "
+            "{far:.3g} m: it is not applied",
+            remedy="fuse.max_depth=METRES leaves out what is farther",
+            beyond=beyond,
+            file=path.name,
+            far=far,
+        )
     )
-    return [_Meaning(one.scale, one.bias_m, None) for one in meanings], [said]
+    return [_Meaning(one.scale, one.bias_m, None) for one in meanings]
 
 
 def _share_beyond(meanings: Sequence[_Meaning], depths: Sequence[Path]) -> float:

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_FILES_MISSING
+from stages.scans.codes import FRAME_POSE_MISSING, SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.formats.trajectories import Trajectory
 from stages.scans.reading.associations import read_associations
 from stages.scans.reading.files import common_size
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
@@ -49,7 +50,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = poses_at(path, moments, names, _TOLERANCE, options, _trajectory)
     for one, pose in zip(listed, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(one.depth.stem, "no pose of its number"))
+            skipped.append(SkippedFrame(one.depth.stem, FRAME_POSE_MISSING.warning("no pose of its number")))
             continue
         frames.append(
             Frame(
@@ -61,8 +62,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 world_from_camera=pose,
             )
         )
-    missing = (f"poses: {_POSES} is missing; name a trajectory with scan.poses=FILE",)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing if path is None else ())
+    missing = () if path is not None else (poses_missing("{file} is missing", file=_POSES),)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
 def _pose_file(folder: Path) -> Path | None:

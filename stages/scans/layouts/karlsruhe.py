@@ -14,11 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.codes import CAMERA_CALIBRATION_INVALID
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import common_size, first_existing, images, pair
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.projections import projected_rig
@@ -48,12 +50,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     size = common_size([one for one, _ in pairs])
     calib = first_existing(folder, *_CALIBRATIONS) if options.calibration is None else None
     projections = {} if calib is None else _projections(calib)
-    warnings: list[str] = []
-    missing: tuple[str, ...] = ()
+    missing: tuple[Diagnostic, ...] = ()
     if calib is not None and {"1", "2"} <= projections.keys():
         rig, _ = projected_rig(projections["1"], projections["2"], size, options, calib)
     else:
-        rig, warnings, missing = rig_of(folder, options, size, ("calib.txt with P1_roi and P2_roi",))
+        rig, missing = rig_of(folder, options, size, ("calib.txt with P1_roi and P2_roi",))
     names = [one.stem for one, _ in pairs]
     path = options.file("poses", folder) or first_existing(folder, *_POSES)
     poses: list[Pose | None] = [None] * len(pairs)
@@ -65,12 +66,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             if (folder / _CAR).is_file()
             else ""
         )
-        missing = (*missing, f"poses: poses.txt is missing{car}; name a trajectory with scan.poses=FILE")
+        missing = (*missing, poses_missing("poses.txt is missing{car}", car=car))
     frames = [
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
         for name, (one, other), pose in zip(names, pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
 def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:

@@ -13,12 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_TRAJECTORY_UNREADABLE
 from stages.scans.formats import trajectories
-from stages.scans.reading.files import about_order, common_size, first_existing, has, images, pair
+from stages.scans.reading.files import (
+    check_order,
+    common_size,
+    first_existing,
+    has,
+    images,
+    pair,
+)
 from stages.scans.reading.kitti_oxts import unit_poses
+from stages.scans.reading.lacking import calibration_missing, poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.projections import projected_camera, projected_rig, read_projections, rectified_size
@@ -85,11 +94,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     pairs, skipped = pair(images(folder / left), images(folder / right), f"{left}/", f"{right}/", folder)
     names = [one.stem for one, _ in pairs]
     size = common_size([one for one, _ in pairs])
-    missing: tuple[str, ...] = ()
+    missing: tuple[Diagnostic, ...] = ()
     rig, left_from_cam0 = uncalibrated(size), np.eye(4)
     if calib is None:
-        lacking = "calib.txt (the projection matrices P0 to P3) is missing"
-        missing = (f"calibration: {lacking}; name one with scan.calibration=FILE",)
+        missing = (calibration_missing("calib.txt (the projection matrices P0 to P3) is missing"),)
     else:
         stated = rectified_size(calib, size)
         rig, left_from_cam0 = projected_rig(
@@ -109,9 +117,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
         for (one, other), pose, time in zip(pairs, poses, times, strict=True)
     ]
-    said = about_order(pairs, f"{left}/", f"{right}/")
+    check_order(pairs, f"{left}/", f"{right}/")
     lacks = (*missing, *lacking_poses)
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(said), lacks, up=up)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=lacks, up=up)
 
 
 def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
@@ -137,28 +145,33 @@ def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
         try:
             view = single_view(color.stem, camera, color, None if pose is None else pose @ cam0_from_camera)
         except InputError as error:
-            skipped.append(SkippedFrame(color.stem, str(error)))
+            skipped.append(SkippedFrame(color.stem, error.diagnostic))
             continue
         frames.append(replace(view, timestamp=time))
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), lacks, up=up)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=lacks, up=up)
 
 
 def _poses(
     folder: Path, options: ReadingParams, place: str, names: list[str], calib: Path | None
-) -> tuple[list[Pose | None], WorldUp | None, tuple[str, ...]]:
-    """Return world-from-camera 0 of each frame, what is up in that world, and what is missing."""
+) -> tuple[list[Pose | None], WorldUp | None, tuple[Diagnostic, ...]]:
+    """Return world-from-camera 0 of each frame, the up direction, and the diagnostics of missing poses."""
     poses: list[Pose | None] = [None] * len(names)
     path = options.file("poses", folder) or _pose_file(folder)
     if path is not None:
         # Of trajectories in a file the first camera is the world.
         return trajectories.match(trajectories.read_trajectory(path), names, path), None, ()
     if place.endswith("/data") and calib is not None:
-        found, lacking = unit_poses(folder, names, calib)
+        found, reason = unit_poses(folder, names, calib)
         if found is not None:
             return found, up_of_layout(LAYOUT.name, Z_UP), ()
-        return poses, None, (f"poses: {lacking}; name a trajectory of camera 0 with scan.poses=FILE",)
-    lacking = f"poses.txt (or ../../poses/{folder.resolve().name}.txt) is missing"
-    return poses, None, (f"poses: {lacking}; name one with scan.poses=FILE",)
+        remedy = "name a trajectory of camera 0 with scan.poses=FILE"
+        return poses, None, (poses_missing("{reason}", remedy=remedy, reason=reason),)
+    lacking = poses_missing(
+        "poses.txt (or ../../poses/{name}.txt) is missing",
+        remedy="name one with scan.poses=FILE",
+        name=folder.resolve().name,
+    )
+    return poses, None, (lacking,)
 
 
 def _times(folder: Path, left: str, names: list[str]) -> list[int | None]:

@@ -15,6 +15,7 @@ from stages.files.noting import note
 from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import has, images, pair
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.projections import projected_rig, read_projections, rectified_size
@@ -99,9 +100,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
         for name, (one, other), pose in zip(names, pairs, poses, strict=True)
     ]
-    lacking = "poses: the data set has none; name a trajectory with scan.poses=FILE"
-    missing = (lacking,) if given is None else ()
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
+    missing = (poses_missing("the data set has none"),) if given is None else ()
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
 LAYOUT = Layout(

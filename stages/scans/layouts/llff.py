@@ -73,11 +73,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             camera = _camera(folder, options, row, path)
             frame = single_view(color.stem, camera, color, pose, mask=_mask(folder, color))
         except InputError as error:
-            skipped.append(SkippedFrame(color.stem, str(error)))
+            skipped.append(SkippedFrame(color.stem, error.diagnostic))
             continue
         frames.append(frame if given else replace(frame, depth_range=_range(row, options)))
     is_metric = given is not None or options.depth_scale is not None
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), is_metric=is_metric)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), is_metric=is_metric)
 
 
 def _rows(path: Path) -> list[NDArray[np.float64]]:

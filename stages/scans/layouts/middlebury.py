@@ -8,14 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import image_size
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, CAMERA_CALIBRATION_INVALID
 from stages.scans.formats import trajectories
 from stages.scans.formats.calibration import checked
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.reading.files import first_existing, has
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, Frame, Pose, Scan, StereoRig
@@ -27,14 +29,15 @@ def _matches(folder: Path) -> str | None:
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     left, right, calib = folder / "im0.png", folder / "im1.png", folder / "calib.txt"
-    rig, warnings = _rig(calib, image_size(left), options)
+    rig = _rig(calib, image_size(left), options)
     pose = _pose(folder, options)
     frame = Frame(name="im0", camera=rig.left, color=left, right=right, world_from_camera=pose)
-    missing = () if pose is not None else ("poses: pose.txt is missing; name one with scan.poses=FILE",)
-    return Scan(LAYOUT.name, [frame], rig, folder, (), tuple(warnings), missing)
+    lacking = poses_missing("pose.txt is missing", remedy="name one with scan.poses=FILE")
+    missing = () if pose is not None else (lacking,)
+    return Scan(LAYOUT.name, [frame], rig, folder, missing=missing)
 
 
-def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, list[str]]:
+def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRig:
     values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(calib), re.MULTILINE))
     try:
         stated = stated_size({key: values[key] for key in ("width", "height") if key in values}, *size, calib)
@@ -61,9 +64,14 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> tuple[St
             baseline=baseline,
             doffs=doffs,
         )
-    warnings = []
     if baseline < 5:
-        warnings.append(f"calib.txt states a baseline of {baseline:g}, taken as metres (Middlebury's are mm)")
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "it states a baseline of {baseline:g}, taken as metres (Middlebury's are mm)",
+                calib,
+                baseline=baseline,
+            )
+        )
         baseline *= 1000
     given = options.camera(*size)
     if given is not None:
@@ -72,7 +80,7 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> tuple[St
     right = Camera(*size, left.fx, left.fy, left.cx + doffs, left.cy)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -(options.baseline or baseline / 1000)
-    return StereoRig(left, right, right_from_left, True, disparities), warnings
+    return StereoRig(left, right, right_from_left, True, disparities)
 
 
 def _camera(text: str, size: tuple[int, int], calib: Path) -> Camera:

@@ -16,13 +16,16 @@ from typing import Any
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import has_alpha, read_alpha
-from stages.files.telling import tell
 from stages.scans.codes import (
+    CAMERA_CALIBRATION_CONTRADICTORY,
     CAMERA_CALIBRATION_INVALID,
     CAMERA_LENS_UNKNOWN,
+    FRAME_IMAGE_MISSING,
+    SCAN_ASSUMED,
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
@@ -81,7 +84,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     _require_unmixed(document, entries, path)
     used = [entry for entry in entries if _depth_path(entry) is not None] or entries
     labels = [f"frame {_name(entry)}: file_path" for entry in used]
-    colors, warnings = found_images(folder, [entry["file_path"] for entry in used], labels, path)
+    colors = found_images(folder, [entry["file_path"] for entry in used], labels, path)
     depths = [
         found_file(folder, _depth_path(entry), f"frame {_name(entry)}: its depth", path)
         for entry in used
@@ -95,7 +98,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     else:
         names = [_name(entry) for entry in used]
         poses = trajectories.match(trajectories.read_trajectory(given), names, given)
-    warnings += _warnings(folder, path)
+    _check_others(folder, path)
     if not depths:
         if given is None:
             # There are no depth maps whose unit it could be.
@@ -112,7 +115,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         is_metric = options.depth_scale is not None or not is_rendered
         frames = _frames(used, cameras, colors, masks, depths, poses, scale, path)
         skipped = [
-            SkippedFrame(_name(entry), "it has no depth_file_path")
+            SkippedFrame(_name(entry), FRAME_IMAGE_MISSING.warning("it has no depth_file_path"))
             for entry in entries
             if _depth_path(entry) is None
         ]
@@ -122,7 +125,6 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         None,
         folder,
         tuple(skipped),
-        tuple(warnings),
         up=_up(document, entries),
         is_metric=is_metric,
     )
@@ -145,7 +147,7 @@ def _view(
     try:
         return single_view(_name(entry), camera, color, pose, mask=mask)
     except InputError as error:
-        return SkippedFrame(_name(entry), str(error))
+        return SkippedFrame(_name(entry), error.diagnostic)
 
 
 def _frames(
@@ -178,9 +180,15 @@ def _frames(
     ]
 
 
-def _warnings(folder: Path, path: Path) -> list[str]:
+def _check_others(folder: Path, path: Path) -> None:
+    """Warn of other lists of views that are not read."""
     others = [other.name for other in sorted(folder.glob("transforms*.json")) if other != path]
-    return [f"only {path.name} is read, not {', '.join(others)}"] if others else []
+    if others:
+        emit(
+            SCAN_ASSUMED.warning(
+                "only {file} is read, not {others}", file=path.name, others=", ".join(others)
+            )
+        )
 
 
 def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
@@ -331,10 +339,17 @@ def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> 
         )
     by_angle = 0.5 * pixels / math.tan(0.5 * angle)
     if stated is not None and abs(by_angle - stated) > _SAME_FOCAL_LENGTH * abs(stated):
-        tell(
-            f"states a focal length of {stated:.4g} px (fl_{axis}) and one of {by_angle:.4g} px ({key}, for "
-            f"{pixels} px): the first is taken",
-            path,
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it states a focal length of {stated:.4g} px (fl_{axis}) and one of {by_angle:.4g} px "
+                "({key}, for {pixels} px): the first is taken",
+                path,
+                stated=stated,
+                axis=axis,
+                by_angle=by_angle,
+                key=key,
+                pixels=pixels,
+            )
         )
     return by_angle if stated is None else stated
 

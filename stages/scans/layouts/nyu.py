@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_raw_depth
-from stages.scans.codes import SCAN_FILES_MISSING
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING
 from stages.scans.reading.files import common_size
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
@@ -86,7 +87,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     )
     partners = nearest_in_time(depth_times, color_times, _TOLERANCE)
     skipped = [
-        SkippedFrame(depth.stem, "no colour image within 0.05 s")
+        SkippedFrame(depth.stem, FRAME_IMAGE_MISSING.warning("no colour image within 0.05 s"))
         for (_, depth), partner in zip(depths, partners.tolist(), strict=True)
         if partner < 0
     ]
@@ -110,9 +111,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 color_from_depth=_COLOR_FROM_DEPTH,
             )
         )
-    lacking = "poses: the data set has none; name a trajectory with scan.poses=FILE"
-    missing = (lacking,) if given is None else ()
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing)
+    missing = (poses_missing("the data set has none"),) if given is None else ()
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
 def _stream(folder: Path, letter: str, suffix: str) -> list[tuple[int, Path]]:

@@ -15,12 +15,22 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_FILES_MISSING
+from stages.scans.codes import POSE_ASSUMED, SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.beside import trajectory_beside
-from stages.scans.reading.files import about_order, common_size, first_existing, has, images, numbers, pair
+from stages.scans.reading.files import (
+    check_order,
+    common_size,
+    first_existing,
+    has,
+    images,
+    numbers,
+    pair,
+)
 from stages.scans.reading.halves import are_pairs, halves_of
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import rig_of
@@ -94,32 +104,33 @@ def _matches(folder: Path) -> str | None:
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
-    names, pairs, size, skipped, said = _pairs(folder)
-    rig, warnings, missing = rig_of(folder, options, size, _CALIBRATIONS)
+    names, pairs, size, skipped = _pairs(folder)
+    rig, missing = rig_of(folder, options, size, _CALIBRATIONS)
     times = trajectories.read_times(folder / "times.txt", names)
     path = options.file("poses", folder) or first_existing(folder, *_TRAJECTORIES)
     if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
-        warnings = [*warnings, f"the poses are read from {path.name}, which lies beside the images"]
+        emit(
+            POSE_ASSUMED.warning(
+                "the poses are read from {file}, which lies beside the images", file=path.name
+            )
+        )
     poses: list[Pose | None]
     if path is not None:
         poses = _poses(path, names, times, options)
     else:
         poses = [None] * len(pairs)
-        lacking = (
-            f"poses: none of {', '.join(_TRAJECTORIES)} is there; name a trajectory with scan.poses=FILE"
-        )
-        missing = (*missing, lacking)
+        missing = (*missing, poses_missing("none of {files} is there", files=", ".join(_TRAJECTORIES)))
     frames = [
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
         for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *said), missing)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
 def _pairs(
     folder: Path,
-) -> tuple[list[str], Sequence[_Pair], tuple[int, int], list[SkippedFrame], list[str]]:
-    """Return the names of the pairs, these, their size, what is left out, and what is to be said."""
+) -> tuple[list[str], Sequence[_Pair], tuple[int, int], list[SkippedFrame]]:
+    """Return the names of the pairs, the pairs, their size, and the frames left out."""
     sides = _sides(folder)
     if sides is None:
         left, right = _side_by_side(folder)
@@ -131,7 +142,7 @@ def _pairs(
         if whole := _whole(folder):
             width, height = common_size(whole)
             halves = [halves_of(path) for path in whole]
-            return [path.stem for path in whole], halves, (width // 2, height), [], []
+            return [path.stem for path in whole], halves, (width // 2, height), []
         raise InputError(
             SCAN_FILES_MISSING,
             "two folders left/ and right/, or images left01.png and right01.png, are needed.",
@@ -139,7 +150,8 @@ def _pairs(
         )
     pairs, skipped = pair(left, right, *named, folder)
     size = common_size([one for one, _ in pairs])
-    return [one.stem for one, _ in pairs], pairs, size, skipped, about_order(pairs, *named)
+    check_order(pairs, *named)
+    return [one.stem for one, _ in pairs], pairs, size, skipped
 
 
 def _whole(folder: Path) -> list[Path]:

@@ -13,13 +13,14 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
 from stages.files.noting import note, only_looking
-from stages.files.telling import in_sentences, telling
-from stages.scans.codes import SCAN_FILES_MISSING
+from stages.scans.codes import FRAME_POSE_MISSING, POSE_ASSUMED, SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.beside import texts_of_poses
 from stages.scans.reading.files import COLOR_FOLDERS, common_size, images
+from stages.scans.reading.lacking import calibration_missing, poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import found_camera, stated_camera
@@ -61,7 +62,7 @@ def _trajectories(folder: Path, colors: Sequence[Path], options: ReadingParams) 
     found = []
     for path in texts_of_poses(folder):
         try:
-            with telling():
+            with collecting(forward=False):
                 poses = _poses_of(path, colors, options)
         except InputError:
             continue
@@ -91,67 +92,81 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if place is None:
         raise InputError(SCAN_FILES_MISSING, "a folder images/ with two photos or more is needed.", folder)
     colors = images(place)
-    camera, warnings = _camera(folder, options, colors)
-    path, poses, said = _poses(folder, options, colors)
+    camera, is_known = _camera(folder, options, colors)
+    path, poses = _poses(folder, options, colors)
     missing = []
-    if camera is None:
+    if not is_known:
         missing.append(
-            "calibration: no file beside the images states their camera; name one with "
-            "scan.calibration=FILE, or say scan.intrinsics=fx,fy,cx,cy"
+            calibration_missing(
+                "no file beside the images states their camera",
+                remedy="name one with scan.calibration=FILE, or say scan.intrinsics=fx,fy,cx,cy",
+            )
         )
-        # So that the rest can be told.
-        camera, warnings = found_camera(folder, *common_size(colors))[0], []
     if path is None:
         missing.append(
-            "poses: no file beside the images has one for each; name one with scan.poses=FILE. Photos alone "
-            "get theirs from COLMAP, whose folder is read as it is"
+            poses_missing(
+                "no file beside the images has one for each",
+                remedy="name one with scan.poses=FILE. Photos alone get theirs from COLMAP, whose folder is "
+                "read as it is",
+            )
         )
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for color, pose in zip(colors, poses, strict=True):
         if path is not None and pose is None:
-            skipped.append(SkippedFrame(color.stem, f"it has no pose in {path.name}"))
+            reason = FRAME_POSE_MISSING.warning("it has no pose in {file}", file=path.name)
+            skipped.append(SkippedFrame(color.stem, reason))
             continue
         try:
             frames.append(single_view(color.stem, camera, color, pose))
         except InputError as error:
-            skipped.append(SkippedFrame(color.stem, str(error)))
-    return Scan(
-        LAYOUT.name, frames, None, folder, tuple(skipped), (*warnings, *said), tuple(missing), is_metric=True
-    )
+            skipped.append(SkippedFrame(color.stem, error.diagnostic))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=tuple(missing), is_metric=True)
 
 
-def _camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tuple[Camera | None, list[str]]:
-    """Return the camera that is stated for the images, and what is to be said about it."""
+def _camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tuple[Camera, bool]:
+    """Return the camera of the images, and whether it is known rather than guessed."""
     size = common_size(colors)
     stated = stated_camera(options, folder, *size)
     if stated is not None:
-        return stated, []
-    camera, path, warnings = found_camera(folder, *size)
-    return (None if path is None else camera), warnings
+        return stated, True
+    with collecting(forward=False) as diagnostics:
+        camera, path = found_camera(folder, *size)
+    # A guess is not used: the calibration is missing then.
+    if path is not None:
+        emit(*diagnostics)
+    return camera, path is not None
 
 
 def _poses(
     folder: Path, options: ReadingParams, colors: Sequence[Path]
-) -> tuple[Path | None, list[Pose | None], list[str]]:
-    """Return the file with the poses, the pose of each image, and what is to be said about it."""
+) -> tuple[Path | None, list[Pose | None]]:
+    """Return the file with the poses, and the pose of each image."""
     given = options.file("poses", folder)
     if given is not None:
-        return given, _poses_of(given, colors, options), []
+        return given, _poses_of(given, colors, options)
     with only_looking():
         found = _trajectories(folder, colors, options)
     nothing: list[Pose | None] = [None] * len(colors)
     if not found:
-        return None, nothing, []
+        return None, nothing
     if len(found) > 1:
-        names = ", ".join(path.name for path in found[:5])
-        return None, nothing, [f"{names} all have poses for the images: none is taken"]
+        emit(
+            POSE_ASSUMED.warning(
+                "{files} all have poses for the images: none is taken",
+                files=", ".join(path.name for path in found[:5]),
+            )
+        )
+        return None, nothing
     path = found[0]
     note(path)
-    with telling() as told:
-        poses = _poses_of(path, colors, options)
-    said = f"the poses are read from {path.name}, which lies beside the images: camera-to-world, in metres"
-    return path, poses, [said, *in_sentences(told)]
+    emit(
+        POSE_ASSUMED.warning(
+            "the poses are read from {file}, which lies beside the images: camera-to-world, in metres",
+            file=path.name,
+        )
+    )
+    return path, _poses_of(path, colors, options)
 
 
 LAYOUT = Layout(

@@ -10,9 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING, SCAN_PHONE_IMAGES, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import from_opengl, matrix_of, rigid
 from stages.scans.reading.black_border import border_mask
@@ -39,13 +40,10 @@ def _matches(folder: Path) -> str | None:
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     keyframes = folder / "keyframes"
-    camera_files, colors, warnings = _chosen(folder)
+    camera_files, colors = _chosen(folder)
     depths = _by_stem(keyframes / "depth")
     trusts = _by_stem(keyframes / "confidence")
-    least = 0
-    if trusts and depths:
-        least, said = least_confidence(options, _LEVELS, folder)
-        warnings.append(said)
+    least = least_confidence(options, _LEVELS, folder) if trusts and depths else 0
     size = common_size(list(depths.values())) if depths else None
     color_size = common_size(list(colors.values()))
     stems = [file.stem for file in camera_files]
@@ -62,7 +60,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         needed = (("image", colors), ("depth map", depths)) if depths else (("image", colors),)
         lacking = next((what for what, held in needed if stem not in held), None)
         if lacking is not None:
-            skipped.append(SkippedFrame(stem, f"its {lacking} is missing"))
+            reason = FRAME_IMAGE_MISSING.warning("its {lacking} is missing", lacking=lacking)
+            skipped.append(SkippedFrame(stem, reason))
             continue
         try:
             table = documents.read_document(file)
@@ -87,23 +86,26 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 )
             )
         except InputError as error:
-            skipped.append(SkippedFrame(stem, str(error)))
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+            skipped.append(SkippedFrame(stem, error.diagnostic))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped))
 
 
-def _chosen(folder: Path) -> tuple[list[Path], dict[str, Path], list[str]]:
-    """Return the camera files in order, the images by name, and what is to be said about them."""
+def _chosen(folder: Path) -> tuple[list[Path], dict[str, Path]]:
+    """Return the camera files in order, and the images by name."""
     keyframes = folder / "keyframes"
     for cameras, pictures in _SETS:
         if not (keyframes / cameras).is_dir() or not (keyframes / pictures).is_dir():
             continue
         files, colors = images(keyframes / cameras, (".json",)), _by_stem(keyframes / pictures)
         if files and colors:
-            said = (
-                "keyframes/corrected_cameras/ and corrected_images/ are missing or empty: the poses are as "
-                "they were tracked, they drift, and the images are slightly distorted"
-            )
-            return files, colors, [] if cameras == _SETS[0][0] else [said]
+            if cameras != _SETS[0][0]:
+                emit(
+                    SCAN_PHONE_IMAGES.warning(
+                        "keyframes/corrected_cameras/ and corrected_images/ are missing or empty: the poses "
+                        "are as they were tracked, they drift, and the images are slightly distorted"
+                    )
+                )
+            return files, colors
     raise InputError(
         SCAN_FILES_MISSING,
         "keyframes/ holds neither corrected_cameras/ with corrected_images/ nor cameras/ with images/.",

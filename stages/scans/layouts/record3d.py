@@ -21,7 +21,7 @@ from stages.diagnostics.errors import InputError
 from stages.files import documents, lzfse_blocks
 from stages.files.images import decode_color, read_raw_depth
 from stages.files.zip_archives import entry_content, opened_archive
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.formats.table_values import number_row
 from stages.scans.poses import from_opengl, pose_from_quaternion
@@ -75,7 +75,7 @@ def _read_folder(folder: Path, options: ReadingParams) -> Scan:
     names = [depth.stem for depth, _ in pairs]
     moments = _moments(documents.read_json(path), names, path, options, folder)
     size, color_size = (common_size(stream) for stream in zip(*pairs, strict=True))
-    least, warnings = _trust(options, folder, bool(trusts))
+    least = least_confidence(options, _LEVELS, folder) if trusts else 0
     scale = options.depth_scale or _units_a_metre([depth for depth, _ in pairs])
     by_number = {numbers(file.stem): file for file in trusts}
     frames = []
@@ -95,7 +95,7 @@ def _read_folder(folder: Path, options: ReadingParams) -> Scan:
                 least_confidence=least,
             )
         )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), warnings)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped))
 
 
 def _confidence_folder(folder: Path) -> str:
@@ -117,13 +117,6 @@ def _kind(depth: Path) -> str | None:
         return None
 
 
-def _trust(options: ReadingParams, folder: Path, has_confidence: bool) -> tuple[int, tuple[str, ...]]:
-    if not has_confidence:
-        return 0, ()
-    least, said = least_confidence(options, _LEVELS, folder)
-    return least, (said,)
-
-
 def _read_archive(folder: Path, path: Path, options: ReadingParams) -> Scan:
     archive = opened_archive(path)
     entries = {entry.filename for entry in archive.infolist()}
@@ -134,10 +127,12 @@ def _read_archive(folder: Path, path: Path, options: ReadingParams) -> Scan:
     stems = [stem for _, stem in found if f"rgbd/{stem}.depth" in entries]
     if not stems:
         raise without_depth(path, "Record3D packs it as rgbd/0.depth and so on.")
-    skipped = [SkippedFrame(stem, "its depth map is missing") for _, stem in found if stem not in set(stems)]
+    lacking = FRAME_IMAGE_MISSING.warning("its depth map is missing")
+    skipped = [SkippedFrame(stem, lacking) for _, stem in found if stem not in set(stems)]
     moments = _moments(table, stems, path, options, folder)
     size = _depth_size(table, archive, [f"rgbd/{stem}.depth" for stem in stems], path)
-    least, warnings = _trust(options, folder, any(name.endswith(".conf") for name in entries))
+    has_confidence = any(name.endswith(".conf") for name in entries)
+    least = least_confidence(options, _LEVELS, folder) if has_confidence else 0
     frames = []
     for stem, moment in zip(stems, moments, strict=True):
         trust = f"rgbd/{stem}.conf"
@@ -157,7 +152,7 @@ def _read_archive(folder: Path, path: Path, options: ReadingParams) -> Scan:
                 least_confidence=least,
             )
         )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), warnings)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped))
 
 
 def _number_of(name: str, suffix: str) -> tuple[int, ...]:

@@ -9,8 +9,15 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_FILES_MISSING
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_ASSUMED,
+    POSE_ASSUMED,
+    SCALE_DEPTH_UNIT_ASSUMED,
+    SCAN_FILES_MISSING,
+)
 from stages.scans.formats import azure_kinect, calibration, trajectories
 from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.confidence_folder import confidence_of
@@ -20,13 +27,14 @@ from stages.scans.reading.files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
     DEPTHS,
-    about_order,
+    check_order,
     common_size,
     first_existing,
     images,
     numbers,
     pair,
 )
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import found_camera
@@ -77,18 +85,21 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     pairs, skipped = pair(depths, colors, *named, folder)
     names = [depth.stem for depth, _ in pairs]
     path = options.file("poses", folder) or _trajectory(folder)
-    about_poses: list[str] = []
     if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
-        about_poses = [f"the poses are read from {path.name}, which lies beside the images"]
+        emit(
+            POSE_ASSUMED.warning(
+                "the poses are read from {file}, which lies beside the images", file=path.name
+            )
+        )
     poses: list[Pose | None] = [None] * len(pairs)
-    missing: tuple[str, ...] = ()
+    missing: tuple[Diagnostic, ...] = ()
     if path is not None:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     else:
-        missing = ("poses: trajectory.log (or .json) is missing; name a trajectory with scan.poses=FILE",)
-    camera, stated, scale, warnings = _camera(folder, options, [depth for depth, _ in pairs])
+        missing = (poses_missing("trajectory.log (or .json) is missing"),)
+    camera, stated, scale = _camera(folder, options, [depth for depth, _ in pairs])
     color_camera, apart = _color_camera(stated, camera, [image for _, image in pairs])
-    trusts, least, about_trust = confidence_of(folder, [depth for depth, _ in pairs], options)
+    trusts, least = confidence_of(folder, [depth for depth, _ in pairs], options)
     frames = [
         Frame(
             name=depth.stem,
@@ -104,8 +115,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
         for (depth, image), pose in zip(pairs, poses, strict=True)
     ]
-    said = (*warnings, *about_poses, *about_trust, *about_order(pairs, *named))
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), said, missing)
+    check_order(pairs, *named)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
 def _trajectory(folder: Path) -> Path | None:
@@ -123,33 +134,39 @@ def _trajectory(folder: Path) -> Path | None:
 
 def _camera(
     folder: Path, options: ReadingParams, depths: Sequence[Path]
-) -> tuple[Camera, Path | None, float, list[str]]:
-    """Return the camera, the file it is from, the depth scale and what is to be said about them."""
+) -> tuple[Camera, Path | None, float]:
+    """Return the camera, the file it is from, and the depth scale."""
     width, height = common_size(depths)
     # Open3D's own examples keep one camera file beside several scans.
     path = options.file("calibration", folder) or first_existing(
         folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
     )
     camera = options.camera(width, height)
-    warnings: list[str] = []
     if camera is None:
         if path is None:
-            camera, path, warnings = found_camera(folder, width, height)
+            camera, path = found_camera(folder, width, height)
         else:
             camera = calibration.read_camera(path, width, height)
             if not path.parent.samefile(folder):
-                warnings = [f"the intrinsics come from {path.name} in the folder above"]
+                emit(
+                    CAMERA_CALIBRATION_ASSUMED.warning(
+                        "the intrinsics come from {file} in the folder above", file=path.name
+                    )
+                )
     scale = options.depth_scale or (None if path is None else calibration.read_depth_scale(path))
     if scale is None:
         scale = _UNITS_PER_METRE
         if told_units(depths) == FIFTHS:
             scale = FIFTHS
-            said = (
-                f"depth holds multiples of five alone: it is taken as TUM's {FIFTHS:g} units a metre; "
-                f"where it is in millimetres set scan.depth_scale={_UNITS_PER_METRE:g}"
+            emit(
+                SCALE_DEPTH_UNIT_ASSUMED.warning(
+                    "depth holds multiples of five alone: it is taken as TUM's {fifths:g} units a metre",
+                    remedy="where it is in millimetres set scan.depth_scale={millimetres:g}",
+                    fifths=FIFTHS,
+                    millimetres=_UNITS_PER_METRE,
+                )
             )
-            warnings = [*warnings, said]
-    return camera, path, scale, warnings
+    return camera, path, scale
 
 
 def _color_camera(

@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, Frame, Pose, Scan, scaled
@@ -40,12 +43,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     names = [depth.stem.removeprefix("depth") for depth, _ in pairs]
     path = options.file("poses", folder) or first_existing(folder, _POSES)
     poses: list[Pose | None] = [None] * len(names)
-    missing: tuple[str, ...] = ()
+    missing: tuple[Diagnostic, ...] = ()
     if path is None:
-        missing = (f"poses: {_POSES} is missing; name a trajectory with scan.poses=FILE",)
+        missing = (poses_missing("{file} is missing", file=_POSES),)
     else:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
-    camera, scale, warnings = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
+    camera, scale = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
     frames = [
         Frame(
             name=name,
@@ -57,30 +60,33 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
         for name, (depth, color), pose in zip(names, pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
-def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
-    """Return the camera, the depth scale and what is to be said about them."""
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float]:
+    """Return the camera and the depth scale."""
     stated, given = options.camera(width, height), options.file("calibration", folder)
     # One file serves all rooms.
     path = given or first_existing(folder, "cam_params.json", "../cam_params.json")
     if path is None:
-        said = (
-            f"there is no cam_params.json: the data set's camera and {_UNITS_PER_METRE} units a metre "
-            "are used"
-        )
-        return stated or scaled(_CAMERA, width, height), _UNITS_PER_METRE, [] if stated else [said]
+        if stated is None:
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "there is no cam_params.json: the data set's camera and {units} units a metre are used",
+                    units=_UNITS_PER_METRE,
+                )
+            )
+        return stated or scaled(_CAMERA, width, height), _UNITS_PER_METRE
     table = documents.read_document(path) if path.suffix != ".txt" else {}
     entry = table.get("camera", table)
     scale = _scale(entry, path) if isinstance(entry, dict) else _UNITS_PER_METRE
     if stated is not None:
-        return stated, scale, []
+        return stated, scale
     if path.suffix == ".txt" or not isinstance(entry, dict):
-        return calibration.read_camera(path, width, height), scale, []
+        return calibration.read_camera(path, width, height), scale
     longer = {"w": "width", "h": "height"}
     sized = {longer.get(key) or key: value for key, value in entry.items()}
-    return calibration.camera_from_table(sized, width, height, path), scale, []
+    return calibration.camera_from_table(sized, width, height, path), scale
 
 
 def _scale(entry: dict[str, Any], path: Path) -> float:

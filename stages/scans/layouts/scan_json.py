@@ -52,6 +52,7 @@ from stages.scans.codes import SCAN_TABLE_DAMAGED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import matrix_of, rigid, turn_of
 from stages.scans.reading.files import inside
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, Frame, Pose, Scan
@@ -206,9 +207,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     posed = any(frame.world_from_camera is not None for frame in frames)
-    lacking = (
-        () if posed or not frames else ("poses: no frame has one; name a trajectory with scan.poses=FILE",)
-    )
+    lacking = () if posed or not frames else (poses_missing("no frame has one"),)
     return Scan(
         LAYOUT.name, frames, None, folder, missing=lacking, up=_up(document, path), is_metric=is_metric
     )

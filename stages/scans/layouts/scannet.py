@@ -11,20 +11,29 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import SCAN_FILES_MISSING
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_ASSUMED,
+    CAMERA_CALIBRATION_SCALED,
+    FRAME_POSE_MISSING,
+    SCAN_ASSUMED,
+    SCAN_FILES_MISSING,
+)
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.axis_alignment import up_of_scannet
 from stages.scans.reading.files import (
     COLOR_FOLDERS,
     DEPTHS,
-    about_order,
+    check_order,
     common_size,
     first_existing,
     images,
     pair,
 )
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.pose_files import read_pose_files
@@ -81,8 +90,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         raise InputError(SCAN_FILES_MISSING, "the folders color/, depth/ and pose/ are needed.", folder)
     depths, colors = images(folder / "depth", DEPTHS), images(color_folder)
     pairs, skipped = pair(depths, colors, "depth/", f"{color_folder.name}/", folder)
-    camera, color_camera, warnings = _cameras(folder, options, pairs)
-    warnings += about_order(pairs, "depth/", f"{color_folder.name}/")
+    camera, color_camera = _cameras(folder, options, pairs)
+    check_order(pairs, "depth/", f"{color_folder.name}/")
     names = [depth.stem for depth, _ in pairs]
     poses, damaged, missing = _poses(folder, options, names)
     skipped += damaged
@@ -101,7 +110,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         if depth.stem in poses or missing
     ]
     up = up_of_scannet(folder, LAYOUT.name)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing, up=up)
 
 
 def _read_views(folder: Path, place: Path, options: ReadingParams) -> Scan:
@@ -116,7 +125,7 @@ def _read_views(folder: Path, place: Path, options: ReadingParams) -> Scan:
         )
     names = [color.stem for color in colors]
     poses, damaged, missing = _poses(folder, options, names)
-    camera, warnings = _camera_of_views(folder, options, common_size(colors))
+    camera = _camera_of_views(folder, options, common_size(colors))
     frames: list[Frame] = []
     skipped = [*damaged, *_without_pose(names, poses, damaged, missing)]
     for name, color in zip(names, colors, strict=True):
@@ -125,20 +134,19 @@ def _read_views(folder: Path, place: Path, options: ReadingParams) -> Scan:
         try:
             frames.append(single_view(name, camera, color, poses.get(name)))
         except InputError as error:
-            skipped.append(SkippedFrame(name, str(error)))
+            skipped.append(SkippedFrame(name, error.diagnostic))
     up = up_of_scannet(folder, LAYOUT.name)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing, up=up)
 
 
-def _camera_of_views(folder: Path, options: ReadingParams, size: tuple[int, int]) -> tuple[Camera, list[str]]:
+def _camera_of_views(folder: Path, options: ReadingParams, size: tuple[int, int]) -> Camera:
     """Return the camera of the colour images: colour's, or the one of depth that has their size."""
     stated = stated_camera(options, folder, *size)
     if stated is not None:
-        return stated, []
+        return stated
     path = _intrinsics(folder, "color") or _intrinsics(folder, "depth")
     if path is None:
-        camera, _, warnings = found_camera(folder, *size)
-        return camera, warnings
+        return found_camera(folder, *size)[0]
     return _color_camera(path, size)
 
 
@@ -146,12 +154,12 @@ def _without_pose(
     names: Sequence[str],
     poses: Mapping[str, Pose | None],
     damaged: Sequence[SkippedFrame],
-    missing: Sequence[str],
+    missing: Sequence[Diagnostic],
 ) -> list[SkippedFrame]:
     """Return the frames whose pose is not there; none where all of them are missing."""
     known = {*poses, *(one.name for one in damaged)}
     return [
-        SkippedFrame(name, f"pose/{name}.txt is missing")
+        SkippedFrame(name, FRAME_POSE_MISSING.warning("pose/{name}.txt is missing", name=name))
         for name in names
         if name not in known and not missing
     ]
@@ -159,53 +167,63 @@ def _without_pose(
 
 def _poses(
     folder: Path, options: ReadingParams, names: Sequence[str]
-) -> tuple[dict[str, Pose | None], list[SkippedFrame], tuple[str, ...]]:
-    """Return the poses by frame name, None where tracking was lost, the damaged ones, and what is missing."""
+) -> tuple[dict[str, Pose | None], list[SkippedFrame], tuple[Diagnostic, ...]]:
+    """Return the poses by frame name, None where tracking was lost; frames with a damaged one; what lacks."""
     given = options.file("poses", folder)
     if given is not None:
         matched = trajectories.match(trajectories.read_trajectory(given), names, given)
         return dict(zip(names, matched, strict=True)), [], ()
     files = {name: folder / "pose" / f"{name}.txt" for name in names}
     poses, damaged = read_pose_files({name: path for name, path in files.items() if path.exists()})
-    lacking = f"poses: files like pose/{names[0]}.txt are missing; name a trajectory with scan.poses=FILE"
+    lacking = poses_missing("files like pose/{name}.txt are missing", name=names[0])
     return poses, damaged, () if poses else (lacking,)
 
 
 def _cameras(
     folder: Path, options: ReadingParams, pairs: Sequence[tuple[Path, Path]]
-) -> tuple[Camera, Camera | None, list[str]]:
-    """Return the depth camera, the colour camera where it is known, and what is to be said about them."""
+) -> tuple[Camera, Camera | None]:
+    """Return the depth camera, and the colour camera where it is known."""
     size = common_size([depth for depth, _ in pairs])
-    warnings: list[str] = []
     camera, path = stated_camera(options, folder, *size), _intrinsics(folder, "depth")
     if camera is None and path is not None:
         camera = calibration.read_camera(path, *size)
     if camera is None:
-        camera, _, warnings = found_camera(folder, *size)
+        camera, _ = found_camera(folder, *size)
     color_path = _intrinsics(folder, "color")
     turned = [
         name
         for name in ("extrinsic_color.txt", "extrinsic_depth.txt")
         if (folder / "intrinsic" / name).exists() and not _is_identity(folder / "intrinsic" / name)
     ]
-    warnings += [f"intrinsic/{name} is not the identity; it is left aside" for name in turned]
+    for name in turned:
+        emit(SCAN_ASSUMED.warning("intrinsic/{name} is not the identity; it is left aside", name=name))
     if color_path is None:
-        said = "there is no intrinsic_color.txt: colour is taken to show what depth shows, in its own size"
-        return camera, None, [*warnings, said]
-    color_camera, said_of_it = _color_camera(color_path, common_size([color for _, color in pairs]))
-    return camera, color_camera, warnings + said_of_it
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "there is no intrinsic_color.txt: colour is taken to show what depth shows, in its own size"
+            )
+        )
+        return camera, None
+    return camera, _color_camera(color_path, common_size([color for _, color in pairs]))
 
 
-def _color_camera(path: Path, size: tuple[int, int]) -> tuple[Camera, list[str]]:
+def _color_camera(path: Path, size: tuple[int, int]) -> Camera:
     """Return the camera of colour images of this size, scaled where the file is for the data set's own."""
     original = calibration.matrix_camera(calibration.text_matrix(path), (), *_COLOR_SIZE, path)
     if abs(original.cx - size[0] / 2) <= _LARGEST_OFFSET * size[0]:
-        return replace(original, width=size[0], height=size[1]), []
-    said = (
-        f"{path.name} is not for colour images of {size[0]}×{size[1]}; "
-        f"it is taken for the data set's {_COLOR_SIZE[0]}×{_COLOR_SIZE[1]} and scaled"
+        return replace(original, width=size[0], height=size[1])
+    emit(
+        CAMERA_CALIBRATION_SCALED.warning(
+            "it is not for colour images of {width}×{height}; it is taken for the data set's "
+            "{own_width}×{own_height} and scaled",
+            path,
+            width=size[0],
+            height=size[1],
+            own_width=_COLOR_SIZE[0],
+            own_height=_COLOR_SIZE[1],
+        )
     )
-    return scaled(original, *size), [said]
+    return scaled(original, *size)
 
 
 def _intrinsics(folder: Path, stream: str) -> Path | None:

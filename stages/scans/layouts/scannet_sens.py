@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED
 from stages.scans.formats import calibration, sens, trajectories
 from stages.scans.poses import rigid
 from stages.scans.reading.axis_alignment import up_of_scannet
@@ -38,7 +41,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             continue
         if color_camera is not None:
             if not entry.color.size:
-                skipped.append(SkippedFrame(name, "its colour image is missing"))
+                skipped.append(SkippedFrame(name, FRAME_IMAGE_MISSING.warning("its colour image is missing")))
                 continue
             color = _packed(recording, entry.color, f"colour {name}", sens.read_color)
         frames.append(
@@ -52,21 +55,29 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 color_camera=color_camera,
             )
         )
+    _check_header(recording)
     up = up_of_scannet(recording.path, LAYOUT.name)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(_warnings(recording)), up=up)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), up=up)
 
 
-def _warnings(recording: sens.Sens) -> list[str]:
-    warnings = []
+def _check_header(recording: sens.Sens) -> None:
+    """Warn of a file that is cut short, and of extrinsics that are not used."""
     if len(recording.frames) < recording.promised:
-        warnings.append(
-            f"{recording.path.name} is cut short or damaged: {len(recording.frames)} of the "
-            f"{recording.promised} frames it promises can be read"
+        emit(
+            RECORDING_DAMAGED.warning(
+                "it is cut short or damaged: {count} of the {promised} frames it promises can be read",
+                recording.path,
+                count=len(recording.frames),
+                promised=recording.promised,
+            )
         )
     extrinsics = (recording.color_extrinsic, recording.depth_extrinsic)
     if not all(np.allclose(matrix, np.eye(4), atol=1e-4) for matrix in extrinsics):
-        warnings.append("the extrinsics of its cameras are not the identity; they are left aside")
-    return warnings
+        emit(
+            SCAN_ASSUMED.warning(
+                "the extrinsics of its cameras are not the identity; they are left aside", recording.path
+            )
+        )
 
 
 def _cameras(recording: sens.Sens, folder: Path, options: ReadingParams) -> tuple[Camera, Camera | None]:
@@ -100,7 +111,7 @@ def _pose(frame: sens.SensFrame, number: int, path: Path) -> Pose | SkippedFrame
     try:
         return rigid(frame.pose, path, f"frame {number}")
     except InputError as error:
-        return SkippedFrame(_name(number), str(error))
+        return SkippedFrame(_name(number), error.diagnostic)
 
 
 def _name(number: int) -> str:

@@ -6,12 +6,23 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.image_bytes import MAX_PIXELS
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_INTRINSICS_GUESSED,
+    FRAME_IMAGE_MISSING,
+    FRAME_POSE_MISSING,
+    SCAN_ASSUMED,
+    SCAN_FILES_MISSING,
+    SCAN_TABLE_DAMAGED,
+)
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import common_size, first_existing
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.pose_files import read_pose_files
@@ -44,13 +55,13 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     )
     if not depths:
         raise InputError(SCAN_FILES_MISSING, "no depth images named like frame-000000.depth.png.", folder)
-    camera, scale, warnings = _camera(folder, options, *common_size([path for _, path in depths]))
+    camera, scale = _camera(folder, options, *common_size([path for _, path in depths]))
     color_camera = _color_camera(folder, options, camera)
     given = options.file("poses", folder)
     stems = [depth.name.removesuffix(".depth.png") for _, depth in depths]
     poses: dict[str, Pose | None] = {}
     skipped = _without_depth(folder, stems)
-    missing: tuple[str, ...] = ()
+    missing: tuple[Diagnostic, ...] = ()
     if given is not None:
         matched = trajectories.match(trajectories.read_trajectory(given), stems, given)
         poses = dict(zip(stems, matched, strict=True))
@@ -59,12 +70,13 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses, damaged = read_pose_files(files)
         skipped += damaged
         absent = [stem for stem in stems if stem not in files]
-        skipped += [SkippedFrame(stem, f"{stem}.pose.txt is missing") for stem in absent]
+        skipped += [
+            SkippedFrame(stem, FRAME_POSE_MISSING.warning("{stem}.pose.txt is missing", stem=stem))
+            for stem in absent
+        ]
     else:
         poses = dict.fromkeys(stems)
-        missing = (
-            "poses: files like frame-000000.pose.txt are missing; name a trajectory with scan.poses=FILE",
-        )
+        missing = (poses_missing("files like frame-000000.pose.txt are missing"),)
 
     colors = [first_existing(folder, f"{stem}.color.png", f"{stem}.color.jpg") for stem in stems]
     frames: list[Frame] = []
@@ -72,7 +84,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         if stem not in poses:
             continue
         if color is None and any(colors):
-            skipped.append(SkippedFrame(stem, "its colour image is missing"))
+            skipped.append(SkippedFrame(stem, FRAME_IMAGE_MISSING.warning("its colour image is missing")))
             continue
         frames.append(
             Frame(
@@ -86,45 +98,45 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 color_camera=None if color is None else color_camera,
             )
         )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
 def _without_depth(folder: Path, stems: Sequence[str]) -> list[SkippedFrame]:
     """Return the frames of which the colour image is there and the depth map is not."""
     known = set(stems)
     others = sorted({path.name.partition(".")[0] for path in folder.glob("frame-*.color.*")} - known)
-    return [SkippedFrame(stem, "its depth map is missing") for stem in others]
+    return [SkippedFrame(stem, FRAME_IMAGE_MISSING.warning("its depth map is missing")) for stem in others]
 
 
-def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
-    """Return the depth camera, the depth scale and what is to be said about them."""
-    unregistered = (
-        "depth and colour of 7-Scenes come from two cameras and are not registered: "
-        "colour is off by a few pixels where the stage adjust does not put it right"
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float]:
+    """Return the depth camera and the depth scale."""
+    unregistered = SCAN_ASSUMED.warning(
+        "depth and colour of 7-Scenes come from two cameras and are not registered: colour is off by a few "
+        "pixels where the stage adjust does not put it right"
     )
     stated = options.camera(width, height)
     if stated is not None:
-        return stated, 1000.0, []
+        return stated, 1000.0
     info = first_existing(folder, *_INFOS)
     if options.calibration is None and info is not None:
-        return *_bundle_fusion(info, width, height), []
+        return _bundle_fusion(info, width, height)
     # 3DMatch keeps one file for all the sequences of a scene.
     path = options.file("calibration", folder) or first_existing(
         folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
     )
     if path is not None:
         camera = calibration.read_camera(path, width, height)
-        is_default = (camera.fx, camera.fy, camera.cx, camera.cy) == _DEFAULT
-        return camera, 1000.0, [unregistered] if is_default else []
-    return (
-        Camera(width, height, *_DEFAULT),
-        1000.0,
-        [
-            "the folder has no camera-intrinsics.txt: the 7-Scenes default 585,585,320,240 is used; "
-            "if another camera made it, set scan.intrinsics=fx,fy,cx,cy",
-            unregistered,
-        ],
+        if (camera.fx, camera.fy, camera.cx, camera.cy) == _DEFAULT:
+            emit(unregistered)
+        return camera, 1000.0
+    emit(
+        CAMERA_INTRINSICS_GUESSED.warning(
+            "the folder has no camera-intrinsics.txt: the 7-Scenes default 585,585,320,240 is used",
+            remedy="if another camera made it, set scan.intrinsics=fx,fy,cx,cy",
+        ),
+        unregistered,
     )
+    return Camera(width, height, *_DEFAULT), 1000.0
 
 
 def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:

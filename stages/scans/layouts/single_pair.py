@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import image_size
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from stages.scans.formats import trajectories
 from stages.scans.formats.rig_calibration import with_baseline
 from stages.scans.reading.files import first_existing
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import rig_of
@@ -28,10 +30,10 @@ _CALIBRATIONS = ("calibration.json", "calibration.toml", "K.txt")
 
 # Of the sets of 2005 and 2006, for views 1 and 5 at full size: pixels and metres.
 _FOCAL_LENGTH, _BASELINE, _FULL_HEIGHT = 3740.0, 0.16, 1110
-_PUBLISHED = (
+_PUBLISHED = CAMERA_CALIBRATION_ASSUMED.warning(
     "the calibration is the one published for Middlebury 2005 and 2006 (3740 px at full size, 0.16 m, "
-    "dmin.txt), with the centre of the image as principal point; for another set "
-    "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES"
+    "dmin.txt), with the centre of the image as principal point",
+    remedy="for another set scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES",
 )
 
 
@@ -82,24 +84,26 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             SCAN_FILES_MISSING, "a pair im2.png and im6.png (or view1, view5) is needed.", folder
         )
     size = image_size(found[0])
-    rig, warnings, missing = rig_of(folder, options, size, _CALIBRATIONS)
+    with collecting(forward=False) as diagnostics:
+        rig, missing = rig_of(folder, options, size, _CALIBRATIONS)
     published = None
     if missing and options.intrinsics is None and found[0].stem == "view1":
         published = _published(folder, size)
     if published is not None:
-        rig, warnings, missing = published, [_PUBLISHED], ()
+        rig, diagnostics, missing = published, [_PUBLISHED], ()
         if options.baseline is not None:
             beside = with_baseline(rig.right_from_left, options.baseline)
             rig = replace(rig, right_from_left=beside)
+    emit(*diagnostics)
     path = options.file("poses", folder)
     poses = [None] if path is None else trajectories.match(trajectories.read_trajectory(path), ["0"], path)
     frame = Frame(
         name=found[0].stem, camera=rig.left, color=found[0], right=found[1], world_from_camera=poses[0]
     )
-    lacking = "poses: a single pair has none; name one with scan.poses=FILE"
     if path is None:
+        lacking = poses_missing("a single pair has none", remedy="name one with scan.poses=FILE")
         missing = (*missing, lacking)
-    return Scan(LAYOUT.name, [frame], rig, folder, (), tuple(warnings), missing)
+    return Scan(LAYOUT.name, [frame], rig, folder, missing=missing)
 
 
 LAYOUT = Layout(

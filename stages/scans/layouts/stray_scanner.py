@@ -14,9 +14,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import (
+    FRAME_IMAGE_MISSING,
+    SCAN_FILES_MISSING,
+    SCAN_IMAGES_UNPAIRED,
+    SCAN_TABLE_DAMAGED,
+)
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import pose_from_quaternion
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, images, numbers
@@ -66,14 +72,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     video = Video(folder / "rgb.mp4")
     stated = stated_camera(options, folder, video.width, video.height)
     shared = stated or calibration.read_camera(folder / "camera_matrix.csv", video.width, video.height)
-    warnings: list[str] = []
-    least = 0
-    if trusts:
-        least, said = least_confidence(options, _LEVELS, folder)
-        warnings.append(said)
+    least = least_confidence(options, _LEVELS, folder) if trusts else 0
     if video.frames and video.frames != len(rows):
-        warnings.append(
-            f"rgb.mp4 has {video.frames} frames and odometry.csv {len(rows)} rows: paired from the first on"
+        emit(
+            SCAN_IMAGES_UNPAIRED.warning(
+                "rgb.mp4 has {frame_count} frames and odometry.csv {row_count} rows: paired from the first "
+                "on",
+                frame_count=video.frames,
+                row_count=len(rows),
+            )
         )
     size = common_size(list(depths.values()))
     given = options.file("poses", folder)
@@ -81,15 +88,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     poses = [row.pose for row in rows]
     if given is not None:
         poses = trajectories.match(trajectories.read_trajectory(given), names, given)
-    ups, said_of_ups = _measured_ups(folder / "imu.csv", rows)
-    warnings += said_of_ups
+    ups = _measured_ups(folder / "imu.csv", rows)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for position, (row, name, pose) in enumerate(zip(rows, names, poses, strict=True)):
         if row.number not in depths:
-            skipped.append(SkippedFrame(name, "its depth map is missing"))
+            skipped.append(SkippedFrame(name, FRAME_IMAGE_MISSING.warning("its depth map is missing")))
         elif video.frames and position >= video.frames:
-            skipped.append(SkippedFrame(name, f"the video has only {video.frames} frames"))
+            reason = FRAME_IMAGE_MISSING.warning("the video has only {count} frames", count=video.frames)
+            skipped.append(SkippedFrame(name, reason))
         else:
             color_camera = stated or _own_camera(row, shared, folder / "odometry.csv")
             frames.append(
@@ -108,17 +115,16 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                     up=ups[position] if given is not None or pose is None else None,
                 )
             )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped))
 
 
-def _measured_ups(path: Path, rows: Sequence[_Row]) -> tuple[list[NDArray[np.float64] | None], list[str]]:
-    """Return what is up for the camera at each row, or None, and warnings."""
-    accelerometer, warnings = phone_accelerometer(path)
+def _measured_ups(path: Path, rows: Sequence[_Row]) -> list[NDArray[np.float64] | None]:
+    """Return the up direction for the camera at each row, or None."""
+    accelerometer = phone_accelerometer(path)
     times = [row.timestamp for row in rows if row.timestamp is not None]
     if len(times) < len(rows):
-        return [None] * len(rows), warnings
-    ups, said = ups_of(accelerometer, np.array(times, np.int64))
-    return ups, [*warnings, *said]
+        return [None] * len(rows)
+    return ups_of(accelerometer, np.array(times, np.int64))
 
 
 def _by_number(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:

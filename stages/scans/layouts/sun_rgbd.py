@@ -15,11 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files.images import read_raw_depth
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_IMAGES_UNPAIRED
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_IMAGES_UNPAIRED
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import common_size, images, pair
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
@@ -60,11 +63,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             SCAN_IMAGES_UNPAIRED, "no image in image/ has a depth map of its moment in depth/.", folder
         )
     size = common_size([depth for depth, _ in pairs])
-    camera, warnings = _camera(folder, options, *size)
+    camera = _camera(folder, options, *size)
     poses, missing = _poses(folder, options, [color for _, color in pairs], colors)
     rotated = _is_rotated([depth for depth, _ in pairs])
     if not rotated:
-        warnings.append("the bits of depth/ are not rotated as SUN RGB-D's are: it is read as plain values")
+        emit(
+            SCAN_ASSUMED.warning(
+                "the bits of depth/ are not rotated as SUN RGB-D's are: it is read as plain values"
+            )
+        )
     frames = [
         Frame(
             name=depth.stem,
@@ -76,16 +83,14 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
         for (depth, color), pose in zip(pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
-def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, list[str]]:
-    """Return the camera and what is to be said about it."""
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> Camera:
     stated, path = stated_camera(options, folder, width, height), folder / "intrinsics.txt"
     if stated is None and not path.exists():
-        found, _, said = found_camera(folder, width, height)
-        return found, said
-    return stated or calibration.read_camera(path, width, height), []
+        return found_camera(folder, width, height)[0]
+    return stated or calibration.read_camera(path, width, height)
 
 
 def _paired_by_time(
@@ -99,7 +104,7 @@ def _paired_by_time(
     partners = nearest_in_time(times[0], times[1], _TOLERANCE).tolist()
     pairs = [(depths[at], color) for color, at in zip(colors, partners, strict=True) if at >= 0]
     alone = [
-        SkippedFrame(color.stem, "no depth map within 0.05 s")
+        SkippedFrame(color.stem, FRAME_IMAGE_MISSING.warning("no depth map within 0.05 s"))
         for color, at in zip(colors, partners, strict=True)
         if at < 0
     ]
@@ -108,8 +113,11 @@ def _paired_by_time(
 
 def _poses(
     folder: Path, options: ReadingParams, colors: Sequence[Path], all_colors: Sequence[Path]
-) -> tuple[list[Pose | None], tuple[str, ...]]:
-    """Return a pose for each image that is a frame, and what is missing; files hold one for all images."""
+) -> tuple[list[Pose | None], tuple[Diagnostic, ...]]:
+    """Return a pose for each image that is a frame, and the diagnostics of missing poses.
+
+    Files hold one for all images.
+    """
     path = options.file("poses", folder)
     # The data set's tools take the latest of several optimisations.
     found = sorted((folder / "extrinsics").glob("*.txt"))
@@ -119,8 +127,7 @@ def _poses(
         path = found[-1]
         trajectory = trajectories.read_stacked(path)
     else:
-        lacking = "poses: a file of them in extrinsics/ is missing; name a trajectory with scan.poses=FILE"
-        return [None] * len(colors), (lacking,)
+        return [None] * len(colors), (poses_missing("a file of them in extrinsics/ is missing"),)
     names = [color.stem for color in all_colors]
     by_image = dict(zip(names, trajectories.match(trajectory, names, path), strict=True))
     return [by_image[color.stem] for color in colors], ()

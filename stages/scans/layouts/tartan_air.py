@@ -20,12 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_raw_depth, read_stored
 from stages.scans.codes import SCAN_FILES_MISSING
 from stages.scans.formats import rig_calibration, trajectories
 from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
@@ -110,18 +112,17 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
         for frame_name, (left, other), pose in zip(names, pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 
 def _poses(
     folder: Path, options: ReadingParams, view: _View, names: Sequence[str]
-) -> tuple[list[Pose | None], tuple[str, ...]]:
-    """Return a pose a frame, in OpenCV axes of the camera, and what is missing."""
+) -> tuple[list[Pose | None], tuple[Diagnostic, ...]]:
+    """Return a pose a frame, in OpenCV axes of the camera, and the diagnostics of missing poses."""
     given = options.file("poses", folder)
     path = given or first_existing(folder, view.poses)
     if path is None:
-        lacking = f"poses: {view.poses} is missing; name a trajectory with scan.poses=FILE"
-        return [None] * len(names), (lacking,)
+        return [None] * len(names), (poses_missing("{file} is missing", file=view.poses),)
     if given is not None and given.name != view.poses:
         return trajectories.match(trajectories.read_trajectory(given), names, given), ()
     trajectory = trajectories.read_translation_first(path)

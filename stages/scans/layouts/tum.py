@@ -10,9 +10,20 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import (
+    FRAME_IMAGE_MISSING,
+    FRAME_POSE_MISSING,
+    POSE_ASSUMED,
+    SCALE_DEPTH_UNIT_ASSUMED,
+    SCAN_ASSUMED,
+    SCAN_FILES_MISSING,
+    SCAN_IMAGES_UNPAIRED,
+    SCAN_TABLE_DAMAGED,
+)
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.associations import read_associations
 from stages.scans.reading.beside import trajectory_beside
@@ -27,6 +38,7 @@ from stages.scans.reading.files import (
     has,
     images,
 )
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.moved import found_file
@@ -77,16 +89,15 @@ def _is_without_depth(folder: Path) -> bool:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     if _is_without_depth(folder):
         return _read_views(folder, options)
-    color_stream, depth_stream, warnings = _streams(folder)
+    color_stream, depth_stream = _streams(folder)
     colors, depths = color_stream.files, depth_stream.files
-    camera, calib, about_camera = camera_of(folder, options, *common_size(depths))
-    scale, about_scale = _depth_scale(folder, options, depths, calib)
-    warnings += [*about_camera, *about_scale]
+    camera, calib = camera_of(folder, options, *common_size(depths))
+    scale = _depth_scale(folder, options, depths, calib)
 
     frames: list[Frame] = []
     partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE).tolist()
     skipped = [
-        SkippedFrame(color.stem, "no depth frame within 0.02 s")
+        SkippedFrame(color.stem, FRAME_IMAGE_MISSING.warning("no depth frame within 0.02 s"))
         for color, partner in zip(colors, partners, strict=True)
         if partner < 0
     ]
@@ -94,12 +105,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     # The surface is where the depth camera saw it from, so its moment decides.
     moments = [int(depth_stream.times[partners[number]]) for number in paired]
     names = [colors[number].stem for number in paired]
-    path, poses, about_poses = _poses(folder, moments, names, options)
-    warnings += about_poses
+    path, poses = _poses(folder, moments, names, options)
     for number, pose in zip(paired, poses, strict=True):
         color, partner, time = colors[number], partners[number], int(color_stream.times[number])
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
+            skipped.append(SkippedFrame(color.stem, FRAME_POSE_MISSING.warning("no pose within 0.02 s")))
             continue
         frames.append(
             Frame(
@@ -114,65 +124,71 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
     missing = _missing(path)
     up = None if path is None else _up(folder, path)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing, up=up)
 
 
 def _read_views(folder: Path, options: ReadingParams) -> Scan:
     """Read a recording whose depth is not there: its photos are single views."""
     stream = _listed(folder / "rgb.txt")
-    colors, warnings = _where_they_are(stream.files, folder)
-    camera, _, about_camera = camera_of(folder, options, *common_size(colors))
+    colors = _where_they_are(stream.files, folder)
+    camera, _ = camera_of(folder, options, *common_size(colors))
     moments, names = stream.times.tolist(), [color.stem for color in colors]
-    path, poses, about_poses = _poses(folder, moments, names, options)
+    path, poses = _poses(folder, moments, names, options)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for color, time, pose in zip(colors, moments, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
+            skipped.append(SkippedFrame(color.stem, FRAME_POSE_MISSING.warning("no pose within 0.02 s")))
             continue
         try:
             frames.append(replace(single_view(color.stem, camera, color, pose), timestamp=time))
         except InputError as error:
-            skipped.append(SkippedFrame(color.stem, str(error)))
+            skipped.append(SkippedFrame(color.stem, error.diagnostic))
     missing = _missing(path)
     up = None if path is None else _up(folder, path)
-    said = (*warnings, *about_camera, *about_poses)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), said, missing, up=up)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing, up=up)
 
 
 def _poses(
     folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
-) -> tuple[Path | None, list[Pose | None], list[str]]:
-    """Return the trajectory's file, the pose at each moment, and what is to be said about them."""
+) -> tuple[Path | None, list[Pose | None]]:
+    """Return the trajectory's file, and the pose at each moment."""
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
     if path is not None:
-        return path, poses_at(path, moments, names, _TOLERANCE, options), []
-    return _poses_beside(folder, moments, names, options) or (None, [None] * len(names), [])
+        return path, poses_at(path, moments, names, _TOLERANCE, options)
+    return _poses_beside(folder, moments, names, options) or (None, [None] * len(names))
 
 
-def _missing(poses: Path | None) -> tuple[str, ...]:
-    lacking = "poses: groundtruth.txt is missing; name a trajectory with scan.poses=FILE"
-    return (lacking,) if poses is None else ()
+def _missing(poses: Path | None) -> tuple[Diagnostic, ...]:
+    return (poses_missing("groundtruth.txt is missing"),) if poses is None else ()
 
 
 def _poses_beside(
     folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
-) -> tuple[Path, list[Pose | None], list[str]] | None:
-    """Return the only file that holds as many poses as frames, the poses, and what is to be said of them.
+) -> tuple[Path, list[Pose | None]] | None:
+    """Return the only file that holds as many poses as frames, and the poses, with a warning.
 
     None without one, and where its times are others than those of the frames, unless these only count them.
     """
     path = trajectory_beside(folder, len(names))
     if path is None:
         return None
-    said = f"the poses are read from {path.name}, which lies beside the images"
+    found = POSE_ASSUMED.warning(
+        "the poses are read from {file}, which lies beside the images", file=path.name
+    )
     if set(np.diff(moments)) == {_SECOND}:
-        said = f"{said}; the images' times only count them, so poses are taken in their order"
+        found = POSE_ASSUMED.warning(
+            "the poses are read from {file}, which lies beside the images; the images' times only count "
+            "them, so poses are taken in their order",
+            file=path.name,
+        )
         options = replace(options, poses_by_order=True)
     try:
-        return path, poses_at(path, moments, names, _TOLERANCE, options), [said]
+        poses = poses_at(path, moments, names, _TOLERANCE, options)
     except InputError:
         return None
+    emit(found)
+    return path, poses
 
 
 def _up(folder: Path, trajectory: Path) -> WorldUp | None:
@@ -181,8 +197,8 @@ def _up(folder: Path, trajectory: Path) -> WorldUp | None:
     return up_of_layout(LAYOUT.name, Z_UP) if is_own else None
 
 
-def _streams(folder: Path) -> tuple[_Stream, _Stream, list[str]]:
-    """Return colour and depth, and what is to be said about them."""
+def _streams(folder: Path) -> tuple[_Stream, _Stream]:
+    """Return colour and depth."""
     if has(folder, "rgb.txt", "depth.txt"):
         color, depth = (_listed(folder / name) for name in ("rgb.txt", "depth.txt"))
     elif (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
@@ -190,15 +206,18 @@ def _streams(folder: Path) -> tuple[_Stream, _Stream, list[str]]:
         color = _Stream(np.array([one.color_time for one in couples]), [one.color for one in couples])
         depth = _Stream(np.array([one.depth_time for one in couples]), [one.depth for one in couples])
     elif (stamped := _stamped(folder)) is not None:
-        said = "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
-        return *stamped, [said]
+        emit(
+            SCAN_IMAGES_UNPAIRED.warning(
+                "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
+            )
+        )
+        return stamped
     else:
         raise InputError(
             SCAN_FILES_MISSING, "rgb.txt and depth.txt, or images named by their times, are needed.", folder
         )
-    colors, about_colors = _where_they_are(color.files, folder)
-    depths, about_depths = _where_they_are(depth.files, folder)
-    return replace(color, files=colors), replace(depth, files=depths), about_colors + about_depths
+    colors, depths = (_where_they_are(stream.files, folder) for stream in (color, depth))
+    return replace(color, files=colors), replace(depth, files=depths)
 
 
 def _listed(path: Path) -> _Stream:
@@ -235,46 +254,56 @@ def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:
     return streams[0], streams[1]
 
 
-def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the files of a stream and what is to be said: their folder may have another name than listed."""
+def _where_they_are(files: list[Path], folder: Path) -> list[Path]:
+    """Return the files of a stream, whose folder may have another name than listed."""
     listed = files[0].parent
     if listed.exists():
-        return files, []
+        return files
     holders = [place for place in folder.iterdir() if any((place / path.name).is_file() for path in files)]
     if len(holders) != 1:
-        return files, []
+        return files
     found = holders[0]
-    said = f"there is no folder {listed.name}/, but {found.name}/ has the images listed in it: they are used"
-    return [found / path.name for path in files], [said]
+    emit(
+        SCAN_ASSUMED.warning(
+            "there is no folder {listed}/, but {found}/ has the images listed in it: they are used",
+            listed=listed.name,
+            found=found.name,
+        )
+    )
+    return [found / path.name for path in files]
 
 
-def _depth_scale(
-    folder: Path, options: ReadingParams, depths: Sequence[Path], calib: Path | None
-) -> tuple[float, list[str]]:
-    """Return the units a metre of depth, which the file of the camera may state, and what is to be said."""
+def _depth_scale(folder: Path, options: ReadingParams, depths: Sequence[Path], calib: Path | None) -> float:
+    """Return the units a metre of depth, which the file of the camera may state."""
     stated = None if calib is None else calibration.read_depth_scale(calib)
     scale = options.depth_scale or stated
     if scale is None and data_set_camera(folder)[0] is not None:
         scale = _UNITS_PER_METRE
-    return _scale(depths) if scale is None else (scale, [])
+    return _scale(depths) if scale is None else scale
 
 
-def _scale(depths: Sequence[Path]) -> tuple[float, list[str]]:
-    """Return the units a metre of depth that nothing states, and what is to be said about them."""
-    told = told_units(depths)
-    if told == MILLIMETRES:
-        said = (
-            f"depth is taken as millimetres: in TUM's {_UNITS_PER_METRE:g} units a metre half of it would be "
-            f"nearer than a Kinect sees; where it is, set scan.depth_scale={_UNITS_PER_METRE:g}"
+def _scale(depths: Sequence[Path]) -> float:
+    """Return the units a metre of depth that nothing states."""
+    units = told_units(depths)
+    if units == MILLIMETRES:
+        emit(
+            SCALE_DEPTH_UNIT_ASSUMED.warning(
+                "depth is taken as millimetres: in TUM's {units:g} units a metre half of it would be nearer "
+                "than a Kinect sees",
+                remedy="where it is, set scan.depth_scale={units:g}",
+                units=_UNITS_PER_METRE,
+            )
         )
-        return told, [said]
-    if told is None:
-        said = (
-            f"depth is taken as TUM's {_UNITS_PER_METRE:g} units a metre; where it is in millimetres set "
-            "scan.depth_scale=1000"
+    if units is None:
+        emit(
+            SCALE_DEPTH_UNIT_ASSUMED.warning(
+                "depth is taken as TUM's {units:g} units a metre",
+                remedy="where it is in millimetres set scan.depth_scale=1000",
+                units=_UNITS_PER_METRE,
+            )
         )
-        return _UNITS_PER_METRE, [said]
-    return told, []
+        return _UNITS_PER_METRE
+    return units
 
 
 LAYOUT = Layout(

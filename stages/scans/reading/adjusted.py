@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID
+from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID, POSE_MISSING
 from stages.scans.formats import calibration
 from stages.scans.poses import matrix_of, rigid, turn_of
 from stages.scans.scan import Camera, Frame, Pose, Scan
@@ -51,7 +51,7 @@ def with_adjusted(scan: Scan, path: Path) -> Scan:
             frames_count=len(frames),
         )
     posed = any(frame.world_from_camera is not None for frame in frames)
-    missing = tuple(what for what in scan.missing if not (posed and what.startswith("poses:")))
+    missing = tuple(one for one in scan.missing if not (posed and one.code == POSE_MISSING.name))
     return replace(scan, frames=frames, missing=missing)
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import SCAN_ASSUMED
+from stages.scans.codes import SCAN_ALIGNMENT_MISSING, SCAN_ASSUMED
 from stages.scans.poses import rigid
 from stages.scans.scan import Pose, Scan
 from stages.scans.world import Z_UP, WorldUp, up_of_layout
@@ -28,8 +29,12 @@ def aligned(scan: Scan, folder: Path) -> Scan:
         If no such file is there, or its matrix is not rigid.
     """
     if not scan.has_poses:
-        said = "axisAlignment is left aside: it is for the data set's own poses, and there are none"
-        return replace(scan, warnings=(*scan.warnings, said))
+        emit(
+            SCAN_ASSUMED.warning(
+                "axisAlignment is left aside: it is for the data set's own poses, and there are none"
+            )
+        )
+        return scan
     path, alignment = _alignment(folder)
     frames = [
         frame
@@ -37,12 +42,12 @@ def aligned(scan: Scan, folder: Path) -> Scan:
         else replace(frame, world_from_camera=alignment @ frame.world_from_camera)
         for frame in scan.frames
     ]
-    said = f"the world is turned by the axisAlignment of {path.name}"
+    emit(SCAN_ASSUMED.warning("the world is turned by the axisAlignment of {file}", file=path.name))
     up = scan.up
     if up is not None:
         x, y, z = (alignment[:3, :3] @ up.direction).tolist()
         up = replace(up, direction=(x, y, z))
-    return replace(scan, frames=frames, warnings=(*scan.warnings, said), up=up)
+    return replace(scan, frames=frames, up=up)
 
 
 def up_of_scannet(place: Path, layout: str) -> WorldUp | None:
@@ -71,13 +76,13 @@ def _alignment(folder: Path) -> tuple[Path, Pose]:
         except ValueError:
             values = []
         if len(values) != 16:
-            raise InputError(SCAN_ASSUMED, "its axisAlignment is not 16 numbers.", path)
+            raise InputError(SCAN_ALIGNMENT_MISSING, "its axisAlignment is not 16 numbers.", path)
         pose = rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
         if pose is None:
-            raise InputError(SCAN_ASSUMED, "its axisAlignment is not finite.", path)
+            raise InputError(SCAN_ALIGNMENT_MISSING, "its axisAlignment is not finite.", path)
         return path, pose
     raise InputError(
-        SCAN_ASSUMED,
+        SCAN_ALIGNMENT_MISSING,
         "there is no scene*.txt with an axisAlignment",
         folder,
         remedy="leave scan.align_axes out.",

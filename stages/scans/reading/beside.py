@@ -7,16 +7,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
-from stages.files.telling import in_sentences, telling
+from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
 from stages.scans.formats import calibration, named_arrays, rig_calibration, trajectories
 from stages.scans.formats.image_size import is_off_centre, was_scaled
 from stages.scans.scan import Camera, StereoRig
 
-Told = list[tuple[str, Path]]
+# A camera or rig, the file that states it, and what was emitted while that was read.
 T = TypeVar("T")
+Found = tuple[T, Path, list[Diagnostic]]
 
 _SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".ini", ".conf", ".npy", ".npz")
 # Folders that calibrations are kept in, inside that of a scan.
@@ -83,43 +86,41 @@ def small_documents(folder: Path, most: int = _MAX_BYTES) -> list[Path]:
     return found if len(found) <= _MOST_FILES else []
 
 
-def cameras_beside(folder: Path, width: int, height: int) -> list[tuple[Camera, Path, Told]]:
+def cameras_beside(folder: Path, width: int, height: int) -> list[Found[Camera]]:
     """Return the cameras for images of this size that files of a folder state, by the files' names.
 
     Those of files for another size of the same shape are scaled; they count only where no file is for this
-    size. What is odd about a file is the last of the three.
+    size. Diagnostics of a file are returned and not emitted.
     """
     with only_looking():
         found = list(_cameras(folder, width, height))
     return _of_this_size(found)
 
 
-def _cameras(folder: Path, width: int, height: int) -> Iterator[tuple[Camera, Path, Told]]:
+def _cameras(folder: Path, width: int, height: int) -> Iterator[Found[Camera]]:
     for path in _documents(folder):
         try:
-            with telling() as told:
+            with collecting(forward=False) as diagnostics:
                 camera = calibration.read_camera(path, width, height)
         except InputError:
             continue
         if _is_a_lens(camera) and not is_off_centre(camera):
-            yield camera, path, told
+            yield camera, path, diagnostics
 
 
-def rigs_beside(
-    folder: Path, width: int, height: int, baseline: float | None
-) -> list[tuple[StereoRig, list[str], Path]]:
-    """Return the rigs for images of this size that files of a folder state, and what is odd about them."""
+def rigs_beside(folder: Path, width: int, height: int, baseline: float | None) -> list[Found[StereoRig]]:
+    """Return the rigs for images of this size that files of a folder state; see `cameras_beside`."""
     found = []
     with only_looking():
         for path in _documents(folder):
             try:
-                with telling() as told:
-                    rig, warnings = rig_calibration.read_rig(path, width, height, baseline=baseline)
+                with collecting(forward=False) as diagnostics:
+                    rig = rig_calibration.read_rig(path, width, height, baseline=baseline)
             except InputError:
                 continue
             if _is_a_lens(rig.left) and _is_a_lens(rig.right):
-                found.append(((rig, [*warnings, *in_sentences(told)]), path, told))
-    return [(rig, warnings, path) for (rig, warnings), path, _ in _of_this_size(found)]
+                found.append((rig, path, diagnostics))
+    return _of_this_size(found)
 
 
 def trajectory_beside(folder: Path, count: int) -> Path | None:
@@ -144,27 +145,27 @@ def _count_of_poses(path: Path) -> int:
         return 0
 
 
-def not_taken(folder: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> list[str]:
-    """Return why each file of a folder that seems to state a camera for such images is none of theirs."""
+def warn_of_rejected(folder: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> None:
+    """Warn of each file of a folder that seems to state a camera for such images, and say why it is none."""
     with only_looking():
         doubtful = [(path, _fault(path, width, height, read)) for path in _documents(folder)]
-    warnings = []
     for path, fault in doubtful:
         if fault is not None:
-            warnings.append(
-                f"{path.relative_to(folder).as_posix()} seems to state a camera and is not taken: {fault}"
+            emit(
+                CAMERA_INTRINSICS_GUESSED.warning(
+                    "it seems to state a camera and is not taken: {fault}", path, fault=fault
+                )
             )
-    return warnings
 
 
 def _fault(path: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> str | None:
     try:
         if not _OF_CAMERAS.search(_words_of(path)):
             return None
-        with telling():
+        with collecting(forward=False):
             found = read(path, width, height)
     except InputError as error:
-        return str(error).removeprefix(f"{path}: ")
+        return str(error.diagnostic.at(None))
     return _OFF_CENTRE if isinstance(found, Camera) and is_off_centre(found) else None
 
 
@@ -177,8 +178,8 @@ def _words_of(path: Path) -> str:
     return documents.read_text(path)
 
 
-def _of_this_size(found: list[tuple[T, Path, Told]]) -> list[tuple[T, Path, Told]]:
-    """Leave out what is scaled, where something else is not."""
+def _of_this_size(found: list[Found[T]]) -> list[Found[T]]:
+    """Leave out cameras that are scaled, where others are not."""
     return [one for one in found if not was_scaled(one[2])] or found
 
 

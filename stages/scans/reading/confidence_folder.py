@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.images import read_stored
 from stages.files.noting import only_looking
+from stages.scans.codes import SCAN_CONFIDENCE
 from stages.scans.reading.files import first_existing, images, numbers
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.phones import least_confidence
@@ -22,33 +24,47 @@ _MOST_LEVELS = 8
 
 def confidence_of(
     folder: Path, depths: Sequence[Path], options: ReadingParams
-) -> tuple[Mapping[Path, Path], int, list[str]]:
-    """Return each depth map's map of confidence, what depth must have, and what is to be said.
+) -> tuple[Mapping[Path, Path], int]:
+    """Return each depth map's map of confidence, and the confidence that depth must have.
 
-    Only the lowest level is left out where the person says nothing; where there are no levels, nothing is.
+    Only the lowest level is left out where the user says nothing; where there are no levels, nothing is.
     """
     place = first_existing(folder, *_FOLDERS)
     if place is None or not place.is_dir():
-        return {}, 0, []
+        return {}, 0
     by_number = {numbers(path.stem) or path.stem: path for path in images(place)}
     found = {
         depth: by_number[key] for depth in depths if (key := numbers(depth.stem) or depth.stem) in by_number
     }
     if not found:
-        return {}, 0, [f"the images of {place.name}/ have none of depth's numbers: they are left aside"]
+        emit(
+            SCAN_CONFIDENCE.warning(
+                "the images of {folder}/ have none of depth's numbers: they are left aside", folder=place.name
+            )
+        )
+        return {}, 0
     levels = _levels(list(found.values()))
     if 1 < len(levels) <= _MOST_LEVELS:
-        least, said = least_confidence(options, levels, folder)
-        return found, least, [said]
+        return found, least_confidence(options, levels, folder)
     if options.least_confidence is not None:
-        return found, options.least_confidence, []
-    if not levels:
-        return {}, 0, [f"{place.name}/ holds no maps of 8 bits: they are left aside"]
-    said = (
-        f"{place.name}/ holds how far depth is to be trusted, {levels[0]} to {levels[-1]}: "
-        "scan.least_confidence=VALUE leaves out depth of less"
-    )
-    return {}, 0, [said]
+        return found, options.least_confidence
+    if levels:
+        emit(
+            SCAN_CONFIDENCE.warning(
+                "{folder}/ holds how far depth is to be trusted, {lowest} to {highest}: "
+                "scan.least_confidence=VALUE leaves out depth of less",
+                folder=place.name,
+                lowest=levels[0],
+                highest=levels[-1],
+            )
+        )
+    else:
+        emit(
+            SCAN_CONFIDENCE.warning(
+                "{folder}/ holds no maps of 8 bits: they are left aside", folder=place.name
+            )
+        )
+    return {}, 0
 
 
 def _levels(files: Sequence[Path]) -> list[int]:

@@ -7,11 +7,17 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_PATH_OUTSIDE
 from stages.files.images import image_size
 from stages.files.inside import leads_inside
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_IMAGES_UNPAIRED, SCAN_LAYOUT_UNKNOWN
+from stages.scans.codes import (
+    FRAME_IMAGE_MISSING,
+    SCAN_FILES_MISSING,
+    SCAN_IMAGES_UNPAIRED,
+    SCAN_LAYOUT_UNKNOWN,
+)
 from stages.scans.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
@@ -142,7 +148,9 @@ def pair(
         left, right = max(candidates, key=lambda sides: len(sides[0].keys() & sides[1].keys()))
         pairs = [(path, right[at]) for at, path in left.items() if at in right]
         alone = [
-            SkippedFrame(path.stem, f"{name} has no image of this number")
+            SkippedFrame(
+                path.stem, FRAME_IMAGE_MISSING.warning("{place} has no image of this number", place=name)
+            )
             for side, other, name in ((left, right, second_name), (right, left, first_name))
             for at, path in side.items()
             if at not in other
@@ -165,12 +173,16 @@ def pair(
     return list(zip(first, second, strict=True)), []
 
 
-def about_order(pairs: Sequence[tuple[Path, Path]], first_name: str, second_name: str) -> list[str]:
-    """Return what is to be said where `pair` had only the order of the names to go by."""
+def check_order(pairs: Sequence[tuple[Path, Path]], first_name: str, second_name: str) -> None:
+    """Warn if `pair` had only the order of the names to go by."""
     agreeing = max((sum(key(left) == key(right) for left, right in pairs) for key in _KEYS), default=0)
     if len(pairs) < 2 or agreeing > _LEAST_PAIRED * len(pairs):
-        return []
-    return [
-        f"the names in {first_name} and {second_name} share no numbers: they are paired in their order; "
-        "name the two images of a moment alike if that is wrong"
-    ]
+        return
+    emit(
+        SCAN_IMAGES_UNPAIRED.warning(
+            "the names in {first} and {second} share no numbers: they are paired in their order",
+            remedy="name the two images of a moment alike if that is wrong",
+            first=first_name,
+            second=second_name,
+        )
+    )

@@ -8,7 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCALE_UP_UNCERTAIN
 from stages.scans.reading.streams import Accelerometer
 
 Floats = NDArray[np.float64]
@@ -23,10 +25,8 @@ _GRAVITIES, _OFF_SHARE = (9.81, 1.0), 0.12
 _JOLT, _LARGEST = 0.2, 1e4
 
 
-def ups_of(
-    accelerometer: Accelerometer | None, moments: NDArray[np.int64]
-) -> tuple[list[Floats | None], list[str]]:
-    """Return what is up in the axes of the camera, (3,) of length 1, for each frame or None, and warnings.
+def ups_of(accelerometer: Accelerometer | None, moments: NDArray[np.int64]) -> list[Floats | None]:
+    """Return the up direction in the axes of the camera, (3,) of length 1, for each frame, or None.
 
     Parameters
     ----------
@@ -34,26 +34,37 @@ def ups_of(
     """
     ups: list[Floats | None] = [None] * len(moments)
     if accelerometer is None or not len(accelerometer.recorded):
-        return ups, []
+        return ups
     if accelerometer.camera_from_it is None:
-        said = f"how {accelerometer.name} stands to the camera is not in the recording"
-        return ups, [f"{said}: what it says is up is not used"]
+        emit(
+            SCALE_UP_UNCERTAIN.warning(
+                "how {name} stands to the camera is not in the recording: what it says is up is not used",
+                name=accelerometer.name,
+            )
+        )
+        return ups
     chosen = np.unique(np.linspace(0, len(moments) - 1, _MOST_READINGS).round().astype(int)).tolist()
     each = min(_MOST_READINGS // len(chosen), _MOST_A_FRAME)
     near = {at: _near(accelerometer, int(moments[at]), each) for at in chosen}
     lengths = np.concatenate([np.linalg.norm(readings, axis=1) for readings in near.values()])
     if not len(lengths):
-        return ups, []
+        return ups
     usual = float(np.median(lengths))
     if not any(abs(usual / gravity - 1) <= _OFF_SHARE for gravity in _GRAVITIES):
-        said = f"{accelerometer.name} reads {usual:.3g} m/s² (median), which is not gravity: it is not used"
-        return ups, [said]
+        emit(
+            SCALE_UP_UNCERTAIN.warning(
+                "{name} reads {usual:.3g} m/s² (median), which is not gravity: it is not used",
+                name=accelerometer.name,
+                usual=usual,
+            )
+        )
+        return ups
     for at, readings in near.items():
         calm = readings[np.abs(np.linalg.norm(readings, axis=1) / usual - 1) <= _JOLT]
         total = calm.sum(axis=0)
         if len(calm) and np.linalg.norm(total) > 0:
             ups[at] = accelerometer.camera_from_it @ (total / np.linalg.norm(total))
-    return ups, []
+    return ups
 
 
 def _near(accelerometer: Accelerometer, moment: int, most: int) -> Floats:

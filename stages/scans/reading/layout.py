@@ -20,8 +20,8 @@ class Layout:
     name : what `--set scan.layout=` takes.
     text : one line: the files that make it up.
     matches : returns why a folder is of this layout, in a few words, or None.
-    read : returns every frame of the folder in order; what is odd goes into the scan's warnings,
-        and poses or a calibration that are not there into `missing`: who reads decides what to make of it.
+    read : returns every frame of the folder in order, and emits diagnostics; poses or a calibration that are
+        not there go into `missing`: the caller decides whether the scan is refused.
     suffixes : of files that are a scan by themselves; `read` takes these as well as folders.
     up : what is up in the world of its poses, where it is defined so; where only some of its folders tell,
         `read` sets it.

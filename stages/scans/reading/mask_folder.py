@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.images import decode_color, file_bytes
-from stages.scans.codes import SCAN_FILES_MISSING
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_FRAMES_SKIPPED
 from stages.scans.reading.files import images, numbers
 from stages.scans.scan import Frame, Packed, Scan
 
@@ -48,11 +49,16 @@ def with_masks(scan: Scan, place: Path) -> Scan:
     frames = [
         replace(frame, mask=_mask(path) or frame.mask) for frame, path in zip(scan.frames, found, strict=True)
     ]
-    warnings = list(scan.warnings)
     if without:
-        shown = ", ".join(without[:_NAMED]) + (" …" if len(without) > _NAMED else "")
-        warnings.append(f"{len(without)} frames have no mask in {place.name}/: {shown}")
-    return replace(scan, frames=frames, warnings=tuple(warnings), read_from=scan.read_from | frozenset(files))
+        emit(
+            SCAN_FRAMES_SKIPPED.warning(
+                "{count} frames have no mask in {folder}/: {names}",
+                count=len(without),
+                folder=place.name,
+                names=", ".join(without[:_NAMED]) + (" …" if len(without) > _NAMED else ""),
+            )
+        )
+    return replace(scan, frames=frames, read_from=scan.read_from | frozenset(files))
 
 
 def _mask(path: Path | None) -> Path | Packed | None:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
+from stages.diagnostics.collector import emit
 from stages.files.inside import leads_inside
+from stages.scans.codes import SCAN_ASSUMED
 from stages.scans.reading.files import COLOR_FOLDERS, IMAGES, inside, is_name
 
 _LONGEST = max(IMAGES, key=len)
 
 
-def found_images(
-    folder: Path, names: Sequence[str], labels: Sequence[str], path: Path
-) -> tuple[list[Path], list[str]]:
-    """Return the image that each name of a list means, and what is said where they lead elsewhere.
+def found_images(folder: Path, names: Sequence[str], labels: Sequence[str], path: Path) -> list[Path]:
+    """Return the image that each name of a list means, with a warning where they lead elsewhere.
 
     Only the folder is searched. An image that is not there comes back as a path where it is missing.
 
@@ -31,21 +31,26 @@ def found_images(
     """
     found = [_by_end(folder, name) or _by_stem(folder, name) for name in names]
     if not any(found):
-        return [inside(folder, name, label, path) for name, label in zip(names, labels, strict=True)], []
+        return [inside(folder, name, label, path) for name, label in zip(names, labels, strict=True)]
     moved = [
         (name, file)
         for name, file in zip(names, found, strict=True)
         if file is not None and not _is_path_of(folder, name, file)
     ]
     files = [file or folder / _last_part(name) for file, name in zip(found, names, strict=True)]
-    if not moved:
-        return files, []
-    name, file = moved[0]
-    said = (
-        f"the paths of {len(moved)} images in {path.name} lead elsewhere (such as {name[:100]!r}): they are "
-        f"found by their names ({file.relative_to(folder).as_posix()})"
-    )
-    return files, [said]
+    if moved:
+        name, file = moved[0]
+        emit(
+            SCAN_ASSUMED.warning(
+                "the paths of {count} images in {list} lead elsewhere (such as {name!r}): they are found by "
+                "their names ({file})",
+                count=len(moved),
+                list=path.name,
+                name=name[:100],
+                file=file.relative_to(folder).as_posix(),
+            )
+        )
+    return files
 
 
 def found_file(folder: Path, name: object, what: str, path: Path) -> Path:

@@ -121,10 +121,8 @@ class ReadingParams:
         if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                (
-                    "is {intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example 525,525,319.5,239.5.",
-                    Where(parameter="intrinsics"),
-                ),
+                "is {intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example 525,525,319.5,239.5.",
+                Where(parameter="intrinsics"),
                 intrinsics=self.intrinsics,
             )
         return Camera(width, height, fx, fy, cx, cy)

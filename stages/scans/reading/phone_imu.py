@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.files import documents
+from stages.scans.codes import SCALE_UP_UNCERTAIN
 from stages.scans.reading.streams import Accelerometer
 
 _COLUMNS = ("timestamp", "a_x", "a_y", "a_z")
@@ -20,15 +22,19 @@ _CAMERA_FROM_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1
 _LATEST_S = 1 << 32
 
 
-def phone_accelerometer(path: Path) -> tuple[Accelerometer | None, list[str]]:
-    """Return the readings of imu.csv, None where there are none; and warnings."""
+def phone_accelerometer(path: Path) -> Accelerometer | None:
+    """Return the readings of imu.csv, None where there are none."""
     if not path.is_file():
-        return None, []
+        return None
     lines = list(documents.lines(path))
     header = [name.strip().lower() for name in lines[0][1].split(",")] if lines else []
     if lacking := [name for name in _COLUMNS if name not in header]:
-        said = f"{path.name} is not used: its first line names no column {', '.join(lacking)}"
-        return None, [said]
+        emit(
+            SCALE_UP_UNCERTAIN.warning(
+                "it is not used: its first line names no column {columns}", path, columns=", ".join(lacking)
+            )
+        )
+        return None
     columns = [header.index(name) for name in _COLUMNS]
     rows = []
     for _, text in lines[1:]:
@@ -39,11 +45,15 @@ def phone_accelerometer(path: Path) -> tuple[Accelerometer | None, list[str]]:
             continue
         if abs(row[0]) < _LATEST_S:
             rows.append(row)
-    warnings = []
     if len(rows) < len(lines) - 1:
-        warnings.append(
-            f"{path.name}: {len(lines) - 1 - len(rows)} of {len(lines) - 1} lines are no readings"
+        emit(
+            SCALE_UP_UNCERTAIN.warning(
+                "{count} of {line_count} lines are no readings",
+                path,
+                count=len(lines) - 1 - len(rows),
+                line_count=len(lines) - 1,
+            )
         )
     values = np.array(rows, np.float64).reshape(-1, 4)
     times = np.rint(values[:, 0] * 1e9).astype(np.int64)
-    return Accelerometer(path.name, times, lambda number: -values[number, 1:], _CAMERA_FROM_PHONE), warnings
+    return Accelerometer(path.name, times, lambda number: -values[number, 1:], _CAMERA_FROM_PHONE)

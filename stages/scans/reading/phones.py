@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_PHONE_IMAGES
+from stages.scans.codes import SCAN_CONFIDENCE, SCAN_PHONE_IMAGES
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, scaled
 
@@ -46,8 +47,8 @@ def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Cam
     return scaled(camera, width, height)
 
 
-def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path) -> tuple[int, str]:
-    """Return the confidence that depth must have, and a warning that says what is kept.
+def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path) -> int:
+    """Return the confidence that depth must have, with a warning about its range.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path
     least = levels[1] if options.least_confidence is None else options.least_confidence
     if least > levels[-1]:
         raise InputError(
-            SCAN_PHONE_IMAGES,
+            SCAN_CONFIDENCE,
             (
                 "least_confidence is {least}, but this layout knows {map} only; "
                 "scan.least_confidence={levels} keeps the best."
@@ -71,8 +72,15 @@ def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path
             map=", ".join(map(str, levels)),
             levels=levels[-1],
         )
-    return least, (
-        f"depth of confidence {least} and more (of {', '.join(map(str, levels))}) is kept: "
-        f"scan.least_confidence={levels[-1]} keeps the best only, scan.least_confidence={levels[0]} all; "
-        "a phone's depth past 5 m is a guess, which fuse.max_depth=5 leaves out"
+    emit(
+        SCAN_CONFIDENCE.warning(
+            "depth of confidence {least} and more (of {levels}) is kept: scan.least_confidence={highest} "
+            "keeps the best only, scan.least_confidence={lowest} all; a phone's depth past 5 m is a guess, "
+            "which fuse.max_depth=5 leaves out",
+            least=least,
+            levels=", ".join(map(str, levels)),
+            highest=levels[-1],
+            lowest=levels[0],
+        )
     )
+    return least

@@ -30,7 +30,7 @@ def read_pose_files(files: Mapping[str, Path]) -> tuple[dict[str, Pose | None], 
     faults = {name: fault for name, fault in read.items() if isinstance(fault, InputError)}
     if len(faults) > _MOST_DAMAGED * len(files):
         raise next(iter(faults.values()))
-    return poses, [SkippedFrame(name, f"its pose is damaged: {error}") for name, error in faults.items()]
+    return poses, [SkippedFrame(name, error.diagnostic) for name, error in faults.items()]
 
 
 def _pose_or_fault(path: Path) -> Pose | InputError | None:

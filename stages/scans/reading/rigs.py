@@ -10,12 +10,21 @@ from typing import Any
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.files import documents
 from stages.files.noting import note, only_looking
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
 from stages.scans.formats import rig_calibration
 from stages.scans.formats.calibration import document_of
-from stages.scans.reading.beside import not_taken, parts_of_calibration, places_of_calibrations, rigs_beside
+from stages.scans.reading.beside import (
+    parts_of_calibration,
+    places_of_calibrations,
+    rigs_beside,
+    warn_of_rejected,
+)
 from stages.scans.reading.files import first_existing, has
+from stages.scans.reading.lacking import calibration_missing
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Images
 from stages.scans.scan import Camera, StereoRig
@@ -31,8 +40,8 @@ _ROS_FILES = (
 
 def rig_of(
     folder: Path, options: ReadingParams, size: tuple[int, int], names: Sequence[str]
-) -> tuple[StereoRig, list[str], tuple[str, ...]]:
-    """Return the rig, what is odd about its calibration, and what is missing.
+) -> tuple[StereoRig, tuple[Diagnostic, ...]]:
+    """Return the rig, and the diagnostics of a calibration that is missing.
 
     Parameters
     ----------
@@ -49,56 +58,76 @@ def rig_of(
     path = options.file("calibration", folder) or first_existing(folder, *names)
     if path is not None:
         document = _with_other_half(path)
-        rig, warnings = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+        rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     elif stated is not None and options.baseline is not None:
         beside = rig_calibration.with_baseline(np.eye(4), options.baseline)
-        return StereoRig(stated, stated, beside, rectified=True), [], ()
+        return StereoRig(stated, stated, beside, rectified=True), ()
     elif (several := _in_halves(folder) or _in_parts(folder)) is not None:
-        document, path, said = several
-        rig, warnings = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
-        warnings = [*said, *warnings]
+        document, path = several
+        rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     elif found := rigs_beside(folder, *size, options.baseline):
-        rig, warnings, path = found[0]
+        rig, path, diagnostics = found[0]
         if len(found) > 1:
-            names = ", ".join(one.name for *_, one in found[:5])
-            lacking = f"calibration: {names} all state one; name the right one with scan.calibration=FILE"
-            return uncalibrated(size), [], (lacking,)
+            lacking = calibration_missing(
+                "{files} all state one",
+                remedy="name the right one with scan.calibration=FILE",
+                files=", ".join(one.name for _, one, _ in found[:5]),
+            )
+            return uncalibrated(size), (lacking,)
         note(path)
-        name = path.relative_to(folder).as_posix()
-        warnings = [f"the calibration is read from {name}, which lies beside the images", *warnings]
-    else:
-        half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
-        lacking = (
-            f"calibration: {names[0]} is missing{half}; name one with scan.calibration=FILE, or set "
-            "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES for a rectified pair"
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the calibration is read from {file}, which lies beside the images",
+                file=path.relative_to(folder).as_posix(),
+            ),
+            *diagnostics,
         )
-        return uncalibrated(size), not_taken(folder, *size, rig_calibration.read_rig), (lacking,)
-    return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings, ()
+    else:
+        warn_of_rejected(folder, *size, rig_calibration.read_rig)
+        half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
+        lacking = calibration_missing(
+            "{file} is missing{half}",
+            remedy="name one with scan.calibration=FILE, or set scan.intrinsics=fx,fy,cx,cy and "
+            "scan.baseline=METRES for a rectified pair",
+            file=names[0],
+            half=half,
+        )
+        return uncalibrated(size), (lacking,)
+    return (rig if stated is None else replace(rig, left=stated, right=stated)), ()
 
 
-def _in_halves(folder: Path) -> tuple[dict[str, Any], Path, list[str]] | None:
-    """Return a calibration in two files, as OpenCV's sample and ROS write it, and what is to be said."""
+def _in_halves(folder: Path) -> tuple[dict[str, Any], Path] | None:
+    """Return a calibration in two files, as OpenCV's sample and ROS write it, and the second of them."""
     for place in places_of_calibrations(folder):
         for pair in (_OPENCV_FILES, *_ROS_FILES):
             if has(place, *pair):
                 first, second = (documents.read_document(place / name) for name in pair)
                 table = first | second if pair == _OPENCV_FILES else {"left": first, "right": second}
-                said = [] if place == folder else [f"the calibration is read from the files in {place.name}/"]
-                return table, place / pair[1], said
+                if place != folder:
+                    emit(
+                        CAMERA_CALIBRATION_ASSUMED.warning(
+                            "the calibration is read from the files in {folder}/", folder=place.name
+                        )
+                    )
+                return table, place / pair[1]
     return None
 
 
-def _in_parts(folder: Path) -> tuple[dict[str, Any], Path, list[str]] | None:
-    """Return a calibration of which each matrix is a file, the folder of these, and what is to be said."""
+def _in_parts(folder: Path) -> tuple[dict[str, Any], Path] | None:
+    """Return a calibration of which each matrix is a file, and the folder of these."""
     for place in places_of_calibrations(folder):
         with only_looking():
             table, files = parts_of_calibration(place)
         if rig_calibration.states_a_pair(table):
             for path in files:
                 note(path)
-            names = ", ".join(path.relative_to(folder).as_posix() for path in files)
-            said = [f"the calibration is read from {names}, a matrix each"]
-            return table, place, said
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "the calibration is read from {files}, a matrix each",
+                    files=", ".join(path.relative_to(folder).as_posix() for path in files),
+                )
+            )
+            return table, place
     return None
 
 
@@ -111,8 +140,8 @@ def _with_other_half(path: Path) -> dict[str, Any] | None:
     return None
 
 
-def stated_rig(left: Images, folder: Path, options: ReadingParams) -> tuple[StereoRig, list[str]] | None:
-    """Return the rig of a recorded pair that the person states, and what is odd about it; None if not.
+def stated_rig(left: Images, folder: Path, options: ReadingParams) -> StereoRig | None:
+    """Return the rig of a recorded pair that the user states; None if not.
 
     Raises
     ------
@@ -122,8 +151,8 @@ def stated_rig(left: Images, folder: Path, options: ReadingParams) -> tuple[Ster
     if options.calibration is None and (options.intrinsics is None or options.baseline is None):
         return None
     height, width = left.color(0).shape[:2]
-    rig, warnings, _ = rig_of(folder, options, (width, height), ())
-    return rig, warnings
+    rig, _ = rig_of(folder, options, (width, height), ())
+    return rig
 
 
 def uncalibrated(size: tuple[int, int]) -> StereoRig:

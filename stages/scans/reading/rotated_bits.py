@@ -14,10 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_raw_depth
 from stages.files.noting import only_looking
+from stages.scans.codes import SCAN_ASSUMED
 from stages.scans.scan import Packed, Scan
 
 _LOOKED_AT = 2
@@ -69,7 +71,7 @@ def is_rotated(raw: NDArray[np.uint16], *, is_scale_stated: bool) -> bool:
 
 
 def with_bits_turned_back(scan: Scan, stated: float | None, *, is_own: bool) -> Scan:
-    """Return the scan with its depth maps turned back, and a warning, where their bits are rotated.
+    """Return the scan with its depth maps turned back where their bits are rotated, with a warning.
 
     Parameters
     ----------
@@ -89,12 +91,17 @@ def with_bits_turned_back(scan: Scan, stated: float | None, *, is_own: bool) -> 
         for frame in scan.frames
     ]
     is_millimetres = frames[0].depth_scale == _MILLIMETRES
-    hint = "; set scan.depth_scale=10000 where they are tenths of millimetres" if is_millimetres else ""
-    said = (
-        "the bits of the depth maps are rotated by three, as SUN3D stores them: they are turned back, and "
-        f"{frames[0].depth_scale:g} units are then a metre{hint}"
+    emit(
+        SCAN_ASSUMED.warning(
+            "the bits of the depth maps are rotated by three, as SUN3D stores them: they are turned back, "
+            "and {scale:g} units are then a metre",
+            remedy="set scan.depth_scale=10000 where they are tenths of millimetres"
+            if is_millimetres
+            else "",
+            scale=frames[0].depth_scale,
+        )
     )
-    return replace(scan, frames=frames, warnings=(*scan.warnings, said))
+    return replace(scan, frames=frames)
 
 
 def are_rotated(files: Sequence[Path], *, is_scale_stated: bool) -> bool:

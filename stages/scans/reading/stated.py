@@ -1,4 +1,4 @@
-"""The camera of a folder that holds none: what the person states, or a guess that is told.
+"""Camera intrinsics for folders that do not store them: from the user, from a file nearby, or guessed.
 
 One rule for every layout. A folder of loose files whose camera file is missing gets the guess below, with a
 warning that names the options. Pairs get none, since focal length times baseline is the scale of all they
@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stages.diagnostics.collector import emit
 from stages.files.noting import note
-from stages.files.telling import in_sentences
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, CAMERA_INTRINSICS_GUESSED
 from stages.scans.formats import calibration
-from stages.scans.reading.beside import cameras_beside, not_taken
+from stages.scans.reading.beside import cameras_beside, warn_of_rejected
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera
 
@@ -36,33 +37,49 @@ def stated_camera(options: ReadingParams, folder: Path, width: int, height: int)
     return calibration.read_camera(path, width, height) if stated is None and path is not None else stated
 
 
-def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | None, list[str]]:
+def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | None]:
     """Return the camera for depth maps of this size that a file beside the images states, and that file.
 
-    Without one the camera is a guess. The last of the three is what is to be said.
+    Without one the camera is a guess. Both give a warning.
     """
     found = cameras_beside(folder, width, height)
     if len({camera for camera, *_ in found}) == 1:
-        camera, path, told = found[0]
+        camera, path, diagnostics = found[0]
         note(path)
-        name = path.relative_to(folder).as_posix()
-        said = f"the camera is read from {name}, which lies beside the images"
-        return camera, path, [said, *in_sentences(told)]
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the camera is read from {file}, which lies beside the images",
+                file=path.relative_to(folder).as_posix(),
+            ),
+            *diagnostics,
+        )
+        return camera, path
     if found:
-        names = ", ".join(path.name for _, path, _ in found[:5])
-        camera, guessed = _guessed_camera(width, height)
-        return camera, None, [f"{names} state different cameras: none is taken", guessed]
-    camera, guessed = _guessed_camera(width, height)
-    return camera, None, [*not_taken(folder, width, height, calibration.read_camera), guessed]
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "{files} state different cameras: none is taken",
+                files=", ".join(path.name for _, path, _ in found[:5]),
+            )
+        )
+    else:
+        warn_of_rejected(folder, width, height, calibration.read_camera)
+    return _guessed_camera(width, height), None
 
 
-def _guessed_camera(width: int, height: int) -> tuple[Camera, str]:
-    """Return the camera to take for depth maps of this size when nothing is known, and what is to be said."""
+def _guessed_camera(width: int, height: int) -> Camera:
+    """Return the camera to take for depth maps of this size when nothing is known, with a warning."""
     focal, device = _OF_SIZE.get((width, height), (width * _FOCAL_LENGTH, None))
-    whose = "a Kinect's view" if device is None else f"that of {device}"
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, is_guess=True)
-    return camera, (
-        f"the folder has no intrinsics: {camera.fx:g},{camera.fy:g},{camera.cx:g},{camera.cy:g} is guessed, "
-        f"{whose}; for another camera set scan.intrinsics=fx,fy,cx,cy, or name its file with "
-        "scan.calibration=FILE"
+    emit(
+        CAMERA_INTRINSICS_GUESSED.warning(
+            "the folder has no intrinsics: {fx:g},{fy:g},{cx:g},{cy:g} is guessed, {whose}",
+            remedy="for another camera set scan.intrinsics=fx,fy,cx,cy, or name its file with "
+            "scan.calibration=FILE",
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            whose="a Kinect's view" if device is None else f"that of {device}",
+        )
     )
+    return camera

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.diagnostic import Diagnostic
+from stages.scans.codes import SCAN_ASSUMED
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
 from stages.scans.scan import Camera, ColorImage, Pose, StereoRig
@@ -74,7 +76,6 @@ class Streams:
     depth, color : colour may show what an infrared camera saw, or be None.
     depth_scale : what one metre is in the depth maps' units.
     color_from_depth : (4, 4) float64, metres; None where both stand in one place or the file does not say.
-    warnings : in plain sentences.
     accelerometer : beside them, if there is one.
     """
 
@@ -82,7 +83,6 @@ class Streams:
     color: Stream | None
     depth_scale: float
     color_from_depth: Pose | None
-    warnings: tuple[str, ...]
     accelerometer: Accelerometer | None = None
 
 
@@ -92,14 +92,12 @@ class Pair:
 
     Attributes
     ----------
-    warnings : in plain sentences.
     accelerometer : beside them, if there is one.
     """
 
     left: Images
     right: Images
     rig: StereoRig
-    warnings: tuple[str, ...]
     accelerometer: Accelerometer | None = None
 
 
@@ -111,9 +109,11 @@ def stated_depth_camera(depth: Images, folder: Path, options: ReadingParams) -> 
     return stated_camera(options, folder, width, height)
 
 
-def unknown_place(depth: str, color: str) -> str:
+def extrinsics_unknown(depth: str, color: str) -> Diagnostic:
     """Return the warning for cameras that nothing in the recording relates."""
-    return (
-        f"how the camera of {color} stands to that of {depth} is not in the file: both are taken to stand in "
-        "one place, so that colours may be displaced"
+    return SCAN_ASSUMED.warning(
+        "how the camera of {color} stands to that of {depth} is not in the file: both are taken to stand in "
+        "one place, so that colours may be displaced",
+        color=color,
+        depth=depth,
     )

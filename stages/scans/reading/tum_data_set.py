@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from stages.diagnostics.collector import collecting, emit
 from stages.files import documents
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
 from stages.scans.formats import calibration
 from stages.scans.reading.files import first_existing
 from stages.scans.reading.params import ReadingParams
@@ -25,10 +27,8 @@ _LIKE_OWN = re.compile(r"(?<![a-z])(?:freiburg|fr)_?[123](?!\d)", re.IGNORECASE)
 _HEAD = 1000
 
 
-def camera_of(
-    folder: Path, options: ReadingParams, width: int, height: int
-) -> tuple[Camera, Path | None, list[str]]:
-    """Return the camera of a folder for images of this size, the file that states it, and what is to be said.
+def camera_of(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, Path | None]:
+    """Return the camera of a folder for images of this size, and the file that states it.
 
     Raises
     ------
@@ -38,21 +38,29 @@ def camera_of(
     path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
     camera = options.camera(width, height)
     if camera is not None:
-        return camera, path, []
+        return camera, path
     if path is not None:
-        return calibration.read_camera(path, width, height), path, []
-    camera, path, warnings = found_camera(folder, width, height)
+        return calibration.read_camera(path, width, height), path
+    with collecting(forward=False) as diagnostics:
+        camera, path = found_camera(folder, width, height)
     own, source = data_set_camera(folder)
     if path is None and own is not None:
         matrix, distortion = _CAMERAS[own]
-        camera = scaled(Camera(640, 480, *matrix, distortion), width, height)
-        warnings = [f"the camera is {own}'s, by {source}"]
-    elif path is None and _LIKE_OWN.search(folder.resolve().name):
-        warnings.append(
-            "the folder's name is like one of the TUM data set, but nothing in it says that it is: its "
-            "lens is not taken from the name"
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the camera is {camera}'s, by {source}", camera=own, source=source
+            )
         )
-    return camera, path, warnings
+        return scaled(Camera(640, 480, *matrix, distortion), width, height), None
+    emit(*diagnostics)
+    if path is None and _LIKE_OWN.search(folder.resolve().name):
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the folder's name is like one of the TUM data set, but nothing in it says that it is: its "
+                "lens is not taken from the name"
+            )
+        )
+    return camera, path
 
 
 def is_named_in(path: Path) -> bool:

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
-from stages.files.telling import tell
-from stages.scans.codes import SCAN_DEPTH_MISSING
+from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, SCAN_DEPTH_MISSING
 from stages.scans.depth_range import range_of_points
 from stages.scans.reading.phones import seen_in
 from stages.scans.scan import Camera, Frame, Packed, Pose
@@ -44,7 +44,7 @@ def single_view(
     """
     size = image_size(color)
     if size != (camera.width, camera.height):
-        _tell_of_nearly(camera, size, color)
+        _check_nearly(camera, size, color)
         camera = seen_in(camera, size, "the image", color)
     depth_range = None
     if points is not None and pose is not None:
@@ -52,13 +52,19 @@ def single_view(
     return Frame(name, camera, color=color, world_from_camera=pose, mask=mask, depth_range=depth_range)
 
 
-def _tell_of_nearly(camera: Camera, size: tuple[int, int], color: Path) -> None:
-    """Tell that an image is of nearly its camera's size: nobody makes images so little smaller."""
+def _check_nearly(camera: Camera, size: tuple[int, int], color: Path) -> None:
+    """Warn if an image has nearly its camera's size: nobody makes images so little smaller."""
     if abs(size[0] / camera.width - 1) < _NEARLY:
-        tell(
-            f"is {size[0]}×{size[1]} and its camera {camera.width}×{camera.height}: such cameras are of "
-            "images whose lens was straightened, which this may not be; it is scaled",
-            color,
+        emit(
+            CAMERA_CALIBRATION_MISMATCH.warning(
+                "it is {width}×{height} and its camera {camera_width}×{camera_height}: such cameras are of "
+                "images whose lens was straightened, which this may not be; it is scaled",
+                color,
+                width=size[0],
+                height=size[1],
+                camera_width=camera.width,
+                camera_height=camera.height,
+            )
         )
 
 

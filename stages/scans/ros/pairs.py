@@ -11,8 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_ASSUMED,
+    CAMERA_PAIR_UNCALIBRATED,
+    RECORDING_TOPIC_CHOSEN,
+)
 from stages.scans.formats import rig_calibration
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig
@@ -46,11 +51,15 @@ def topic_pair(recording: Recording, options: ReadingParams) -> Pair | None:
     if not couples:
         return None
     left, right = min(couples, key=_unlikeness)
-    warnings = [] if len(couples) == 1 else [f"of {len(couples)} pairs of topics, {left.name} is used"]
+    if len(couples) > 1:
+        emit(
+            RECORDING_TOPIC_CHOSEN.warning(
+                "of {count} pairs of topics, {name} is used", count=len(couples), name=left.name
+            )
+        )
     first, second = (topic_images(one.name, one.topic) for one in (left, right))
-    stated = stated_rig(first, recording.path.parent, options)
-    rig, said = stated or (_rig(recording, left, right, options), [])
-    return Pair(first, second, rig, (*warnings, *said), accelerometer_beside(recording, left.frame))
+    rig = stated_rig(first, recording.path.parent, options) or _rig(recording, left, right, options)
+    return Pair(first, second, rig, accelerometer_beside(recording, left.frame))
 
 
 def _couples(found: Sequence[ImageTopic]) -> list[tuple[ImageTopic, ImageTopic]]:
@@ -98,9 +107,12 @@ def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: Rea
     else:
         stands = {side: {"R": one.rectification, "P": one.projection} for side, one in sides.items()}
         document |= {side: _table(one) | stands[side] for side, one in sides.items()}
-    rig, _ = rig_calibration.read_rig(
-        recording.path, first.width, first.height, document=document, baseline=options.baseline
-    )
+    with collecting(forward=False) as diagnostics:
+        rig = rig_calibration.read_rig(
+            recording.path, first.width, first.height, document=document, baseline=options.baseline
+        )
+    # Names of topics say whether images are rectified, and metres are the unit: nothing is assumed.
+    emit(*(one for one in diagnostics if one.code != CAMERA_CALIBRATION_ASSUMED.name))
     return rig
 
 

@@ -14,13 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import (
     CAMERA_INTRINSICS_GUESSED,
     CAMERA_LENS_UNKNOWN,
     CAMERA_PAIR_UNCALIBRATED,
+    RECORDING_TOPIC_CHOSEN,
     RECORDING_TOPIC_MISSING,
-    SCALE_NOT_METRIC,
+    SCALE_DEPTH_UNIT_ASSUMED,
 )
 from stages.scans.formats import calibration, rig_calibration
 from stages.scans.formats.realsense import is_like_opencv
@@ -33,8 +35,8 @@ from stages.scans.reading.streams import (
     Pair,
     Stream,
     Streams,
+    extrinsics_unknown,
     stated_depth_camera,
-    unknown_place,
 )
 from stages.scans.ros.messages import CameraMessage
 from stages.scans.ros.recording import Messages, Recording
@@ -109,20 +111,24 @@ def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams |
     name, folder = depth.images.name, recording.path.parent
     stated = stated_depth_camera(depth.images, folder, options)
     seen = Stream(depth.images, stated or _recorded_camera(recording, name))
-    scale, warnings = _depth_scale(recording, depth, options)
+    scale = _depth_scale(recording, depth, options)
     beside = _accelerometer(recording, name)
     # The left infrared camera is the one that depth is seen from.
     grey = [one for one in streams if one.kind == "infrared" and one.sensor == depth.sensor]
     color = next((one for one in (*(one for one in streams if one.kind == "color"), *grey)), None)
     if color is None:
-        return Streams(seen, None, scale, None, tuple(warnings), beside)
+        return Streams(seen, None, scale, None, beside)
     if color.kind != "color":
-        warnings.append("there is no colour stream: the infrared camera's images stand for it")
+        emit(
+            RECORDING_TOPIC_CHOSEN.warning(
+                "there is no colour stream: the infrared camera's images stand for it"
+            )
+        )
     color_from_depth = _between(recording, name, color.images.name)
     if color_from_depth is None:
-        warnings.append(unknown_place(name, color.images.name))
+        emit(extrinsics_unknown(name, color.images.name))
     color_camera = _recorded_camera(recording, color.images.name)
-    return Streams(seen, Stream(color.images, color_camera), scale, color_from_depth, tuple(warnings), beside)
+    return Streams(seen, Stream(color.images, color_camera), scale, color_from_depth, beside)
 
 
 def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], options: ReadingParams) -> Pair:
@@ -140,7 +146,7 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     left, right = (one.images for one in grey[:2])
     stated = stated_rig(left, recording.path.parent, options)
     if stated is not None:
-        return Pair(left, right, stated[0], tuple(stated[1]), _accelerometer(recording, left.name))
+        return Pair(left, right, stated, _accelerometer(recording, left.name))
     cameras = [_recorded_camera(recording, one.name) for one in (left, right)]
     right_from_left = _between(recording, left.name, right.name)
     if right_from_left is None and options.baseline is None:
@@ -156,10 +162,10 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     document: dict[str, Any] = {"unit": "m", "R": stands[:3, :3], "T": stands[:3, 3]}
     for side, camera in zip(("1", "2"), cameras, strict=True):
         document |= {f"K{side}": camera.matrix, f"D{side}": camera.distortion}
-    rig, warnings = rig_calibration.read_rig(
+    rig = rig_calibration.read_rig(
         recording.path, cameras[0].width, cameras[0].height, document=document, baseline=options.baseline
     )
-    return Pair(left, right, rig, tuple(warnings), _accelerometer(recording, left.name))
+    return Pair(left, right, rig, _accelerometer(recording, left.name))
 
 
 def _recorded_camera(recording: RealSense, name: str) -> Camera:
@@ -185,37 +191,37 @@ def _recorded_camera(recording: RealSense, name: str) -> Camera:
     return calibration.matrix_camera(said.matrix, distortion, said.width, said.height, recording.path)
 
 
-def _depth_scale(
-    recording: RealSense, depth: RealSenseStream, options: ReadingParams
-) -> tuple[float, list[str]]:
-    """Return the depth units a metre, as stated or as recorded, and what is to be said of it."""
+def _depth_scale(recording: RealSense, depth: RealSenseStream, options: ReadingParams) -> float:
+    """Return the depth units a metre, as stated or as recorded."""
     if options.depth_scale is not None:
-        return options.depth_scale, []
+        return options.depth_scale
     units = recording.units(depth)
-    warnings = []
     if not units or not units[-1]:
         units = [_USUAL_UNITS]
-        warnings.append(
-            "the recording does not say its depth unit: millimetres are assumed; scan.depth_scale=VALUE "
-            "states how many units are one metre"
+        emit(
+            SCALE_DEPTH_UNIT_ASSUMED.warning(
+                "the recording does not say its depth unit: millimetres are assumed",
+                remedy="scan.depth_scale=VALUE states how many units are one metre",
+            )
         )
     last = units[-1]
     if len(set(units)) > 1:
-        warnings.append(
-            f"the depth unit changes within the recording; the last, {last:g} m, is used for all of it. "
-            "scan.depth_scale=VALUE states another, in units a metre"
+        emit(
+            SCALE_DEPTH_UNIT_ASSUMED.warning(
+                "the depth unit changes within the recording; the last, {last:g} m, is used for all of it.",
+                remedy="scan.depth_scale=VALUE states another, in units a metre",
+                last=last,
+            )
         )
     if not _UNITS[0] <= last <= _UNITS[1]:
         raise InputError(
-            SCALE_NOT_METRIC,
-            (
-                "its depth unit is {last:g} m, which cannot be right; scan.depth_scale=VALUE "
-                "states how many units are one metre."
-            ),
+            SCALE_DEPTH_UNIT_ASSUMED,
+            "its depth unit is {last:g} m, which cannot be right",
             recording.path,
+            remedy="scan.depth_scale=VALUE states how many units are one metre.",
             last=last,
         )
-    return 1 / last, warnings
+    return 1 / last
 
 
 def _accelerometer(recording: RealSense, camera: str) -> Accelerometer | None:

@@ -12,10 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
 from stages.scans.codes import RECORDING_CLOCKS_DIFFER, RECORDING_TOPIC_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.gravity import ups_of
+from stages.scans.reading.lacking import poses_missing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
@@ -48,9 +52,12 @@ def _matches(folder: Path) -> str | None:
 
 def _read(place: Path, options: ReadingParams) -> Scan:
     streams, fault = _streams(place, options)
-    warnings = list(streams.warnings)
     if fault is not None:
-        warnings.append(f"the recording was not closed or is damaged ({fault}): what comes before is used")
+        emit(
+            RECORDING_DAMAGED.warning(
+                "the recording was not closed or is damaged ({fault}): what comes before is used", fault=fault
+            )
+        )
     first: Images
     second: Images | None
     if isinstance(streams, Pair):
@@ -58,7 +65,7 @@ def _read(place: Path, options: ReadingParams) -> Scan:
     else:
         first, second = streams.depth.images, None if streams.color is None else streams.color.images
         called = "depth maps", "colour images"
-    couples, skipped, said = _couples(first, second, called)
+    couples, skipped = _couples(first, second, called)
     if not couples:
         why = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
         raise InputError(
@@ -71,7 +78,7 @@ def _read(place: Path, options: ReadingParams) -> Scan:
         )
     poses, missing = _poses(options, place, [(number, time) for number, time, _ in couples])
     recorded = first.recorded[[number for number, _, _ in couples]]
-    ups, about_up = ups_of(streams.accelerometer, recorded)
+    ups = ups_of(streams.accelerometer, recorded)
     frames = [
         replace(
             _pair_frame(streams, *couple, pose)
@@ -82,7 +89,7 @@ def _read(place: Path, options: ReadingParams) -> Scan:
         for couple, pose, up in zip(couples, poses, ups, strict=True)
     ]
     rig = streams.rig if isinstance(streams, Pair) else None
-    return Scan(LAYOUT.name, frames, rig, place, tuple(skipped), (*warnings, *said, *about_up), missing)
+    return Scan(LAYOUT.name, frames, rig, place, tuple(skipped), missing=missing)
 
 
 def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str | None]:
@@ -120,8 +127,8 @@ def _without_images(recording: Recording) -> str:
 
 def _couples(
     first: Images, second: Images | None, called: tuple[str, str]
-) -> tuple[list[tuple[int, int, int | None]], list[SkippedFrame], list[str]]:
-    """Return number, time and partner of the images that are of one moment, what is left out, and warnings.
+) -> tuple[list[tuple[int, int, int | None]], list[SkippedFrame]]:
+    """Return number, time and partner of the images that are of one moment, and the frames left out.
 
     Parameters
     ----------
@@ -130,25 +137,35 @@ def _couples(
     times, skipped = _stamps(first)
     if second is None:
         alone = sorted(times.items(), key=lambda entry: entry[1])
-        return [(number, time, None) for number, time in alone], skipped, []
+        return [(number, time, None) for number, time in alone], skipped
     others, damaged = _stamps(second)
     skipped += damaged
-    warnings = []
     if _have_other_clocks(times, others):
         times = {number: int(first.recorded[number]) for number in times}
         others = {number: int(second.recorded[number]) for number in others}
-        warnings.append(
-            f"the clocks of {called[0]} and {called[1]} do not agree at all: images are paired by when they "
-            "were recorded"
+        emit(
+            RECORDING_CLOCKS_DIFFER.warning(
+                "the clocks of {first} and {second} do not agree at all: images are paired by when they were "
+                "recorded",
+                first=called[0],
+                second=called[1],
+            )
         )
     couples = _of_one_moment(times, others)
     if len(couples) < max(len(times), len(others)):
-        warnings.append(
-            f"{len(couples)} of {len(times)} {called[0]} and of {len(others)} {called[1]} are of one moment: "
-            "the others are left out"
+        emit(
+            RECORDING_CLOCKS_DIFFER.warning(
+                "{count} of {first_count} {first} and of {second_count} {second} are of one moment: the "
+                "others are left out",
+                count=len(couples),
+                first_count=len(times),
+                first=called[0],
+                second_count=len(others),
+                second=called[1],
+            )
         )
     couples.sort(key=lambda couple: times[couple[0]])
-    return [(number, times[number], partner) for number, partner in couples], skipped, warnings
+    return [(number, times[number], partner) for number, partner in couples], skipped
 
 
 def _depth_frame(streams: Streams, number: int, time: int, partner: int | None, pose: Pose | None) -> Frame:
@@ -184,7 +201,7 @@ def _stamps(images: Images) -> tuple[dict[int, int], list[SkippedFrame]]:
     for number in range(len(images.recorded)):
         time = _stamp_or_fault(images, number)
         if isinstance(time, InputError):
-            damaged.append(SkippedFrame(f"{images.name} {_name(number)}", str(time)))
+            damaged.append(SkippedFrame(f"{images.name} {_name(number)}", time.diagnostic))
         else:
             times[number] = time
     return times, damaged
@@ -220,11 +237,11 @@ def _of_one_moment(first: Mapping[int, int], second: Mapping[int, int]) -> list[
 
 def _poses(
     options: ReadingParams, place: Path, moments: Sequence[tuple[int, int]]
-) -> tuple[Sequence[Pose | None], tuple[str, ...]]:
-    """Return the pose of each frame, given by its number and time, and what is missing."""
+) -> tuple[Sequence[Pose | None], tuple[Diagnostic, ...]]:
+    """Return the pose of each frame, given by its number and time, and the diagnostics of missing poses."""
     given = options.file("poses", place.parent if place.is_file() else place)
     if given is None:
-        return [None] * len(moments), ("poses: a recording has none; name a trajectory with scan.poses=FILE",)
+        return [None] * len(moments), (poses_missing("a recording has none"),)
     names = [_name(number) for number, _ in moments]
     trajectory = trajectories.read_trajectory(given)
     if trajectory.timestamps is None:

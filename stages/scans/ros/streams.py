@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import takewhile
 
+from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_LENS_UNKNOWN
+from stages.scans.codes import CAMERA_LENS_UNKNOWN, RECORDING_TOPIC_CHOSEN
 from stages.scans.formats import calibration
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.streams import Stream, Streams, stated_depth_camera, unknown_place
+from stages.scans.reading.streams import Stream, Streams, extrinsics_unknown, stated_depth_camera
 from stages.scans.ros.images import topic_images
 from stages.scans.ros.pixels import is_color, is_depth
 from stages.scans.ros.recording import Recording
@@ -55,9 +56,12 @@ def topic_streams(recording: Recording, options: ReadingParams) -> Streams | Non
     if not depths:
         return None
     depth = min(depths, key=lambda one: (not _is_aligned(one), "depth" not in one.name, one.is_compressed))
-    warnings = []
     if len(depths) > 1:
-        warnings.append(f"of {len(depths)} topics of depth, {depth.name} is used")
+        emit(
+            RECORDING_TOPIC_CHOSEN.warning(
+                "of {count} topics of depth, {name} is used", count=len(depths), name=depth.name
+            )
+        )
     scale = options.depth_scale or (1.0 if depth.encoding.lower() == "32fc1" else 1000.0)
     maps = topic_images(depth.name, depth.topic)
     stated = stated_depth_camera(maps, recording.path.parent, options)
@@ -65,14 +69,14 @@ def topic_streams(recording: Recording, options: ReadingParams) -> Streams | Non
     colors = [one for one in found if _is_color(one)]
     accelerometer = accelerometer_beside(recording, depth.frame)
     if not colors:
-        return Streams(seen, None, scale, None, tuple(warnings), accelerometer)
+        return Streams(seen, None, scale, None, accelerometer)
     color = min(colors, key=lambda one: _unlikeness(one, depth))
     color_from_depth = None
     is_one_view = _is_aligned(depth) or color.frame == depth.frame
     if not is_one_view:
         color_from_depth = between(recording, depth.frame, color.frame)
         if color_from_depth is None:
-            warnings.append(unknown_place(depth.name, color.name))
+            emit(extrinsics_unknown(depth.name, color.name))
     return Streams(
         seen,
         Stream(
@@ -83,7 +87,6 @@ def topic_streams(recording: Recording, options: ReadingParams) -> Streams | Non
         ),
         scale,
         color_from_depth,
-        tuple(warnings),
         accelerometer,
     )
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.collector import emit
 from stages.progress import Progress
 from stages.simplification.certified.color_samples import color_samples
 from stages.simplification.certified.details import CertifiedDetails
@@ -35,6 +36,7 @@ from stages.simplification.certified.effort import (
 )
 from stages.simplification.certified.params import CertifiedParams
 from stages.simplification.certified.unproven import not_proven
+from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COLORS_NOT_COMPARED
 from stages.simplification.color_weight import balanced_weight
 from stages.simplification.lines import lost_lines
 from stages.simplification.result import Simplified
@@ -147,11 +149,14 @@ def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[Cer
     result = _result(asked, params, found, weight, passes)
     if not asked.ambiguous.any():
         return result
-    note = (
-        f"colours are not compared at {np.count_nonzero(asked.ambiguous):,} triangles, where the model "
-        "itself has several colours in one place."
+    emit(
+        SIMPLIFY_COLORS_NOT_COMPARED.warning(
+            "colours are not compared at {count:,} triangles, where the model itself has several colours in "
+            "one place.",
+            count=np.count_nonzero(asked.ambiguous),
+        )
     )
-    return replace(result, mesh=result.mesh.with_(notes=(*result.mesh.notes, note)))
+    return result
 
 
 def _asked(task: Task[Any], params: CertifiedParams, shape: float) -> _Asked:
@@ -293,19 +298,23 @@ def _result(
         measured = None if samples is None else samples.largest
     too_far = measured is not None and measured > asked.color
     stopped_by = light.stopped_by if asked.task.triangles or light.stopped_by == "request" else "bounds"
-    notes = light.mesh.notes
     if not proven:
         fails = shape_bound > found.provable
         if with_color:
             fails |= color_bound > asked.color
-        notes += (not_proven(light.mesh, fails, shape_bound, (bound, color if with_color else None)),)
+        emit(not_proven(light.mesh, fails, shape_bound, (bound, color if with_color else None)))
     if too_far:
-        notes += (f"simplify could not keep colours within max_color; {measured:.3g} levels were measured.",)
+        emit(
+            SIMPLIFY_BOUND_NOT_PROVEN.warning(
+                "simplify could not keep colours within max_color; {measured:.3g} levels were measured.",
+                measured=measured,
+            )
+        )
     if (not proven or too_far) and stopped_by != "request":
         stopped_by = "unproven"
     without = [len(np.union1d(a, b)) for a, b in zip(found.far, found.discolored, strict=True)]
     return Simplified(
-        mesh=light.mesh.with_(notes=notes),
+        mesh=light.mesh,
         vertex_source=light.vertex_source,
         triangle_source=light.triangle_source,
         method="certified",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages.printing import by_fields, table
 from stages.printing.rounding import DIGITS, rounded_up
-from stages.simplification.crowding import crowded_by_topology
+from stages.simplification.crowding import report_crowded_by_topology
 from stages.simplification.result import Details, Simplified
 
 
@@ -66,9 +66,10 @@ class CertifiedDetails(Details):
     color_measured_levels: float | None = None
     seam_drift: float | None = None
 
-    def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
-        """Return whether the topology left too little to choose from on the way to a number of triangles."""
-        return crowded_by_topology(result) if result.stopped_by == "triangles" else ()
+    def report(self, result: Simplified[Any]) -> None:
+        """Warn if the topology left too little to choose from on the way to a number of triangles."""
+        if result.stopped_by == "triangles":
+            report_crowded_by_topology(result)
 
     def text(self) -> str:
         """Say what is proven, and whether that is what was asked for."""

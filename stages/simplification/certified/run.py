@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from stages import _kernels
+from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.simplification.certified.along_seams import run_along_seams
@@ -97,12 +98,11 @@ def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     if not result.proven:
         proven = result.bound[0], result.bound[1] if with_color else None
         fails = (result.shape_bound > max(shape, 2 * result.slack)) | (result.color_bound > color)
-        note = not_proven(light, fails, result.shape_bound, proven)
-        light = light.with_(notes=(*light.notes, note))
+        emit(not_proven(light, fails, result.shape_bound, proven))
         stopped_by = "request" if stopped_by == "request" else "unproven"
     record = None
     if task.record:
-        base = mesh.with_(texture=None, notes=light.notes)
+        base = mesh.with_(texture=None)
         record = CollapseRecord(base, result.removed, result.survivor, result.path, task.lock)
     return Simplified(
         mesh=light,

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.printing import counted
 from stages.printing.rounding import rounded_up
+from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
 from stages.surface.mesh import Mesh
 
 # Places that are named.
@@ -19,8 +21,8 @@ def not_proven(
     fails: NDArray[np.bool_],
     shape_bound: NDArray[np.float64],
     bound: tuple[float, float | None],
-) -> str:
-    """Return one sentence.
+) -> Diagnostic:
+    """Return the warning of a result whose bounds are not proven.
 
     Parameters
     ----------
@@ -30,18 +32,26 @@ def not_proven(
     bound : metres and levels, None for no colours, that are proven instead.
     """
     levels = "" if bound[1] is None else f" and {rounded_up(bound[1]):.4g} levels"
-    said = (
-        "simplify could not prove the bounds that were asked for; proven are "
-        f"{rounded_up(bound[0]):.4g} m{levels}"
-    )
     (where,) = np.nonzero(fails)
     if not len(where):
-        return f"{said}."
+        return SIMPLIFY_BOUND_NOT_PROVEN.warning(
+            "simplify could not prove the bounds that were asked for; proven are {shape:.4g} m{levels}.",
+            shape=rounded_up(bound[0]),
+            levels=levels,
+        )
     worst = where[np.argsort(-shape_bound[where], kind="stable")][:_NAMED]
     places = ", ".join(_place(light.vertices[light.triangles[t]].mean(axis=0)) for t in worst)
     needles = int(_is_needle(light, where).sum())
     thin = f", {needles:,} of them too thin for a closer proof" if needles else ""
-    return f"{said}, at {counted(len(where), 'triangle')}{thin}, the worst about {places}."
+    return SIMPLIFY_BOUND_NOT_PROVEN.warning(
+        "simplify could not prove the bounds that were asked for; proven are {shape:.4g} m{levels}, at "
+        "{triangles}{thin}, the worst about {places}.",
+        shape=rounded_up(bound[0]),
+        levels=levels,
+        triangles=counted(len(where), "triangle"),
+        thin=thin,
+        places=places,
+    )
 
 
 def _place(point: NDArray[np.float64]) -> str:

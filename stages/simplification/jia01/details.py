@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stages.printing import by_fields, table
-from stages.simplification.crowding import crowded_by_topology
+from stages.simplification.crowding import report_crowded_by_topology
 from stages.simplification.result import Details, Simplified
 
 
@@ -40,6 +40,7 @@ class Jia01Details(Details):
     bounded: dict[str, bool]
     splits: int
 
-    def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
-        """Return whether the topology left too little to choose from on the way to a number of triangles."""
-        return crowded_by_topology(result) if result.stopped_by == "triangles" else ()
+    def report(self, result: Simplified[Any]) -> None:
+        """Warn if the topology left too little to choose from on the way to a number of triangles."""
+        if result.stopped_by == "triangles":
+            report_crowded_by_topology(result)

@@ -70,7 +70,7 @@ def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     )
     record = None
     if task.record:
-        base = mesh.with_(texture=None, notes=light.notes)
+        base = mesh.with_(texture=None)
         way = result.removed, result.survivor, result.path
         if result.split is None:
             record = CollapseRecord(base, *way, task.lock)

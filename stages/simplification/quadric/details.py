@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stages.printing import by_fields, table
-from stages.simplification.crowding import crowded_by_topology
+from stages.simplification.crowding import report_crowded_by_topology
 from stages.simplification.result import Details, Simplified
 
 
@@ -31,6 +31,6 @@ class QuadricDetails(Details):
     attribute_scale_m_per_level: float
     fitted: bool
 
-    def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
-        """Return whether the topology leaves too little to choose from."""
-        return crowded_by_topology(result)
+    def report(self, result: Simplified[Any]) -> None:
+        """Warn if the topology leaves too little to choose from."""
+        report_crowded_by_topology(result)

@@ -71,7 +71,7 @@ def _as_it_is(task: Task[QuadricParams]) -> Simplified[QuadricDetails]:
     if task.record:
         path = result.path.copy()
         path[:, :3] = given.placed_back(path[:, :3], result.survivor)
-        base = mesh.with_(texture=None, notes=light_mesh.notes)
+        base = mesh.with_(texture=None)
         record = CollapseRecord(base, result.removed, result.survivor, path, lock)
     return Simplified(
         mesh=light_mesh,

@@ -8,7 +8,7 @@ to the one it is part of by then, for all collapses at once.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.params import resolve
 from stages.printing import by_fields, table
@@ -101,7 +102,9 @@ class CollapseRecord:
         """
         params = resolve(ReplayParams, params, dict(changes))
         if self.wedges is None:
-            return self._vertices_after(self._steps.after(self._steps.wanted(params)), fit=params.fit)
+            with collecting() as diagnostics:
+                found = self._vertices_after(self._steps.after(self._steps.wanted(params)), fit=params.fit)
+            return replace(found, diagnostics=tuple(diagnostics))
         if params.fit:
             raise UsageError(
                 SIMPLIFY_RECORD_INVALID,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
+from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.printing import by_fields, table
@@ -59,6 +59,7 @@ class Replayed:
     vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
     triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
     collapses : how many were replayed.
+    diagnostics : attributes that were left out.
     """
 
     __repr__ = by_fields
@@ -68,6 +69,7 @@ class Replayed:
     vertex_source: NDArray[np.int32]
     triangle_source: NDArray[np.int32]
     collapses: int
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

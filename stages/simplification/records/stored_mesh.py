@@ -15,7 +15,7 @@ from stages.surface.texture import WRAPS, Image, Material, Texture
 def stored_mesh(mesh: Mesh) -> tuple[Arrays, dict[str, Any]]:
     """Return the arrays of a mesh by name, and what else there is to say of it, fit for JSON.
 
-    Left out are its notes, and what materials keep for the writer of the format they were read from.
+    Left out are its diagnostics, and what materials keep for the writer of the format they were read from.
     """
     arrays: dict[str, NDArray[Any] | None] = {
         "vertices": mesh.vertices,

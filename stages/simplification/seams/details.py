@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from stages.diagnostics.collector import emit
 from stages.printing import by_fields, table
-from stages.simplification.crowding import crowded_by_locks, crowded_by_topology
+from stages.simplification.codes import SIMPLIFY_SEAM_DRIFT
+from stages.simplification.crowding import report_crowded_by_locks, report_crowded_by_topology
 from stages.simplification.result import Details, Simplified
 
 # Shifts of the texture by more texels than this are visible next to a seam.
@@ -48,21 +50,29 @@ class SeamsDetails(Details):
     seam_drift: float
     seam_drift_texels: float | None
 
-    def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
-        """Return warnings about edges that could not collapse, and about seams that moved in the image."""
-        return (*crowded_by_topology(result), *crowded_by_locks(result), *self._drift_warnings(result))
+    def report(self, result: Simplified[Any]) -> None:
+        """Warn of edges that could not collapse, and of seams that moved in the image."""
+        report_crowded_by_topology(result)
+        report_crowded_by_locks(result)
+        self._report_drift(result)
 
-    def _drift_warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
+    def _report_drift(self, result: Simplified[Any]) -> None:
         refused = sum(result.refused.values())
         is_main = result.refused.get("drift", 0) > _MIN_SHARE * refused
         if result.stopped_by == "bounds" and is_main:
-            return (
-                "there are more triangles than were asked for, since texture seams would move too far in the "
-                "image; give a larger max_seam_drift to go on.",
+            emit(
+                SIMPLIFY_SEAM_DRIFT.warning(
+                    "there are more triangles than were asked for, since texture seams would move too far in "
+                    "the image",
+                    remedy="give a larger max_seam_drift to go on.",
+                )
             )
-        if self.seam_drift_texels is not None and self.seam_drift_texels > _VISIBLE_DRIFT_TEXELS:
-            return (
-                f"texture seams moved by up to {self.seam_drift_texels:.0f} texels in the image, so the "
-                "texture may be shifted beside them; give a smaller max_seam_drift, or keep more triangles.",
+        elif self.seam_drift_texels is not None and self.seam_drift_texels > _VISIBLE_DRIFT_TEXELS:
+            emit(
+                SIMPLIFY_SEAM_DRIFT.warning(
+                    "texture seams moved by up to {texels:.0f} texels in the image, so the texture may be "
+                    "shifted beside them",
+                    remedy="give a smaller max_seam_drift, or keep more triangles.",
+                    texels=self.seam_drift_texels,
+                )
             )
-        return ()

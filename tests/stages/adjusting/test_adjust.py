@@ -13,6 +13,7 @@ import pytest
 
 from stages import Frame, adjust, read_scan
 from stages.adjusting.cameras import motion, motion_apart, steps_of
+from stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
 from stages.adjusting.key_frames import key_frames
 from stages.scans.images import read_color, read_depth
 
@@ -234,7 +235,7 @@ def test_black_frames_are_told(frames):
     found = adjust(dark)
     assert not found.accepted
     assert found.why.endswith("; 4 colour images black")
-    assert found.warnings == (), "there is nothing in them that could be wrong"
+    assert found.diagnostics == (), "there is nothing in them that could be wrong"
 
 
 def test_over_exposed_frames_are_told(frames):
@@ -271,7 +272,9 @@ def test_poses_of_another_frame_are_told_with_numbers(half):
     other = [replace(one, world_from_camera=np.linalg.inv(one.world_from_camera)) for one in half]
     found = adjust(other)
     assert not found.accepted
-    assert found.warnings
+    (diagnostic,) = found.diagnostics
+    assert diagnostic.code == ADJUST_IMAGES_MISMATCH.name
+    assert str(diagnostic).startswith("not adjusted: ")
     assert list(map(id, found.frames)) == list(map(id, other))
 
 

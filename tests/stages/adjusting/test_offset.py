@@ -13,6 +13,7 @@ import pytest
 from stages import Frame, adjust, inspect, read_scan
 from stages.adjusting.offset import Offset, offset, sights
 from stages.adjusting.view import color_camera, place_of_color
+from stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED
 from stages.scans.images import read_color, read_depth
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
@@ -153,11 +154,10 @@ def test_a_camera_that_is_to_stay_stays(frames):
 
 def test_inspecting_tells_it(frames):
     scan = read_scan(SAMPLE)
-    (said,) = (
-        text for text in inspect(replace(scan, frames=moved(frames, 5, 0))).warnings if "outlines" in text
-    )
+    found = inspect(replace(scan, frames=moved(frames, 5, 0)))
+    (said,) = (str(one) for one in found.diagnostics if one.code == CAMERA_COLOR_UNREGISTERED.name)
     assert "5.0 px to the right" in said
-    assert not any("outlines" in text for text in inspect(scan).warnings)
+    assert not any(one.code == CAMERA_COLOR_UNREGISTERED.name for one in inspect(scan).diagnostics)
 
 
 def test_a_real_colour_camera_beside_its_depth_camera(shared_data):

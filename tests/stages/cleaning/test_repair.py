@@ -231,7 +231,7 @@ def test_what_is_planted_is_repaired_and_nothing_else_is_touched(
     name = CLASS_OF[plant]
     assert len(done.found[name]) == len(done.repaired[name]) > 0
     assert left(done) == {}
-    assert done.mesh.notes == ()
+    assert done.diagnostics == ()
     assert counts(done.mesh) == counts(sound)
     assert 0 <= done.bound_m <= done.max_shape_m
     around = np.unique(np.append(mesh.triangles[row], len(sound.vertices)))
@@ -290,7 +290,7 @@ def test_a_sound_mesh_comes_back_as_it_is() -> None:
         done = repair(mesh)
         assert done.mesh.vertices.tobytes() == mesh.vertices.tobytes()
         assert done.mesh.triangles.tobytes() == mesh.triangles.tobytes()
-        assert done.mesh.notes == ()
+        assert done.diagnostics == ()
         assert done.bound_m == 0
 
 
@@ -308,7 +308,7 @@ def test_what_has_no_operation_is_told_and_stays() -> None:
     done = repair(fin)
     assert done.mesh.triangles.tobytes() == fin.triangles.tobytes()
     assert len(done.found["nonmanifold_edges"]) == 1
-    assert "1 nonmanifold edges" in done.mesh.notes[-1]
+    assert "1 nonmanifold edges" in str(done.diagnostics[-1])
     figures = done.figures()["classes"]["nonmanifold_edges"]
     assert (figures["treatment"], figures["found"], figures["left"]) == ("warning", 1, 1)
     assert figures["first"][0]["edge"] == sorted((int(a), int(b)))
@@ -367,7 +367,7 @@ def test_a_cap_stays_where_a_flip_would_cross_something(what: str, reason: str) 
     done = repair(mesh)
     assert done.left["caps"].tolist() == [row]
     assert reason in done.why["caps"][0]
-    assert "1 of 1 caps left" in done.mesh.notes[0]
+    assert "1 of 1 caps left" in str(done.diagnostics[0])
     assert done.mesh.triangles.tobytes() == mesh.triangles.tobytes()
     assert done.mesh.vertices.tobytes() == mesh.vertices.tobytes()
 
@@ -423,7 +423,7 @@ def test_a_spike_is_rolled_back_by_default() -> None:
     assert done.rolled_back["spikes"] == 1
     assert done.left["spikes"].tolist() == [300]
     assert done.mesh.vertices.tobytes() == mesh.vertices.tobytes()
-    assert "1 where the distance is not proven to be within max_shape" in done.mesh.notes[0]
+    assert "1 where the distance is not proven to be within max_shape" in str(done.diagnostics[0])
 
 
 def test_no_distance_at_all_leaves_everything() -> None:

@@ -79,7 +79,7 @@ def test_what_cannot_be_judged_is_named(painted):
     lost = replace(photo(0, pose(0.5, 0.5)), world_from_camera=None)
     away = photo(1, pose(40.0, 0.5))
     found = left_out(painted, [lost, away, replace(lost, color=None)])
-    assert [one.reason.split(": ")[-1] for one in found.skipped] == [
+    assert [one.diagnostic.message for one in found.skipped] == [
         "there is no camera pose.",
         "its photo does not show the mesh.",
         "there is no colour image.",

@@ -11,8 +11,9 @@ from browsers import PAGE, node
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
 from stages import Image, Material, export, preset, read_mesh
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import UsageError
-from stages.exporting.export import AXES, GLTF, SUFFIXES, require_fitting
+from stages.exporting.export import AXES, GLTF, SUFFIXES, Exported, require_fitting
 from stages.exporting.presets import PRESETS
 from stages.surface.formats.gltf_container import read_container
 from stages.surface.formats.gltf_packing import COMPRESSIONS
@@ -30,7 +31,7 @@ def test_every_format_holds_the_shape_where_it_was(tmp_path, suffix, made):
     back = read_mesh(tmp_path / f"a{suffix}")
     np.testing.assert_allclose(np.sort(back.vertices, axis=0), np.sort(mesh.vertices, axis=0), atol=1e-6)
     is_bare = suffix in (".stl", ".off") and (mesh.colors is not None or mesh.texture is not None)
-    assert any("shape alone" in note for note in written.notes) == is_bare
+    assert any("shape alone" in str(one) for one in written.diagnostics) == is_bare
 
 
 @pytest.mark.parametrize("axes", AXES)
@@ -49,23 +50,28 @@ def test_formats_that_do_not_say_what_is_up_are_turned_where_asked(tmp_path, axe
 
 def test_where_nothing_tells_what_is_up_it_is_said(tmp_path):
     written = export(sheet(), tmp_path / "a.obj", axes="y-up")
-    assert any("what is up" in note for note in written.notes)
+    assert any("what is up" in str(one) for one in written.diagnostics)
     given = export(sheet(), tmp_path / "a.obj", axes="y-up", up="+z")
-    assert given.notes == ()
+    assert given.diagnostics == ()
     back = read_mesh(tmp_path / "a.obj")
     np.testing.assert_allclose(np.sort(back.vertices[:, 1]), np.sort(sheet().vertices[:, 2]), atol=1e-6)
 
 
+def unmet_of(written: Exported) -> list[str]:
+    return [str(one) for one in written.diagnostics if one.severity is Severity.UNMET]
+
+
 def test_for_a_printer_it_stands_on_the_plate_in_millimetres(tmp_path):
     written = export(ball(), tmp_path / "a.stl", preset("print", ".stl"))
-    assert written.unmet == ()
+    assert unmet_of(written) == []
     low, high = (f(read_mesh(tmp_path / "a.stl").vertices, axis=0) for f in (np.min, np.max))
     np.testing.assert_allclose(low, (-50, -50, 0), atol=1e-3)
     np.testing.assert_allclose(high, (50, 50, 100), atol=1e-3)
     open_one = export(sheet(), tmp_path / "b.stl", preset("print", ".stl"))
-    assert any("edges of one triangle" in sentence for sentence in open_one.unmet)
+    assert any("edges of one triangle" in text for text in unmet_of(open_one))
     turned_in = ball().with_(triangles=np.ascontiguousarray(ball().triangles[:, ::-1]))
-    assert any("inwards" in s for s in export(turned_in, tmp_path / "c.stl", preset("print", ".stl")).unmet)
+    turned = export(turned_in, tmp_path / "c.stl", preset("print", ".stl"))
+    assert any("inwards" in text for text in unmet_of(turned))
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "webp", "png"])
@@ -92,7 +98,7 @@ def test_transparency_is_not_lost_to_jpeg(tmp_path):
     pixels = np.dstack([mesh.texture.images[0].pixels, np.full((48, 64), 9, np.uint8)])
     clear = replace(mesh.texture, materials=(Material("one", Image("clear.png", given=pixels)),) * 2)
     written = export(mesh.with_(texture=clear), tmp_path / "a.glb", images="jpeg")
-    assert any("transparent" in note for note in written.notes)
+    assert any("transparent" in str(one) for one in written.diagnostics)
     np.testing.assert_array_equal(read_mesh(tmp_path / "a.glb").texture.images[0].pixels, pixels)
 
 

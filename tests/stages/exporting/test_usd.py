@@ -66,6 +66,6 @@ def test_it_stands_in_metres_and_shows_its_colours(tmp_path, suffix, made):
 
 def test_an_image_that_no_previewer_reads_becomes_png(tmp_path):
     written = export(textured_sheet(kind="webp"), tmp_path / "a.usdz")
-    assert any("PNG" in note for note in written.notes)
+    assert any("PNG" in str(one) for one in written.diagnostics)
     with zipfile.ZipFile(tmp_path / "a.usdz") as packed:
         assert any(name.endswith(".png") for name in packed.namelist())

@@ -164,7 +164,7 @@ def test_voxels_are_as_large_as_what_is_left_asks_for() -> None:
 @pytest.mark.parametrize("table", [0.45, 0.3])
 def test_a_ball_is_left_of_a_ball_on_a_table(roll: float, table: float) -> None:
     fused = fuse(frames("ball", roll=roll, table=table), remove_plane=True)
-    assert fused.warnings == ()
+    assert fused.diagnostics == ()
     assert fused.support is not None
     assert fused.support.normal[2] > np.cos(np.radians(0.1))
     assert abs(fused.support.offset_m) < 0.0005
@@ -200,7 +200,7 @@ def test_nothing_is_removed_and_that_is_told_where_nothing_stands_on_the_plane()
     given = {"radius": 0.3, "voxel_size": VOXEL}
     bare, fused = (fuse(frames("nothing"), **given, remove_plane=remove) for remove in (False, True))
     assert fused.support is None
-    (said,) = fused.figures()["warnings"]
+    (said,) = map(str, fused.diagnostics)
     assert said.startswith(
         "remove_plane: nothing is removed, no plane under the thing is found: the plane of"
     )
@@ -220,12 +220,12 @@ def test_a_wall_is_no_table() -> None:
         wall.append(Frame(f"{number}", CAMERA, depth=depth, world_from_camera=there))
     fused = fuse(wall, remove_plane=True)
     assert fused.support is None
-    assert "no plane under the thing is found" in fused.warnings[0]
+    assert "no plane under the thing is found" in str(fused.diagnostics[0])
 
 
 def test_that_nearly_nothing_is_left_is_told() -> None:
     fused = fuse(frames("ball"), remove_plane=True, plane_margin=0.23, voxel_size=0.01)
-    (said,) = fused.warnings
+    (said,) = map(str, fused.diagnostics)
     assert said.startswith("remove_plane: only 0.")
     assert "% of the points are more than 0.23 m above the plane; if it is not the one under" in said
 
@@ -253,10 +253,10 @@ def test_a_crop_in_which_no_surface_comes_out_says_from_how_many_points() -> Non
 
 def test_parameters_that_have_no_effect_are_told() -> None:
     fused = fuse(frames("ball"), center=(0, 0, 0), plane_margin=0.1, voxel_size=0.03)
-    assert fused.warnings == (
+    assert list(map(str, fused.diagnostics)) == [
         "center has no effect without radius or remove_plane",
         "plane_margin has no effect without remove_plane",
-    )
+    ]
     assert not fused.crop
 
 
@@ -291,7 +291,7 @@ def test_boxes_are_taken_as_any_six_numbers() -> None:
 def test_the_box_of_objects_is_left_without_its_table(shared_data: Path) -> None:
     scan = read_scan(shared_data / "rgbd" / "tabletop_box_realsense")
     fused = fuse(scan, remove_plane=True, radius=0.3, voxel_size=0.004)
-    assert fused.warnings == ()
+    assert fused.diagnostics == ()
     assert fused.support is not None
     assert fused.support.spread_m < 0.002
     normal = np.array(fused.support.normal)

@@ -246,15 +246,15 @@ def test_depth_that_is_too_far_for_the_voxels_is_told() -> None:
     frames = before_a_wall(0.01)
     fused = fuse(frames, max_jump=0.3)
     assert fused.max_depth < 3
-    (said,) = fused.warnings
+    (said,) = map(str, fused.diagnostics)
     assert re.fullmatch(r"2[0-9]% of the depth is beyond 2\.\d\d m and not fused: .*", said)
     advised = re.search(r"fuse\.voxel_size=([\d.]+) takes in what is up to 4\.", said)
     assert advised is not None
     taken = fuse(frames, max_jump=0.3, voxel_size=float(advised[1]))
-    assert taken.warnings == ()
+    assert taken.diagnostics == ()
     assert taken.mesh.vertices[:, 2].max() > 3.5
     # Whoever states a limit knows.
-    assert fuse(frames, max_jump=0.3, max_depth=2).warnings == ()
+    assert fuse(frames, max_jump=0.3, max_depth=2).diagnostics == ()
 
 
 def test_one_frame_is_enough() -> None:

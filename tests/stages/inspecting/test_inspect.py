@@ -8,15 +8,19 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.fusion.fuse import fuse
+from stages.inspecting.codes import POSE_INEXACT
 from stages.inspecting.inspect import inspect
 from stages.inspecting.inspection import Inspection
 from stages.inspecting.sanity import check_poses, pose_doubts, require_poses
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING
 from stages.scans.images import read_color
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
+from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 CAMERA = Camera(160, 120, 150, 150, 80, 60)
 FLIP = np.diag((1.0, -1, -1, 1))
@@ -49,7 +53,7 @@ def room_scan(change=lambda pose: pose):
 def test_true_poses_meet_and_raise_no_warning():
     found = inspect(room_scan())
     assert found.pose_errors_m["as given"] < 0.01
-    assert found.warnings == ()
+    assert found.diagnostics == ()
 
 
 @pytest.mark.parametrize(
@@ -62,12 +66,12 @@ def test_true_poses_meet_and_raise_no_warning():
 )
 def test_poses_of_another_convention_are_named(change, name):
     found = inspect(room_scan(change))
-    assert any(f"probably {name}:" in text for text in found.warnings)
+    assert any(f"probably {name}:" in text for text in map(str, found.diagnostics))
     assert min(found.pose_errors_m, key=found.pose_errors_m.get) == name
 
 
 def test_poses_of_another_convention_stop_what_is_built_on_them():
-    assert require_poses(room_scan()) == []
+    require_poses(room_scan())
     with pytest.raises(InputError, match=r"probably world-to-camera.*mm as given; \d+ mm world-to-camera"):
         require_poses(room_scan(np.linalg.inv))
 
@@ -90,8 +94,8 @@ def test_poses_that_fit_two_ways_are_called_by_both():
         Frame(str(i), CAMERA, depth=room_depth(pose), world_from_camera=np.linalg.inv(pose))
         for i, pose in enumerate(poses)
     ]
-    errors, (said,) = check_poses(frames)
-    assert "probably world-to-camera, or in the order of the frames backwards: so taken" in said
+    errors, suspicion = check_poses(frames)
+    assert "probably world-to-camera, or in the order of the frames backwards: so taken" in str(suspicion)
     assert errors["as given"] > 0.05
 
 
@@ -99,9 +103,9 @@ def test_frames_without_a_pose_say_nothing_of_the_others():
     scan = room_scan()
     lost = [replace(frame, world_from_camera=None) for frame in scan.frames[::2]]
     frames = [lost[i // 2] if i % 2 == 0 else frame for i, frame in enumerate(scan.frames)]
-    errors, said = check_poses(frames)
+    errors, suspicion = check_poses(frames)
     assert errors["as given"] < 0.01
-    assert said == []
+    assert suspicion is None
 
 
 def test_inexact_poses_are_told_from_noise():
@@ -110,17 +114,20 @@ def test_inexact_poses_are_told_from_noise():
         replace(frame, depth=(frame.depth * numbers.normal(1, 0.01, frame.depth.shape)).astype(np.float32))
         for frame in room_scan().frames
     ]
-    assert pose_doubts(noisy) == []
+    pose_doubts(noisy)
     shaken = room_scan(lambda pose: pose @ pose_at(*numbers.normal(0, 0.03, 2), numbers.normal(0, 1)))
-    (said,) = pose_doubts(shaken.frames)
-    assert "register.refine=true" in said
-    assert said in inspect(shaken).warnings
+    with collecting() as diagnostics:
+        pose_doubts(shaken.frames)
+    (doubt,) = diagnostics
+    assert doubt.code == POSE_INEXACT.name
+    assert "register.refine=true" in str(doubt)
+    assert doubt in inspect(shaken).diagnostics
 
 
 def test_poses_that_fit_no_way_are_not_called_another_convention():
     numbers = np.random.default_rng(3)
     drifting = room_scan(lambda _: pose_at(*numbers.uniform(-0.5, 0.5, 2), numbers.uniform(-40, 40)))
-    assert require_poses(drifting) == []
+    require_poses(drifting)
 
 
 def test_a_camera_that_hardly_moves_raises_no_doubt():
@@ -135,7 +142,7 @@ def test_a_camera_that_hardly_moves_raises_no_doubt():
         )
         for i in range(8)
     ]
-    assert require_poses(Scan("x", frames)) == []
+    require_poses(Scan("x", frames))
 
 
 def test_the_path_is_measured():
@@ -166,7 +173,7 @@ def test_depth_all_zero_is_told():
     found = inspect(Scan("x", [Frame("a", CAMERA, depth=depth, world_from_camera=pose) for pose in poses]))
     assert found.depth is None
     assert found.pose_errors_m == {}
-    assert any("all are 0 or missing" in text for text in found.warnings)
+    assert any("all are 0 or missing" in text for text in map(str, found.diagnostics))
 
 
 @pytest.fixture
@@ -182,7 +189,7 @@ def depth_files(tmp_path):
 
 def test_a_wrong_scale_names_the_right_one(depth_files):
     frames = [replace(frame, depth_scale=100.0) for frame in depth_files]
-    (warning,) = (text for text in inspect(Scan("x", frames)).warnings if "median depth" in text)
+    (warning,) = (text for text in map(str, inspect(Scan("x", frames)).diagnostics) if "median depth" in text)
     assert "5000 (TUM RGB-D)" in warning
 
 
@@ -191,15 +198,15 @@ def test_a_marker_at_the_top_is_found(depth_files):
         raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED)
         raw[:10] = 65535
         cv2.imwrite(str(frame.depth), raw)
-    assert any("65535" in text for text in inspect(Scan("x", depth_files)).warnings)
+    assert any("65535" in text for text in map(str, inspect(Scan("x", depth_files)).diagnostics))
     known = [replace(frame, depth_missing=(65535,)) for frame in depth_files]
-    assert not any("65535" in text for text in inspect(Scan("x", known)).warnings)
+    assert not any("65535" in text for text in map(str, inspect(Scan("x", known)).diagnostics))
 
 
 def test_odd_and_damaged_files_are_counted(depth_files):
     cv2.imwrite(str(depth_files[1].depth), np.ones((10, 10), np.uint16))
     depth_files[2].depth.write_bytes(b"nothing")
-    warnings = "\n".join(inspect(Scan("x", depth_files)).warnings)
+    warnings = "\n".join(map(str, inspect(Scan("x", depth_files)).diagnostics))
     assert "another size (10×10), the first is 1.png" in warnings
     assert "cannot be read, the first is 2.png" in warnings
 
@@ -219,7 +226,7 @@ def textured_pair(disparity, rows=0):
     return [np.ascontiguousarray(np.dstack([image] * 3)) for image in (left, right)]
 
 
-def stereo_warnings(left, right):
+def stereo_inspection(left, right):
     camera = Camera(320, 240, 300, 300, 160, 120)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -0.1
@@ -228,18 +235,22 @@ def stereo_warnings(left, right):
 
 
 def test_a_sound_pair_raises_no_warning():
-    found = stereo_warnings(*textured_pair(12))
-    assert found.warnings == ()
+    found = stereo_inspection(*textured_pair(12))
+    assert found.diagnostics == ()
     assert found.stereo_depth_m == pytest.approx((1.0, 30.0))
     assert not any(line.startswith("path") for line in found.lines())
 
 
 def test_left_and_right_exchanged_is_noticed():
-    assert any("exchanged" in text for text in stereo_warnings(*reversed(textured_pair(12))).warnings)
+    (diagnostic,) = stereo_inspection(*reversed(textured_pair(12))).diagnostics
+    assert diagnostic.code == DEPTH_PAIR_SWAPPED.name
+    assert "exchanged" in str(diagnostic)
 
 
 def test_rows_that_do_not_correspond_are_noticed():
-    assert any("3.0 rows" in text for text in stereo_warnings(*textured_pair(12, rows=3)).warnings)
+    found = stereo_inspection(*textured_pair(12, rows=3))
+    assert [one.code for one in found.diagnostics] == [DEPTH_PAIR_ROWS_DIFFER.name]
+    assert "3.0 rows" in str(found.diagnostics[0])
 
 
 def blocks(seed, shift):
@@ -260,7 +271,7 @@ def test_colour_beside_depth_is_noticed(shift, words):
         for color, depth in (blocks(seed, shift) for seed in (2, 3))
     ]
     scan = Scan("x", frames)
-    said = [text for text in inspect(scan).warnings if "not registered" in text]
+    said = [text for text in map(str, inspect(scan).diagnostics) if "not registered" in text]
     assert bool(said) == (words is not None)
     assert words is None or re.search(words, said[0])
 
@@ -294,7 +305,7 @@ def test_real_folders_agree_with_themselves(shared_data, folder, options):
         "cannot be",
         "size",
     ):
-        assert not any(fault in text for text in found.warnings), found.warnings
+        assert not any(fault in text for text in map(str, found.diagnostics)), found.diagnostics
     figures = json.loads(json.dumps(found.figures(), allow_nan=False))
     assert figures["frames"] == len(found.scan.frames)
     if not found.scan.is_stereo:
@@ -306,12 +317,12 @@ def test_real_folders_agree_with_themselves(shared_data, folder, options):
 def test_shifted_colour_is_noticed_on_real_frames(shared_data):
     scan = read_scan(shared_data / "rgbd" / "open3d_testdata" / "RGBD")
     moved = [replace(frame, color=np.roll(read_color(frame), (0, 6), axis=(0, 1))) for frame in scan.frames]
-    said = inspect(replace(scan, frames=moved)).warnings
+    said = list(map(str, inspect(replace(scan, frames=moved)).diagnostics))
     assert any(re.search(r"(5\.[789]|6\.[012]) px to the right and 0\.\d px", text) for text in said)
 
 
 def test_a_colour_camera_that_stands_elsewhere_is_told(shared_data):
-    said = inspected(shared_data / "rgbd" / "tabletop_box_realsense").warnings
+    said = list(map(str, inspected(shared_data / "rgbd" / "tabletop_box_realsense").diagnostics))
     assert any("not registered to depth: by the outlines of things photos lie 4." in text for text in said)
 
 
@@ -329,8 +340,8 @@ def test_what_a_real_folder_lacks_is_said_with_what_it_has(shared_data, folder, 
     figures = json.loads(json.dumps(found.figures(), allow_nan=False))
     assert figures["frames"] == frames
     assert tuple(figures["color_size_px"]) == size
-    assert [text.split(";")[0] for text in figures["missing"]] == missing
-    assert [line for line in found.lines() if line.startswith(f"missing   {missing[0]}")]
+    assert [one["message"] for one in figures["missing"]] == [f"no {text}" for text in missing]
+    assert [line for line in found.lines() if line.startswith(f"missing   no {missing[0]}")]
 
 
 def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
@@ -339,7 +350,8 @@ def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
         (tmp_path / name).symlink_to(street / source)
     found = inspect(read_scan(tmp_path, complete=False))
     figures = json.loads(json.dumps(found.figures(), allow_nan=False))
-    assert [text.split(":")[0] for text in figures["missing"]] == ["calibration", "poses"]
+    codes = [one["code"] for one in figures["missing"]]
+    assert codes == [CAMERA_PAIR_UNCALIBRATED.name, POSE_MISSING.name]
     assert (figures["frames"], figures["rig"], figures["path"]) == (41, None, None)
     with pytest.raises(InputError, match=r"no calibration: calib\.txt.*; and no poses: poses\.txt"):
         read_scan(tmp_path)
@@ -365,7 +377,7 @@ def test_the_least_sharp_twentieth_is_listed():
     # Two of forty; a filter as long as the period takes all contrast away.
     assert [name for name, _ in found.least_sharp] == ["7", "20"]
     assert found.least_sharp[0][1] < 0.05 < found.least_sharp[1][1] < 0.25
-    assert any("blurred" in text and "7, 20" in text for text in found.warnings)
+    assert any("blurred" in text and "7, 20" in text for text in map(str, found.diagnostics))
     assert found.figures()["least_sharp"][0]["frame"] == "7"
 
 
@@ -373,7 +385,7 @@ def test_frames_equally_sharp_are_no_warning():
     frames = [replace(frame, color=striped(0)) for frame in room_scan().frames]
     found = inspect(Scan("plain-rgbd", frames))
     assert [value for _, value in found.least_sharp] == [1.0]
-    assert not any("blurred" in text for text in found.warnings)
+    assert not any("blurred" in text for text in map(str, found.diagnostics))
 
 
 def test_fusion_takes_what_was_estimated():
@@ -387,9 +399,9 @@ def test_fusion_takes_what_was_estimated():
 
 def test_without_poses_nothing_is_estimated():
     frames = [replace(frame, world_from_camera=None) for frame in room_scan().frames]
-    found = inspect(Scan("plain-rgbd", frames, missing=("poses: none",)))
+    found = inspect(Scan("plain-rgbd", frames, missing=(POSE_MISSING.warning("no poses: none"),)))
     assert found.outlook is None
-    assert "missing   poses: none; without, `scanloom run` finds them" in found.lines()
+    assert "missing   no poses: none; without, `scanloom run` finds them" in found.lines()
 
 
 def test_a_single_frame_is_compared_with_nothing():
@@ -400,7 +412,7 @@ def test_a_single_frame_is_compared_with_nothing():
 def test_many_sizes_are_one_warning(depth_files):
     for size, frame in ((10, depth_files[0]), (12, depth_files[1])):
         cv2.imwrite(str(frame.depth), np.ones((size, size), np.uint16))
-    warnings = inspect(Scan("x", depth_files)).warnings
+    warnings = list(map(str, inspect(Scan("x", depth_files)).diagnostics))
     assert not any("another size" in text for text in warnings)
     (told,) = (text for text in warnings if "other sizes" in text)
     assert told.startswith("2 depth images have 2 other sizes (10×10, 12×12) than most")
@@ -412,7 +424,7 @@ def test_a_depth_scale_that_is_off_is_found_by_the_poses(true_scale):
         replace(frame, depth=frame.depth * (true_scale / 1000), depth_scale=1000.0)
         for frame in room_scan().frames
     ]
-    warnings = inspect(Scan("x", frames)).warnings
+    warnings = list(map(str, inspect(Scan("x", frames)).diagnostics))
     (told,) = (text for text in warnings if "depth_scale" in text)
     assert told.startswith(f"depth and poses fit together with scan.depth_scale={true_scale}: so taken")
 
@@ -423,4 +435,4 @@ def test_poses_of_a_camera_that_only_turns_say_nothing_of_the_scale():
         Frame(str(i), CAMERA, depth=room_depth(pose) * 10, world_from_camera=pose)
         for i, pose in enumerate(poses)
     ]
-    assert not any("fit together with" in text for text in inspect(Scan("x", frames)).warnings)
+    assert not any("fit together with" in text for text in map(str, inspect(Scan("x", frames)).diagnostics))

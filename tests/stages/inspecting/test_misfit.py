@@ -16,7 +16,7 @@ SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 def test_frames_that_agree_raise_no_warning():
     found = inspect(read_scan(SAMPLE))
     assert found.misfit_px < 0.5
-    assert not any("px (median" in text for text in found.warnings)
+    assert not any("px (median" in text for text in map(str, found.diagnostics))
 
 
 @pytest.mark.slow
@@ -29,6 +29,6 @@ def test_poses_that_are_off_are_told_with_the_way():
     ]
     found = inspect(replace(scan, frames=frames))
     assert found.misfit_px > 2
-    (said,) = (text for text in found.warnings if "scanloom adjust" in text)
+    (said,) = (text for text in map(str, found.diagnostics) if "scanloom adjust" in text)
     assert f"off by {found.misfit_px:.1f} px" in said
     assert f"points that two frames show lie {found.misfit_px:.2g} px apart" in "\n".join(found.lines())

@@ -241,7 +241,7 @@ def test_pinched_surfaces_are_taken_and_told() -> None:
         np.concatenate([mesh.triangles, number[mesh.triangles].astype(np.int32)]),
     )
     hierarchy = lod.build(pinched, cell_triangles=2000, root_triangles=200)
-    assert any("no manifold" in note for note in hierarchy.notes)
+    assert any("no manifold" in str(one) for one in hierarchy.diagnostics)
     whole = hierarchy.cut(max_shape=0.0).mesh
     np.testing.assert_array_equal(triangles_in_space(whole), triangles_in_space(pinched))
 
@@ -261,7 +261,7 @@ def test_a_texture_becomes_colours_and_the_mesh_with_its_image_is_kept(tmp_path:
     hierarchy = lod.build(mesh, cell_triangles=64, root_triangles=10)
     assert hierarchy.colors is not None
     assert hierarchy.colors.max() > 150
-    assert hierarchy.notes == ()
+    assert hierarchy.diagnostics == ()
     lod.write_slod(tmp_path / "m.slod", hierarchy)
     model = lod.read_slod(tmp_path / "m.slod").model
     assert model is not None
@@ -281,8 +281,10 @@ def test_without_the_end_of_its_file_a_model_is_left_out_and_that_is_told(tmp_pa
         path.write_bytes(damaged)
         hierarchy = lod.read_slod(path)
         assert hierarchy.model is None
-        assert hierarchy.notes == (
-            "the file is damaged or cut off in the mesh with its image; colours of vertices are left.",
+        (diagnostic,) = hierarchy.diagnostics
+        assert str(diagnostic) == (
+            f"{path}: the file is damaged or cut off in the mesh with its image; colours of vertices are "
+            "left."
         )
         assert len(hierarchy.cut(max_shape=0.0).mesh.triangles) == hierarchy.input_triangles
 

@@ -65,7 +65,9 @@ def test_small_pieces_go_and_are_counted(mesh: Mesh, dropped: Hierarchy) -> None
     figures = dropped.figures()
     told = [figures[name] for name in ("one_sided", "dropped_islands", "dropped_triangles")]
     assert told == [True, 20, 1600]
-    assert any("20 loose pieces smaller than 0.1 m, of 1,600 triangles" in note for note in dropped.notes)
+    assert any(
+        "20 loose pieces smaller than 0.1 m, of 1,600 triangles" in str(one) for one in dropped.diagnostics
+    )
 
 
 def test_bounds_of_what_stays_hold_both_ways_and_those_of_all_one_way(mesh: Mesh, dropped: Hierarchy) -> None:
@@ -93,7 +95,7 @@ def test_what_is_dropped_need_not_be_paid_for(mesh: Mesh, dropped: Hierarchy) ->
 def test_with_nothing_to_drop_nothing_changes() -> None:
     plain, asked = lod.build(ball(), **ASKED), lod.build(ball(), drop_islands=0.5, **ASKED)
     assert not asked.is_one_sided
-    assert asked.notes == plain.notes
+    assert asked.diagnostics == plain.diagnostics
     np.testing.assert_array_equal(asked.triangles, plain.triangles)
     np.testing.assert_array_equal(asked.shape_bound, plain.shape_bound)
 

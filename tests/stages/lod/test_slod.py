@@ -89,7 +89,7 @@ def test_any_beginning_is_a_coarse_model(built: Built, file: Path) -> None:
             continue
         read.add(part.nodes)
         assert part.nodes < hierarchy.nodes
-        assert "finer levels are missing" in part.notes[-1]
+        assert "finer levels are missing" in str(part.diagnostics[-1])
         finest = part.cut(triangles=10**9)
         assert_same_topology(finest.mesh, mesh)
         assert finest.shape_bound_m >= 0

@@ -379,8 +379,10 @@ def test_transparency_is_told_to_be_left_out(
     written = lod.write_tiles(
         hierarchies["ball"], tmp_path / "out", texture=models["ball"].with_(texture=glass)
     )
-    assert written.notes == ("tiles left out: the transparency of the model's images.",)
-    assert lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"]).notes == ()
+    assert [str(one) for one in written.diagnostics] == [
+        "tiles left out: the transparency of the model's images."
+    ]
+    assert lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"]).diagnostics == ()
 
 
 def test_a_tile_of_many_pieces_that_no_image_holds_is_told(tmp_path: Path) -> None:

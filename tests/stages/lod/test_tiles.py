@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tiles_read import Tile, chunks, read_tiles
 
 from stages import __version__, _kernels, bake, clean, lod, simplify
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import InputError, StageError, UsageError
 from stages.lod.grid import on_grid
 from stages.lod.hierarchy import Hierarchy
@@ -550,7 +551,7 @@ def test_what_fails_on_the_way_leaves_the_older_tiles(
 ) -> None:
     def stop(done: int, _all: int) -> None:
         if done == 3:
-            raise StageError("stopped")
+            raise StageError(MACHINE_BUG, "stopped")
 
     with pytest.raises(StageError, match="stopped"):
         lod.write_tiles(hierarchies["open"], tmp_path / "out", progress=stop)

@@ -15,6 +15,7 @@ from real_parts import quarter
 
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
+from stages.diagnostics.diagnostic import Severity
 from stages.normal_meshes.normal_mesh import BOUNDARY, SCALAR, NormalMesh, decode
 from stages.normal_meshes.remesh import remesh
 from stages.simplification.simplify import simplify
@@ -99,7 +100,7 @@ def test_a_base_of_a_given_size_is_made_where_the_default_stops_before() -> None
     assert len(remesh(mesh, levels=3, base_triangles=wanted).base.triangles) <= wanted
     by_default = remesh(mesh, levels=3)
     assert len(by_default.base.triangles) > 2 * wanted
-    assert any(f"not {wanted:,}" in warning for warning in by_default.warnings)
+    assert any(f"not {wanted:,}" in str(one) for one in by_default.diagnostics)
 
 
 def test_no_level_is_the_base_alone() -> None:
@@ -396,7 +397,8 @@ def test_it_stops_at_the_first_level_that_is_near_enough() -> None:
     whole = remesh(mesh, levels=4, base_triangles=120, max_error=1e-9)
     assert len(whole.levels) == 5
     assert len(whole.max_distances_m) == 5
-    assert "more than max_error" in whole.warnings[-1]
+    assert "more than max_error" in str(whole.diagnostics[-1])
+    assert whole.diagnostics[-1].severity == Severity.UNMET
     for level, stated in zip(whole.levels, whole.max_distances_m, strict=True):
         # A measured distance may miss the farthest point by a little, on either side.
         assert compare(mesh, level, samples=50_000).symmetric.maximum <= 1.2 * stated + 1e-6
@@ -404,7 +406,7 @@ def test_it_stops_at_the_first_level_that_is_near_enough() -> None:
     early = remesh(mesh, levels=4, base_triangles=120, max_error=bound)
     assert len(early.levels) < 5
     assert early.promised == len(early.levels) - 1
-    assert early.warnings == ()
+    assert early.diagnostics == ()
     assert early.max_distances_m[-1] <= bound < early.max_distances_m[-2]
     decoded = decode(early.data)
     for level, back in zip(early.levels, decoded.levels, strict=True):
@@ -429,7 +431,7 @@ def test_a_base_that_cannot_get_small_enough_is_told() -> None:
     triangles = np.concatenate([ball.triangles + 2562 * i for i, ball in enumerate(balls)])
     found = remesh(Mesh(vertices, triangles), levels=1, base_triangles=20)
     assert len(found.base.triangles) >= 48
-    assert any("not 20: what is left stands for pieces" in warning for warning in found.warnings)
+    assert any("not 20: what is left stands for pieces" in str(one) for one in found.diagnostics)
     assert topology(found.mesh).components == 12
 
 
@@ -474,7 +476,7 @@ def test_the_cow_of_the_paper(shared_data: Path) -> None:
     mesh = read_mesh(shared_data / "meshes" / "cow.obj")
     found = remesh(mesh, levels=2, base_triangles=426, tolerance=5e-8)
     assert [len(level.triangles) for level in found.levels] == [426, 1704, 6816]
-    assert "1 pinched vertex was split" in found.warnings[0]
+    assert "1 pinched vertex was split" in str(found.diagnostics[0])
     assert found.figures()["exceptions_share"] <= 0.015
     assert np.abs(found.base.vertices - mesh.vertices[found.base_source]).max() <= 1e-7 * diagonal(mesh)
 

@@ -17,6 +17,7 @@ from stages.cleaning.clean import clean
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION
 from stages.normal_meshes.remesh import RemeshParams, remesh
+from stages.surface.codes import MESH_LEFT_OUT
 from stages.surface.mesh import Mesh, Texture
 from stages.surface.raycasting import Surface, closest_weights, interpolated
 from stages.surface.topology import topology
@@ -69,18 +70,21 @@ def test_confidence_that_is_the_same_everywhere_stays_so() -> None:
 def test_what_is_not_carried_is_told() -> None:
     mesh = coloured_meshes.ball()
     uvs = np.zeros((len(mesh.triangles), 3, 2))
+    read = MESH_LEFT_OUT.warning("read from a file", "a.ply")
     loaded = mesh.with_(
         normals=mesh.vertices.copy(),
         texture=Texture(uvs, np.full(len(uvs), -1, np.int32)),
-        notes=("read from a file",),
+        diagnostics=(read,),
     )
     found = remesh(loaded, **EXACT)
     assert found.mesh.texture is None
     assert found.mesh.normals is None
-    assert found.mesh.notes[0] == "read from a file"
-    assert found.mesh.notes[1].startswith("remesh left out: normals;")
-    assert found.mesh.notes[2].startswith("remesh left out: texture;")
-    assert remeshed(coloured_meshes.ball)[1].mesh.notes == ()
+    assert found.mesh.diagnostics == (read,)
+    normals, texture = found.diagnostics
+    assert str(normals).startswith("remesh left out: normals;")
+    assert str(texture).startswith("remesh left out: texture;")
+    plain = remeshed(coloured_meshes.ball)[1]
+    assert plain.diagnostics == plain.mesh.diagnostics == ()
 
 
 @made
@@ -114,7 +118,7 @@ def test_pinched_vertices_are_split_and_the_input_is_still_named() -> None:
     mesh = two_balls_that_touch()
     assert topology(mesh).nonmanifold_vertices == 1
     found = remesh(mesh, confidence=mesh.vertices[:, 2], levels=2, base_triangles=160, tolerance=5e-8)
-    assert "1 pinched vertex was split" in found.warnings[0]
+    assert "1 pinched vertex was split" in str(found.diagnostics[0])
     assert topology(found.mesh).is_manifold
     assert topology(found.mesh).components == 2
     apart = np.abs(found.base.vertices - mesh.vertices[found.base_source])
@@ -214,7 +218,7 @@ def test_a_mesh_that_is_no_manifold_is_split_into_sheets() -> None:
     for broken in (fin, mesh.with_(triangles=turned)):
         found = remesh(broken, levels=1)
         assert topology(found.mesh).is_manifold
-        assert any("split" in warning for warning in found.warnings)
+        assert any("split" in str(one) for one in found.diagnostics)
         assert found.base_source.max() < len(mesh.vertices)
     assert len(remesh(clean(fin).mesh, levels=1).mesh.triangles) > 0
 

@@ -7,15 +7,12 @@ import pytest
 from coloured_meshes import ball, sheet
 from page_content import shown
 
+from stages.diagnostics.collector import collecting
 from stages.picturing.page.one_file import PageScale
 from stages.picturing.page.packing import Paint, Shown, packed_page
 from stages.surface.mesh import Mesh
 
 SCALE = PageScale("mm", -1.0, 1.0, 0.1, ["rgb(0, 0, 0)", "rgb(9, 9, 9)"], [0.5, 0.5])
-
-
-def silent(text: str) -> None:
-    raise AssertionError(text)
 
 
 def models() -> dict[str, Shown]:
@@ -29,7 +26,7 @@ def triangles(page: bytes) -> dict[str, int]:
 
 
 def test_where_there_is_room_nothing_is_lost() -> None:
-    page = packed_page("t", models(), 5_000_000, silent)
+    page = packed_page("t", models(), 5_000_000)
     assert triangles(page) == {"main": 7200, "beside": 5120, "look": 7200}
     told = {one["name"]: one for one in shown(page)["models"]}
     look = told["look"]
@@ -39,18 +36,18 @@ def test_where_there_is_room_nothing_is_lost() -> None:
 
 
 def test_models_are_made_lighter_until_it_fits_the_first_last() -> None:
-    complete = len(packed_page("t", models(), 5_000_000, silent))
-    page = packed_page("t", models(), complete - 5_000, silent)
+    complete = len(packed_page("t", models(), 5_000_000))
+    page = packed_page("t", models(), complete - 5_000)
     assert len(page) <= complete - 5_000
     assert triangles(page)["main"] == 7200
     assert 2_000 <= triangles(page)["beside"] < 5120
-    smaller = packed_page("t", models(), complete - 40_000, silent)
+    smaller = packed_page("t", models(), complete - 40_000)
     assert len(smaller) <= complete - 40_000
     assert triangles(smaller)["main"] == triangles(smaller)["look"] < 7200
     told = {one["name"]: one for one in shown(smaller)["models"]}
     assert told["main"]["note"] == "first, of 7,200, for this page"
     assert told["look"]["note"] == "of it, of 7,200, for this page"
-    assert smaller == packed_page("t", models(), complete - 40_000, silent)
+    assert smaller == packed_page("t", models(), complete - 40_000)
 
 
 def test_what_gets_no_lighter_leaves_it_to_the_first() -> None:
@@ -60,23 +57,25 @@ def test_what_gets_no_lighter_leaves_it_to_the_first() -> None:
     sides = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
     loose = Mesh(corners, (sides + 4 * np.arange(1500)[:, None, None]).reshape(-1, 3).astype(np.int32))
     both = {"main": Shown(sheet(120)), "loose": Shown(loose)}
-    most = len(packed_page("t", both, 5_000_000, silent)) - 5_000
-    page = packed_page("t", both, most, silent)
+    most = len(packed_page("t", both, 5_000_000)) - 5_000
+    page = packed_page("t", both, most)
     assert len(page) <= most
     assert triangles(page)["loose"] == 6000
     assert 2_000 < triangles(page)["main"] < 28_800
 
 
 def test_a_page_that_cannot_be_small_enough_says_so() -> None:
-    said: list[str] = []
-    page = packed_page("t", models(), 1000, said.append)
+    with collecting() as diagnostics:
+        page = packed_page("t", models(), 1000)
     assert len(page) > 1000
-    assert said == [f"the page takes {len(page):,} bytes, more than 1,000, as small as it gets."]
+    assert [str(one) for one in diagnostics] == [
+        f"the page takes {len(page):,} bytes, more than 1,000, as small as it gets."
+    ]
 
 
 @pytest.mark.parametrize("looks", [0, 4])
 def test_a_model_has_as_many_looks_as_there_are(looks: int) -> None:
     mesh = sheet(4)
     paints = {f"look {k}": Paint(np.zeros(len(mesh.vertices)), SCALE) for k in range(looks)}
-    told = shown(packed_page("t", {"m": Shown(mesh, paints=paints)}, 5_000_000, silent))["models"]
+    told = shown(packed_page("t", {"m": Shown(mesh, paints=paints)}, 5_000_000))["models"]
     assert [one["look"] for one in told] == ["own", *range(looks)]

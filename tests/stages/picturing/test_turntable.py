@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import StageError, UsageError
 from stages.picturing.panels import Panels
 from stages.picturing.turntable import turntable
@@ -106,7 +107,7 @@ def test_a_video_holds_what_was_drawn_and_is_the_same_again(tmp_path, codec) -> 
 def test_a_video_that_fails_leaves_nothing(tmp_path) -> None:
     def broken():
         yield np.zeros((16, 16, 3), np.uint8)
-        raise StageError("the disk is full")
+        raise StageError(MACHINE_BUG, "the disk is full")
 
     with pytest.raises(StageError, match="full"):
         write_video(tmp_path / "a.mp4", broken(), 10)

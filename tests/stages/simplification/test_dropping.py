@@ -12,6 +12,7 @@ from seamed_meshes import wrapped_ball
 from simplified_checks import parameters_for
 
 from stages.diagnostics.errors import UsageError
+from stages.simplification.codes import SIMPLIFY_COMPONENTS_REMOVED
 from stages.simplification.dropping import drop_small
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.simplify import simplify
@@ -58,10 +59,11 @@ def test_counts_and_areas_are_exact() -> None:
 def test_they_are_reported() -> None:
     found = simplify(sheet_with_faults(), ratio=0.1, drop_below=LIMIT)
     assert found.figures()["dropped"] == found.dropped.figures()
-    (warning,) = [text for text in found.warnings if text.startswith("drop_below")]
+    (warning,) = [str(one) for one in found.diagnostics if one.code == SIMPLIFY_COMPONENTS_REMOVED.name]
+    assert warning.startswith("drop_below ")
     assert "removed 3 connected components smaller than 0.12 m (36 triangles, 0.0288 m²)" in warning
     assert "filled 1 holes (0.00563 m²)" in warning
-    assert found.figures()["warnings"][0] == warning
+    assert str(found.diagnostics[0]) == warning
 
 
 def test_nothing_is_said_where_nothing_is_small() -> None:
@@ -71,7 +73,7 @@ def test_nothing_is_said_where_nothing_is_small() -> None:
     assert "dropped" not in plain.figures()
     same = simplify(mesh, ratio=0.1, drop_below=0.01)
     assert same.dropped.components == same.dropped.holes == 0
-    assert same.warnings == plain.warnings
+    assert same.diagnostics == plain.diagnostics
     np.testing.assert_array_equal(same.mesh.vertices, plain.mesh.vertices)
     np.testing.assert_array_equal(same.mesh.triangles, plain.mesh.triangles)
 

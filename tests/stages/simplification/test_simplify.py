@@ -18,6 +18,7 @@ from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.simplification.simplify import Simplified, SimplifyParams, simplify
+from stages.surface.codes import MESH_LEFT_OUT
 from stages.surface.mesh import Mesh, Texture
 from stages.surface.mesh_files import read_mesh
 from stages.surface.topology import topology
@@ -236,14 +237,18 @@ def test_attributes_that_follow_and_that_do_not() -> None:
     mesh = ball(3)
     normals = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1)[:, None]
     uvs = np.zeros((len(mesh.triangles), 3, 2))
+    read = MESH_LEFT_OUT.warning("read from a file", "a.ply")
     textured = mesh.with_(
-        normals=normals, texture=Texture(uvs, np.full(len(uvs), -1, np.int32)), notes=("read from a file",)
+        normals=normals, texture=Texture(uvs, np.full(len(uvs), -1, np.int32)), diagnostics=(read,)
     )
-    result = simplify(textured, ratio=0.5).mesh
+    found = simplify(textured, ratio=0.5)
+    result = found.mesh
     assert result.colors is None
     assert result.texture is None
-    assert result.notes[0] == "read from a file"
-    assert "texture" in result.notes[1]
+    assert result.diagnostics == (read,)
+    assert [str(one) for one in found.diagnostics] == [
+        "simplify left out: texture; method seams carries it, and bake makes a new image from the old one."
+    ]
     assert result.normals is not None
     assert (np.einsum("ij,ij->i", result.normals, result.vertices) > 0.9).all()
 
@@ -367,7 +372,7 @@ def test_every_method_takes_a_mesh_that_is_no_manifold(asked: dict[str, Any]) ->
     assert {tuple(p) for p in mesh.vertices[[12, 13]].tolist()} <= kept
     if light.method in ("quadric", "certified", "jia01"):
         assert topology(light.mesh).is_manifold
-        assert any("split into sheets" in note for note in light.mesh.notes)
+        assert any("split into sheets" in str(one) for one in light.diagnostics)
 
 
 def test_what_is_no_manifold_is_proven_to_stay_near() -> None:
@@ -390,9 +395,9 @@ def test_a_line_that_no_bound_is_about_is_told(line: list[int], is_told: bool) -
     assert simplify(with_line, max_shape=1e-3).details.proven
     for asked in ({"max_shape": 1e-3}, {"ratio": 0.5}, *({"method": name} for name in ("jia01", "planar"))):
         light = simplify(with_line, SimplifyParams(**asked))
-        assert sum("beside no other triangle" in note for note in light.mesh.notes) == is_told
+        assert sum("beside no other triangle" in str(one) for one in light.diagnostics) == is_told
     light = simplify(with_line, method="seams", ratio=0.5)
-    assert any("beside no other triangle" in note for note in light.mesh.notes) == is_told
+    assert any("beside no other triangle" in str(one) for one in light.diagnostics) == is_told
 
 
 @pytest.mark.parametrize(
@@ -414,7 +419,7 @@ def test_triangles_that_meet_the_wrong_way_are_sheets(triangles: list[list[int]]
     vertices = np.random.default_rng(0).random((5, 3))
     light = simplify((vertices, np.array(triangles)), ratio=1.0)
     assert len(light.mesh.triangles) == 2
-    assert any("split into sheets" in note for note in light.mesh.notes)
+    assert any("split into sheets" in str(one) for one in light.diagnostics)
 
 
 @pytest.mark.parametrize(

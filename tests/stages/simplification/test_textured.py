@@ -9,12 +9,15 @@ from seamed_meshes import wrapped_ball
 from textured_models import as_jpeg, as_png, gltf_material, textured_ball, waves, with_materials
 
 import stages
+from stages.diagnostics.codes import MACHINE_BUG
+from stages.diagnostics.collector import collecting
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import MeshError, UsageError
 from stages.simplification import textured
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import SimplifyParams, simplify
 from stages.simplification.textured import derive_max_shape, is_better_baked
-from stages.simplification.unmet import unmet
+from stages.simplification.unmet import report_unmet
 from stages.surface.mesh import Image, Material, Mesh, Texture
 
 
@@ -59,8 +62,15 @@ def test_without_options_the_bound_follows_from_the_size() -> None:
 def test_a_default_bound_that_is_not_proven_is_no_unmet_requirement() -> None:
     details = {"proven": False, "shape_bound_m": 0.2, "color_bound_levels": None}
     figures = {"details": details, "triangles_before": 10, "triangles": 5, "stopped_by": "unproven"}
-    assert unmet(SimplifyParams(), {**figures, "default_max_shape_m": 0.1}) == ()
-    assert len(unmet(SimplifyParams(max_shape=0.1), figures)) == 1
+    with collecting() as diagnostics:
+        report_unmet(SimplifyParams(), {**figures, "default_max_shape_m": 0.1})
+    assert diagnostics == []
+    with collecting() as diagnostics:
+        report_unmet(SimplifyParams(max_shape=0.1), figures)
+    assert [str(one) for one in diagnostics] == [
+        "the bounds that were asked for are not proven; proven are 0.2 m."
+    ]
+    assert diagnostics[0].severity == Severity.UNMET
 
 
 def test_the_size_does_not_follow_from_a_stray_triangle() -> None:
@@ -101,7 +111,7 @@ def test_without_baking_the_texture_is_lost_with_a_note() -> None:
     found = simplify(mesh, ratio=0.2, bake=False)
     assert found.method == "quadric"
     assert found.mesh.texture is None
-    assert any("left out: texture" in note for note in found.mesh.notes)
+    assert any("left out: texture" in str(one) for one in found.diagnostics)
 
 
 @pytest.mark.parametrize("method", ["quadric", "jia01", "planar"])
@@ -110,7 +120,7 @@ def test_methods_that_carry_no_image_bake_one(method: str) -> None:
     how = {"ratio": 0.3} if method == "quadric" else {}
     found = simplify(mesh, method=method, **how)
     assert found.baked is not None
-    assert not any("left out: texture" in note for note in found.mesh.notes)
+    assert not any("left out: texture" in str(one) for one in found.diagnostics)
 
 
 def test_a_method_that_is_named_and_carries_an_image_keeps_it_unless_asked() -> None:
@@ -164,20 +174,20 @@ def test_images_that_an_atlas_cannot_hold_stay(how: str) -> None:
     found = simplify(original, ratio=0.3)
     assert found.baked is None
     assert found.method == "seams"
-    assert any("texture coordinates and images are kept" in note for note in found.mesh.notes)
+    assert any("texture coordinates and images are kept" in str(one) for one in found.diagnostics)
     assert found.mesh.texture.images[0] is mesh.texture.images[0]
 
 
 def test_images_that_cannot_be_laid_out_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
-        raise MeshError("falls into too many charts for an image of so few texels.", "mesh")
+        raise MeshError(MACHINE_BUG, "falls into too many charts for an image of so few texels.", "mesh")
 
     monkeypatch.setattr(textured, "bake_materials", fails)
     mesh = textured_ball(as_png(waves()), rings=12, sectors=16)
     found = simplify(mesh, ratio=0.3)
     assert found.method == "seams"
     assert found.mesh.texture.images[0] is mesh.texture.images[0]
-    assert any("kept with their seams" in note for note in found.mesh.notes)
+    assert any("kept with their seams" in str(one) for one in found.diagnostics)
     with pytest.raises(MeshError, match="too many charts"):
         simplify(mesh, ratio=0.3, bake=True)
     assert simplify(mesh, method="quadric", ratio=0.3).mesh.texture is None
@@ -241,7 +251,7 @@ def test_images_that_repeat_are_baked_if_their_seams_hold_too_many_triangles(
     assert baked_count <= len(mesh.triangles) // 10 < kept_count
     assert len(found.mesh.triangles) == (baked_count if is_better else kept_count)
     assert (found.baked is not None) == is_better
-    assert any("new images are baked" in note for note in found.mesh.notes) == is_better
+    assert any("new images are baked" in str(one) for one in found.diagnostics) == is_better
     # What was asked for explicitly is not compared.
     simplify(mesh.with_(texture=texture), ratio=0.1, keep_uv=True)
     assert len(asked) == 1

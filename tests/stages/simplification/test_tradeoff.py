@@ -85,14 +85,16 @@ def test_where_nothing_may_collapse_any_more_the_curve_ends_and_says_so() -> Non
     found = tradeoff(tetrahedron, samples=100)
     assert [point.triangles for point in found.points] == [4]
     assert found.suggested is None
-    assert found.warnings == ("no edge may collapse any more at 4 triangles, which holes and pieces need",)
+    assert [str(one) for one in found.diagnostics] == [
+        "no edge may collapse any more at 4 triangles, which holes and pieces need"
+    ]
 
 
 def test_textured_meshes_keep_their_texture_and_say_what_is_not_in_the_figures() -> None:
     found = tradeoff(wrapped_ball(), steps=4, least=0.1, samples=5000, glb_bytes=True)
     assert found.method == "seams"
     assert found.mesh.texture is not None
-    assert "before the fit that simplify ends with" in found.warnings[-1]
+    assert "before the fit that simplify ends with" in str(found.diagnostics[-1])
     assert all(point.color_rmse_levels is not None for point in found.points)
     sizes = [point.glb_bytes for point in found.points]
     assert sizes == sorted(sizes, reverse=True)

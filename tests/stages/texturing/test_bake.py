@@ -10,6 +10,7 @@ from stages.simplification.simplify import simplify
 from stages.surface.color import color_at
 from stages.surface.mesh import Image, Material, Mesh, Texture
 from stages.texturing.bake import bake
+from stages.texturing.codes import TEXTURE_BAKE_LEFT_OUT
 from stages.texturing.filling import filled_up
 
 
@@ -246,9 +247,9 @@ def test_an_image_that_is_repeated_without_end_becomes_its_mean(repeats):
     assert max(max(baked.sizes)) < 512
     triangles, weights, _ = inside(baked.mesh)
     assert np.abs(color_at(baked.mesh, triangles, weights) - image.mean(axis=(0, 1))).max() < 1
-    (note,) = baked.mesh.notes
+    (diagnostic,) = baked.diagnostics
     ((width, height),) = baked.sizes
-    assert f"images that {width} × {height} texels cannot show" in note
+    assert f"images that {width} × {height} texels cannot show" in str(diagnostic)
 
 
 def test_details_that_are_too_fine_are_averaged():
@@ -258,7 +259,7 @@ def test_details_that_are_too_fine_are_averaged():
     baked = bake(square(), textured(square(), image, 1.0), max_texels=0.01)
     triangles, weights, _ = inside(baked.mesh)
     assert color_at(baked.mesh, triangles, weights) == pytest.approx(100, abs=20)
-    assert baked.mesh.notes
+    assert [one.code for one in baked.diagnostics] == [TEXTURE_BAKE_LEFT_OUT.name]
 
 
 def test_a_caller_can_stop_it():

@@ -221,7 +221,7 @@ def test_what_no_photo_shows_keeps_its_own_colours():
     off = np.abs(colors - paint(places[:, 0], places[:, 1]))[unseen]
     assert np.median(off) < 15
     bare = texture(mesh, frames)
-    assert "no colours of its own" in bare.warnings[0]
+    assert "no colours of its own" in str(bare.diagnostics[0])
 
 
 @pytest.mark.slow
@@ -352,7 +352,7 @@ def test_what_only_an_oblique_photo_shows_has_its_colours_and_is_not_told_as_uns
     grey = wall(colors=np.full((13 * 13, 3), 128, np.uint8))
     found = texture(grey, [flat], format="png")
     assert found.seen > 0.5
-    assert found.warnings == ()
+    assert found.diagnostics == ()
     colors, places = shown(found.mesh)
     truth = paint(places[:, 0], places[:, 1])
     # Across it pixels are as wide as 5 cm, along it as fine as ever.

@@ -332,8 +332,8 @@ def test_damaged_frames_are_told_and_the_others_count() -> None:
 
     assert found.frames == 3
     assert [(one.name, one.reason) for one in found.skipped] == [
-        ("empty", "frame empty: no pixel has a depth."),
-        ("lost", "frame lost: there is no camera pose."),
+        ("empty", "no pixel has a depth."),
+        ("lost", "there is no camera pose."),
     ]
 
 

@@ -11,6 +11,7 @@ import pytest
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import UsageError
 from stages.simplification.auto import chosen
 from stages.simplification.regions import Box, Sphere
@@ -86,7 +87,7 @@ def test_no_point_exceeds_what_is_proven(shape: float | None, color: float | Non
     assert result.details.max_shape_m == pytest.approx(0.005 * diagonal if shape is None else shape)
     assert (result.details.shape_bound_m or np.inf) <= (result.details.max_shape_m or 0)
     assert color is None or (result.details.color_bound_levels or 0) <= color
-    assert result.mesh.notes == ()
+    assert result.diagnostics == ()
     assert_bounds_hold(result, mesh)
 
 
@@ -219,8 +220,10 @@ def test_what_cannot_be_proven_is_said() -> None:
     assert min(result.details.unproven_triangles or ()) > 0
     assert result.details.color_bound_levels is not None
     assert result.details.color_bound_levels > 20
-    (note,) = result.mesh.notes
-    assert "could not prove" in note
+    warning, unmet = result.diagnostics
+    assert "could not prove" in str(warning)
+    assert "the bounds that were asked for are not proven" in str(unmet)
+    assert (warning.severity, unmet.severity) == (Severity.WARNING, Severity.UNMET)
     assert_bounds_hold(result, mesh, 10_000)
 
 
@@ -229,7 +232,7 @@ def test_when_stopped_early_what_is_proven_is_proven_of_what_there_is() -> None:
     result = simplify(mesh, max_shape=0.01, max_color=40, progress=lambda *_: False)
     assert result.stopped_by == "request"
     assert len(result.mesh.triangles) < len(mesh.triangles)
-    assert bool(result.mesh.notes) != result.details.proven
+    assert bool(result.diagnostics) != result.details.proven
     assert result.details.color_bound is not None
     assert len(result.details.color_bound) == len(result.mesh.triangles)
     assert_bounds_hold(result, mesh)
@@ -240,7 +243,7 @@ def test_the_texture_is_left_out_with_a_note() -> None:
     uvs = np.zeros((len(mesh.triangles), 3, 2))
     result = simplify(mesh.with_(texture=Texture(uvs, np.full(len(uvs), -1, np.int32))), max_shape=0.01)
     assert result.mesh.texture is None
-    assert "texture" in result.mesh.notes[0]
+    assert "left out: texture" in str(result.diagnostics[0])
 
 
 def test_nothing_to_simplify() -> None:

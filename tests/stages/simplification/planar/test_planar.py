@@ -347,7 +347,7 @@ def test_materials_and_parts_are_borders_and_are_kept() -> None:
     light = result.mesh
     assert light.texture is not None
     assert light.part_names == mesh.part_names
-    assert light.notes == ()
+    assert result.diagnostics == ()
     middles = light.vertices[light.triangles].mean(axis=1)
     np.testing.assert_array_equal(light.part_ids, middles[:, 1] > 0)
     wanted = np.where(middles[:, 2] < 0.499, -1, middles[:, 0] > 0)

@@ -19,7 +19,9 @@ from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
 from stages.diagnostics.errors import UsageError
 from stages.progress import silent
+from stages.simplification.codes import SIMPLIFY_CROWDED
 from stages.simplification.regions import Sphere
+from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
 from stages.surface.convert import as_mesh, to_open3d_legacy
 from stages.surface.mesh import Mesh
@@ -78,12 +80,15 @@ def test_too_few_triangles_for_many_holes_are_warned_of() -> None:
     torn = Mesh(mesh.vertices, mesh.triangles[(square % 4 != 1).any(axis=1)], colors=mesh.colors)
     loops = topology(torn).boundary_loops
     assert loops > 90
-    (warning,) = simplify(torn, triangles=4 * loops).warnings
+
+    def crowded(found: Simplified[Any]) -> list[str]:
+        return [str(one) for one in found.diagnostics if one.code == SIMPLIFY_CROWDED.name]
+
+    (warning,) = crowded(simplify(torn, triangles=4 * loops))
     assert "holes" in warning
-    assert simplify(torn, triangles=4 * loops).figures()["warnings"] == [warning]
-    assert simplify(torn, ratio=0.5).warnings == ()
-    assert simplify(torn, max_shape=1.0).warnings == ()
-    assert simplify(mesh, triangles=4 * loops).warnings == ()
+    assert crowded(simplify(torn, ratio=0.5)) == []
+    assert crowded(simplify(torn, max_shape=1.0)) == []
+    assert simplify(mesh, triangles=4 * loops).diagnostics == ()
 
 
 @pytest.mark.parametrize("ratio", [0.5, 0.1, 0.02])

@@ -41,7 +41,7 @@ def test_poles_of_a_globe_cost_little(bumps: float, ratio: float) -> None:
     assert light.method == "seams"
     assert light.stopped_by == "triangles"
     assert light.details.seam_drift <= 0.1
-    assert light.warnings == ()
+    assert light.diagnostics == ()
     assert edge_counts(welded(light.mesh))[0] == 0
     assert outside_charts(light.mesh, light.triangle_source, mesh) == 0
     plain = simplify(mesh.with_(texture=None), ratio=ratio, method="quadric")
@@ -63,7 +63,7 @@ def test_seams_go_no_farther_than_they_may_and_a_larger_bound_is_told() -> None:
         assert light.details.seam_drift_texels <= bound
     far = simplify(mesh, ratio=0.02, method="seams", max_seam_drift=512)
     assert far.details.seam_drift_texels > 50
-    assert any("texture seams moved by up to" in warning for warning in far.warnings)
+    assert any("texture seams moved by up to" in str(one) for one in far.diagnostics)
 
 
 def test_boxes_that_share_an_edge_are_two_surfaces() -> None:
