@@ -58,7 +58,8 @@ def summed(mesh: Mesh, name: str, samples: int) -> Iterator[tuple[str, float]]:
     for relative, texture in SUMS:
         size = diagonal(mesh)
         bound = relative * size
-        light = simplify(mesh, method="jia01", max_shape=bound, max_color=texture, resolution=size).mesh
+        own = {"resolution": size}
+        light = simplify(mesh, method="jia01", max_shape=bound, max_color=texture, jia01=own).mesh
         ratio = worst(mesh, light, samples)[0] / bound
         yield f"| {name} | {relative:g} | {removed(mesh, light)} | {ratio:.4f} |", ratio
 

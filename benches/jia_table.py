@@ -55,9 +55,8 @@ class Globe:
         if rule == CERTIFIED:
             return simplify(self.mesh, method="certified", **bounds)
         resolution = NO_LIMIT if length is None else length * self.edge
-        return simplify(
-            self.mesh, method="jia01", resolution=resolution, paper_rule=rule == "paper", **bounds
-        )
+        own = {"resolution": resolution, "paper_rule": rule == "paper"}
+        return simplify(self.mesh, method="jia01", jia01=own, **bounds)
 
 
 def main() -> None:

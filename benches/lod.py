@@ -217,7 +217,7 @@ def print_levels(name: str, mesh: Mesh, hierarchy: Hierarchy, samples: int) -> N
             continue
         bound = float(hierarchy.shape_bound[nodes].max())
         triangles = int(hierarchy.coarse[nodes].sum())
-        whole = len(simplify(mesh, method="certified", max_shape=bound, close_bounds=False).mesh.triangles)
+        whole = len(simplify(mesh, method="certified", max_shape=bound).mesh.triangles)
         attacks = np.array([attack(hierarchy, int(node), samples) for node in nodes])
         shares = attacks[:, 0] / hierarchy.shape_bound[nodes]
         colors = ["", "", ""]

@@ -97,7 +97,8 @@ def reductions() -> None:
         for percent in wanted:
             for shape in np.geomspace(1e-5, 0.02, 34):
                 angle = ANGLES[name]
-                result = simplify(mesh, method="planar", max_shape=shape * diagonal, patch_angle=angle)
+                own = {"patch_angle": angle}
+                result = simplify(mesh, method="planar", max_shape=shape * diagonal, planar=own)
                 left = 100 * (1 - len(result.mesh.vertices) / len(mesh.vertices))
                 if left >= percent:
                     break

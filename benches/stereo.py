@@ -63,13 +63,13 @@ def settings(
         "stereo_disparity": lambda: disparity_of(left, right, count, 0.8),
         "stereo_disparity, min_confidence=0": lambda: disparity_of(left, right, count, 0),
         "depth": ours(),
-        "depth, left_right=match": ours(left_right="match"),
+        "depth, sgbm.left_right=match": ours(sgbm={"left_right": "match"}),
         "depth, matcher=sgbm": ours(matcher="sgbm"),
         "depth, matcher=hh4": ours(matcher="hh4"),
         "depth, matcher=3way": ours(matcher="3way"),
-        "depth, block_size=5": ours(block_size=5),
+        "depth, sgbm.block_size=5": ours(sgbm={"block_size": 5}),
         "depth, min_confidence=1": ours(min_confidence=1),
-        "depth, smooth=true": ours(smooth=True),
+        "depth, sgbm.smooth=true": ours(sgbm={"smooth": True}),
         **({} if model is None else {"depth, model": ours(model=model)}),
     }
 

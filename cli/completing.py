@@ -26,7 +26,7 @@ def settings(incomplete: str) -> list[tuple[str, str]]:
     That is a section; then its parameters; then values: all there are, or else the default.
     """
     from pipeline.config import Config
-    from stages.params import described, hints_of
+    from stages.params import describe_all, get_hint, get_value
 
     section, dot, key = incomplete.partition(".")
     types = Config.types()
@@ -39,14 +39,14 @@ def settings(incomplete: str) -> list[tuple[str, str]]:
         return []
     usual, cls = getattr(Config(), section), types[section]
     key = key.partition("=")[0]
-    near = {name: about for name, about in described(cls).items() if name.startswith(key)}
+    near = {name: about for name, about in describe_all(cls).items() if name.startswith(key)}
     found = []
     for name, about in near.items():
         word, text = f"{section}.{name}=", _shortened(about.text)
         found.append((word, text))
         # One alone would be taken as it is, with a space behind.
         if len(near) == 1 or name == key:
-            values = about.choices or _values(hints_of(cls)[name], getattr(usual, name))
+            values = about.choices or _values(get_hint(cls, name), get_value(usual, name))
             found += [(word + value, text) for value in values]
     return found
 

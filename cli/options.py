@@ -12,7 +12,7 @@ import inspect
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 
@@ -22,7 +22,18 @@ from cli.codes import MACHINE_LIBRARY_WARNING
 from cli.output import Output
 from cli.rendering import option_name
 from stages.diagnostics.collector import listening
-from stages.params import Described, described, hints_of, kinds_of, row_length
+from stages.params import (
+    Described,
+    describe_all,
+    described,
+    find_nested,
+    get_default,
+    get_group,
+    get_hint,
+    kinds_of,
+    resolve,
+    row_length,
+)
 
 OUTPUT_PANEL = "Output"
 P = TypeVar("P")
@@ -107,23 +118,27 @@ def with_options(function: Callable[..., None], *, can_warn: bool = True) -> Cal
 
 def build(cls: type, values: dict[str, Any]) -> Any:
     """Build a parameter class from the options that were given (the others are None)."""
-    return cls(**_given(cls, values))
+    return resolve(cls, None, _given(cls, values))
 
 
 def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
     """Return the fields whose options were given, checked."""
-    params = build(cls, values)
-    return Changes({name: getattr(params, name) for name in _given(cls, values)})
+    return Changes(_picked(build(cls, values), _given(cls, values)))
 
 
 def _given(cls: type, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of a class whose options were given."""
-    return {name: values[name] for name in described(cls) if values.get(name) is not None}
+    """Return the values of a class whose options were given, those of nested classes as mappings."""
+    found = {name: values[name] for name in described(cls) if values.get(name) is not None}
+    below = {name: _given(own, values) for name, own in find_nested(cls).items()}
+    return {**found, **{name: own for name, own in below.items() if own}}
 
 
-def default_of(cls: type, name: str) -> Any:
-    """Return the declared default of a field."""
-    return next(field.default for field in fields(cls) if field.name == name)
+def _picked(params: Any, names: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of these fields, those of nested classes as mappings."""
+    return {
+        name: _picked(getattr(params, name), below) if isinstance(below, dict) else getattr(params, name)
+        for name, below in names.items()
+    }
 
 
 def help_of(about: Described, default: Any) -> str:
@@ -160,12 +175,24 @@ def _bounds(about: Described) -> str:
 
 
 def _options(cls: type) -> list[inspect.Parameter]:
-    hints = hints_of(cls)
-    panel = cls.__name__.removesuffix("Params")
-    return [
-        _keyword(name, _option(name, about, hints[name], default_of(cls, name), panel))
-        for name, about in described(cls).items()
-    ]
+    """Return an option for each parameter; those of nested classes go by their own names.
+
+    Raises
+    ------
+    TypeError
+        If two have the same name.
+    """
+    panel = f"{cls.__name__.removesuffix('Params')} parameters"
+    options: dict[str, inspect.Parameter] = {}
+    for name, about in describe_all(cls).items():
+        own = name.rpartition(".")[2]
+        if own in options:
+            raise TypeError(f"{cls.__name__} has two parameters {own}")
+        heading = get_group(cls, name) or panel
+        options[own] = _keyword(
+            own, _option(own, about, get_hint(cls, name), get_default(cls, name), heading)
+        )
+    return list(options.values())
 
 
 def _option(name: str, about: Described, hint: Any, default: Any, panel: str) -> Any:
@@ -181,7 +208,7 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str) ->
             metavar="|".join(about.choices) or " ".join(row_length(hint) * ["<float>"]) or None,
             autocompletion=(lambda: list(about.choices)) if about.choices else None,
             show_default=False,
-            rich_help_panel=about.group or f"{panel} parameters",
+            rich_help_panel=panel,
         ),
     ]
 

@@ -11,6 +11,7 @@ import typer
 from pipeline.quality import QUALITIES, STANDARD
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.collector import emit
+from stages.params import flatten, get_value
 
 if TYPE_CHECKING:
     from pipeline.config import Config
@@ -41,8 +42,8 @@ def config_of(file: Path | None, quality: str | None) -> Config:
     kept = [
         f"{section}.{name}"
         for section, values in QUALITIES[quality or STANDARD].items()
-        for name, value in values.items()
-        if getattr(getattr(config, section), name) != value
+        for name, value in flatten(values).items()
+        if get_value(getattr(config, section), name) != value
     ]
     if kept:
         emit(
@@ -59,7 +60,7 @@ def config_of(file: Path | None, quality: str | None) -> Config:
 
 def quality_toml(quality: str) -> str:
     """Return the line of a configuration that names a quality, after a comment on what it sets."""
-    sets = [f"{section}.{name}" for section, values in QUALITIES[quality].items() for name in values]
+    sets = [f"{section}.{name}" for section, values in QUALITIES[quality].items() for name in flatten(values)]
     told = f"{quality} sets {', '.join(sets)}." if sets else f"{quality} sets nothing: all are the defaults."
     words = f"What parameters that are left out are: {', '.join(QUALITIES)}. {told}"
     comment = textwrap.wrap(words, 100, initial_indent="# ", subsequent_indent="# ")

@@ -9,8 +9,8 @@ from stages.diagnostics.diagnostic import Diagnostic
 
 
 def option_name(field_name: str) -> str:
-    """Return how a field is called on the command line."""
-    return "--" + field_name.replace("_", "-")
+    """Return how a field, such as `ratio` or `planar.crease_angle`, is called on the command line."""
+    return "--" + field_name.rpartition(".")[2].replace("_", "-")
 
 
 def as_typed(text: str) -> str:

@@ -23,7 +23,7 @@ QUALITIES: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     STANDARD: {},
     # More texels a pixel look sharper, and are no nearer to photos that were left out.
     "best": {
-        "depth": {"matcher": "hh4", "left_right": "match"},
+        "depth": {"matcher": "hh4", "sgbm": {"left_right": "match"}},
         "fuse": {"voxel_factor": 0.7},
         "texture": {"max_texels": 256.0},
     },

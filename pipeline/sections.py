@@ -20,7 +20,17 @@ from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.files.documents import parse_toml
 from stages.files.opening import text_in
-from stages.params import Described, described, hints_of, kinds_of, row_length
+from stages.params import (
+    Described,
+    apply_changes,
+    described,
+    find_nested,
+    get_default,
+    hints_of,
+    kinds_of,
+    row_length,
+    suggest_parameter,
+)
 
 _MAX_BYTES = 1 << 22
 S = TypeVar("S", bound="Sections")
@@ -137,8 +147,8 @@ class Sections:
                 )
             where = f"--set {assignment}"
             config._require_section(section, where)
-            kind = config._kind(section, key, where)
-            config = config._with(section, {key: _from_word(text, kind, f"{where}: {name}")}, where)
+            values = _nested_value(section, key, self.types()[section], text, where)
+            config = config._with(section, values, where)
         return config
 
     def dumps(self) -> str:
@@ -157,13 +167,7 @@ class Sections:
         UsageError
             For a value that JSON cannot express, infinity.
         """
-        params = getattr(self, section)
-        hints = hints_of(type(params))
-        values = {}
-        for name, about in described(type(params)).items():
-            if about.invalidates:
-                values[name] = _canonical_value(getattr(params, name), hints[name], f"{section}.{name}")
-        return values
+        return _canonical(getattr(self, section), section)
 
     def _require_section(self, section: str, where: str) -> None:
         if section not in self.types():
@@ -176,28 +180,62 @@ class Sections:
                 advice=advice,
             )
 
-    def _kind(self, section: str, key: str, where: str) -> Any:
-        self._require_section(section, where)
-        cls = self.types()[section]
-        known = described(cls)
-        if key not in known:
-            raise UsageError(
-                CONFIG_PARAMETER_UNKNOWN,
-                "{section} has no parameter {key!r}; {did_you_mean}",
-                where=where,
-                section=section,
-                key=key,
-                did_you_mean=_did_you_mean(key, known),
-            )
-        return hints_of(cls)[key]
-
     def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
-        changes = {key: _typed(value, self._kind(section, key, where)) for key, value in values.items()}
+        changes = _typed_section(values, section, self.types()[section], where)
         try:
-            changed = dataclasses.replace(getattr(self, section), **changes)
+            changed = apply_changes(getattr(self, section), changes)
         except UsageError as error:
             raise UsageError.of(error.diagnostic.within(section=section, file=where)) from error
         return dataclasses.replace(self, **{section: changed})  # type: ignore[type-var]
+
+
+def _kind(section: str, key: str, cls: type, where: str) -> Any:
+    """Return the type of a parameter of a section."""
+    if key in find_nested(cls):
+        raise _not_a_value(f"{section}.{key}", where)
+    if key not in described(cls):
+        raise UsageError(
+            CONFIG_PARAMETER_UNKNOWN,
+            "{section} has no parameter {key!r}; {advice}",
+            where=where,
+            section=section,
+            key=key,
+            advice=suggest_parameter(key, cls),
+        )
+    return hints_of(cls)[key]
+
+
+def _not_a_value(section: str, where: str) -> UsageError:
+    return UsageError(
+        CONFIG_UNREADABLE,
+        "{section} is a section",
+        remedy="write [{section}], its parameters below.",
+        where=where,
+        section=section,
+    )
+
+
+def _typed_section(values: Mapping[str, Any], section: str, cls: type, where: str) -> dict[str, Any]:
+    """Return values of a section with the types of its parameters, and nested sections as mappings."""
+    typed = {}
+    for key, value in values.items():
+        nested = find_nested(cls).get(key)
+        if nested is None:
+            typed[key] = _typed(value, _kind(section, key, cls, where))
+        elif isinstance(value, Mapping):
+            typed[key] = _typed_section(value, f"{section}.{key}", nested, where)
+        else:
+            raise _not_a_value(f"{section}.{key}", where)
+    return typed
+
+
+def _nested_value(section: str, key: str, cls: type, text: str, where: str) -> dict[str, Any]:
+    """Return the word for a parameter as a value, in mappings for the sections that its key names."""
+    first, dot, rest = key.partition(".")
+    nested = find_nested(cls).get(first)
+    if dot and nested is not None:
+        return {first: _nested_value(f"{section}.{first}", rest, nested, text, where)}
+    return {key: _from_word(text, _kind(section, key, cls, where), f"{where}: {section}.{key}")}
 
 
 def _did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -259,6 +297,20 @@ def _number(word: str) -> Any:
         return word
 
 
+def _canonical(params: Any, section: str) -> dict[str, Any]:
+    """Return the parameters that decide a result as JSON values, those of nested sections as objects."""
+    cls = type(params)
+    hints = hints_of(cls)
+    values: dict[str, Any] = {
+        name: _canonical_value(getattr(params, name), hints[name], f"{section}.{name}")
+        for name, about in described(cls).items()
+        if about.invalidates
+    }
+    for name in find_nested(cls):
+        values[name] = _canonical(getattr(params, name), f"{section}.{name}")
+    return values
+
+
 def _canonical_value(value: Any, hint: Any, where: str) -> Any:
     if isinstance(value, float) and value in (float("inf"), float("-inf")):
         raise UsageError(
@@ -277,11 +329,12 @@ def _section_toml(name: str, params: Any) -> str:
     lines = [f"[{name}]", *_comment(summary)]
     hints = hints_of(type(params))
     for key, about in described(type(params)).items():
-        default = next(f.default for f in dataclasses.fields(params) if f.name == key)
+        default = get_default(type(params), key)
         lines += ["", *_comment(about.text), *_comment(facts_of(about, default, hints[key]))]
         value = getattr(params, key)
         lines.append(f"# {key} =" if value is None else f"{key} = {_toml(value)}")
-    return "\n".join(lines) + "\n"
+    nested = [_section_toml(f"{name}.{key}", getattr(params, key)) for key in find_nested(type(params))]
+    return "\n".join(["\n".join(lines) + "\n", *nested])
 
 
 def _comment(text: str) -> list[str]:

@@ -52,19 +52,23 @@ if TYPE_CHECKING:
     from stages.scans.params import ScanParams
     from stages.scans.read import read_scan
     from stages.scans.scan import Camera, Frame, Scan, StereoRig
-    from stages.simplification.planar.params import PatchParams
+    from stages.simplification.certified.params import CertifiedParams
+    from stages.simplification.jia01.params import Jia01Params
+    from stages.simplification.planar.params import PatchParams, PlanarParams
     from stages.simplification.planar.patches import Patches
     from stages.simplification.planar.run import planar_patches
     from stages.simplification.records.load import load_record
     from stages.simplification.records.record import CollapseRecord
     from stages.simplification.records.steps import ReplayParams
     from stages.simplification.regions import Box, Sphere
+    from stages.simplification.seams.params import SeamsParams
     from stages.simplification.simplify import Simplified, SimplifyParams, simplify
     from stages.simplification.tradeoff import Tradeoff, TradeoffParams, tradeoff
     from stages.stereo.completed_scan import completed_scan
     from stages.stereo.depth import DepthParams, depth, depth_scan
     from stages.stereo.depth_map import DepthMap
     from stages.stereo.disparity import Disparity, stereo_disparity
+    from stages.stereo.params import SgbmParams
     from stages.stereo.views_depth import views_depth
     from stages.surface.cloud_files import read_cloud
     from stages.surface.convert import (
@@ -122,18 +126,22 @@ _NAMES_OF = {
     "scans.params": ("ScanParams",),
     "scans.read": ("read_scan",),
     "scans.scan": ("Camera", "Frame", "Scan", "StereoRig"),
-    "simplification.planar.params": ("PatchParams",),
+    "simplification.certified.params": ("CertifiedParams",),
+    "simplification.jia01.params": ("Jia01Params",),
+    "simplification.planar.params": ("PatchParams", "PlanarParams"),
     "simplification.planar.patches": ("Patches",),
     "simplification.planar.run": ("planar_patches",),
     "simplification.records.load": ("load_record",),
     "simplification.records.record": ("CollapseRecord",),
     "simplification.records.steps": ("ReplayParams",),
     "simplification.regions": ("Box", "Sphere"),
+    "simplification.seams.params": ("SeamsParams",),
     "simplification.simplify": ("Simplified", "SimplifyParams", "simplify"),
     "stereo.completed_scan": ("completed_scan",),
     "stereo.depth": ("DepthParams", "depth", "depth_scan"),
     "stereo.depth_map": ("DepthMap",),
     "stereo.disparity": ("Disparity", "stereo_disparity"),
+    "stereo.params": ("SgbmParams",),
     "stereo.views_depth": ("views_depth",),
     "surface.cloud_files": ("read_cloud",),
     "surface.convert": (
@@ -162,6 +170,7 @@ __all__ = [
     "Box",
     "Camera",
     "Certificate",
+    "CertifiedParams",
     "CertifyParams",
     "ChangeParams",
     "Changes",
@@ -190,6 +199,7 @@ __all__ = [
     "Image",
     "InputError",
     "Inspection",
+    "Jia01Params",
     "Material",
     "Mesh",
     "MeshError",
@@ -200,6 +210,7 @@ __all__ = [
     "PatchParams",
     "Patches",
     "Place",
+    "PlanarParams",
     "RegisterParams",
     "Registration",
     "RemeshParams",
@@ -209,7 +220,9 @@ __all__ = [
     "Scan",
     "ScanParams",
     "ScanloomError",
+    "SeamsParams",
     "Severity",
+    "SgbmParams",
     "Simplified",
     "SimplifyParams",
     "Sphere",

@@ -8,7 +8,7 @@ import pytest
 from small_sample import write_small_sample
 
 from pipeline.config import Config
-from stages.params import described
+from stages.params import describe_all
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text()
@@ -22,11 +22,11 @@ def test_every_parameter_it_names_exists():
     config = Config()
     sections = "|".join(Config.types())
     named = re.findall(
-        rf"`({sections})\.(?!json\b|ply\b|txt\b|slod\b|glb\b|html\b|md\b)(\w+)(?:=[^`]*)?`", MANUAL
+        rf"`({sections})\.(?!(?:\w+\.)?(?:json|ply|txt|slod|glb|html|md)\b)([\w.]+)(?:=[^`]*)?`", MANUAL
     )
     assert len(named) > 60
     for section, name in named:
-        assert name in described(type(getattr(config, section))), f"{section}.{name}"
+        assert name in describe_all(type(getattr(config, section))), f"{section}.{name}"
 
 
 @pytest.mark.slow

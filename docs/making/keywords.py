@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import stages
-from stages.params import described
+from stages.params import described, find_nested
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYWORDS = ROOT / "stages" / "params" / "keywords.py"
@@ -59,7 +59,7 @@ def find_classes() -> list[type]:
         parts = path.relative_to(ROOT).with_suffix("").parts
         module = importlib.import_module(".".join(parts).removesuffix(".__init__"))
         for name, cls in vars(module).items():
-            if _is_declared_in(cls, module.__name__) and described(cls) and name != "SimplifyParams":
+            if _is_declared_in(cls, module.__name__) and (described(cls) or find_nested(cls)):
                 if name in found:
                     raise ValueError(f"two parameter classes are called {name}")
                 found[name] = cls
@@ -85,6 +85,8 @@ def write_keywords() -> str:
             for name in _names(annotation):
                 source, imported = _find_import(module, name)
                 imports.setdefault(source, set()).add(imported)
+            if field.name in find_nested(cls):
+                annotation += f" | {keywords_name(find_nested(cls)[field.name])}"
             lines.append(f"    {field.name}: {annotation}")
         written.append("\n".join(lines))
     imported = [

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import groupby
-from typing import Any, get_type_hints
+from typing import Any
 
 from making.markdown import definitions, escaped
 from pipeline.config import Config
 from pipeline.quality import QUALITIES
 from pipeline.sections import facts_of
-from stages.params import Described, described
+from stages.params import Described, describe_all, flatten, get_group, get_hint, get_value
 
 
 def of_section(section: str) -> str:
@@ -36,9 +35,9 @@ def of_qualities() -> str:
     rows = ["| quality | sets |", "|---|---|"]
     for quality, sections in QUALITIES.items():
         words = [
-            f"`{section}.{name}={_value(value)}` ({_value(getattr(getattr(Config(), section), name))})"
+            f"`{section}.{name}={_value(value)}` ({_value(get_value(getattr(Config(), section), name))})"
             for section, params in sections.items()
-            for name, value in params.items()
+            for name, value in flatten(params).items()
         ]
         rows.append(f"| `{quality}` | {', '.join(words) or 'nothing'} |")
     return "\n".join([*rows, "", "In brackets: what `standard` has."])
@@ -51,16 +50,15 @@ def _value(value: Any) -> str:
 def entries_of(params: Any) -> Iterator[tuple[str, Described, str]]:
     """Return name, description and facts (kind, unit, range, default) of each parameter of an object."""
     cls = type(params)
-    hints = get_type_hints(cls)
-    # A default is what stands in the object: a section may have another than the class it is of.
-    defaults = {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
-    for name, about in described(cls).items():
-        yield name, about, facts_of(about, defaults[name], hints[name])
+    for name, about in describe_all(cls).items():
+        # A default is what stands in the object: a section may have another than the class it is of.
+        yield name, about, facts_of(about, get_value(params, name), get_hint(cls, name))
 
 
 def _grouped(params: Any, shown: Callable[[str], str]) -> str:
     written = []
-    for group, entries in groupby(entries_of(params), key=lambda entry: entry[1].group):
+    cls = type(params)
+    for group, entries in groupby(entries_of(params), key=lambda entry: get_group(cls, entry[0])):
         if group:
             written.append(f"**{escaped(group)}**\n")
         written.append(

@@ -14,7 +14,7 @@ from making import parameters
 from making.docstrings import as_markdown
 from making.markdown import code, definitions, escaped
 from stages import lod
-from stages.params import described
+from stages.params import describe_all
 
 # The rooms in the order of the pipeline, and what stands above each.
 ROOMS = {
@@ -76,7 +76,7 @@ def _text(name: str, thing: Any) -> str:
         )
         return f"One of {escaped(kinds)}."
     written = [as_markdown(thing.__doc__)]
-    if is_dataclass(thing) and described(thing):
+    if is_dataclass(thing) and describe_all(thing):
         about = parameters.entries_of(thing())
         written.append(
             definitions((code(own), escaped(told.text), escaped(facts)) for own, told, facts in about)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from stages.params import flatten
+
 _NONE = object()
 
 
@@ -55,7 +57,7 @@ def _flat(params: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {
         f"{section}.{name}" if several else name: value
         for section, values in params.items()
-        for name, value in values.items()
+        for name, value in flatten(values).items()
     }
 
 

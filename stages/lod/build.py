@@ -231,7 +231,7 @@ def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, floa
             mesh,
             method="certified",
             max_shape=params.base_error,
-            close_bounds=mesh.colors is not None,
+            certified={"close_bounds": mesh.colors is not None},
             threads=params.threads,
             progress=_part(progress, 0, half, count),
         )

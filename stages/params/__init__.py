@@ -2,14 +2,16 @@
 
 A stage's frozen parameter class is the one source for its Python signature, the command's options and
 help, the keys of the config file and the reference page. Every field carries its text, unit and range.
+Parameters that one of several methods has are a class of their own, nested as a field of the stage's class.
 """
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from functools import cache
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache, reduce
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
@@ -68,6 +70,69 @@ def described(cls: type) -> dict[str, Described]:
     return {f.name: f.metadata["param"] for f in fields(cls) if "param" in f.metadata}
 
 
+def find_nested(cls: type) -> dict[str, type]:
+    """Return the nested parameter classes by the names of their fields."""
+    return {
+        f.name: type(f.default) for f in fields(cls) if is_dataclass(f.default) and described(type(f.default))
+    }
+
+
+def describe_all(cls: type) -> dict[str, Described]:
+    """Return the description of every parameter of a class, nested ones as `planar.crease_angle`."""
+    below = {
+        f"{section}.{name}": about
+        for section, own in find_nested(cls).items()
+        for name, about in describe_all(own).items()
+    }
+    return {**described(cls), **below}
+
+
+def get_value(params: Any, name: str) -> Any:
+    """Return the value of a parameter by its name, such as `planar.crease_angle`."""
+    return reduce(getattr, name.split("."), params)
+
+
+def find_owner(cls: type, name: str) -> type:
+    """Return the class that declares a parameter: itself, or the nested one."""
+    *sections, _ = name.split(".")
+    return reduce(lambda owner, section: find_nested(owner)[section], sections, cls)
+
+
+def get_hint(cls: type, name: str) -> Any:
+    """Return the type hint of a parameter by its name, such as `planar.crease_angle`."""
+    return hints_of(find_owner(cls, name))[name.rpartition(".")[2]]
+
+
+def get_default(cls: type, name: str) -> Any:
+    """Return the declared default of a parameter by its name, such as `planar.crease_angle`."""
+    own = name.rpartition(".")[2]
+    return next(f.default for f in fields(find_owner(cls, name)) if f.name == own)
+
+
+def get_group(cls: type, name: str) -> str:
+    """Return the heading of a parameter in a help: its own, or the summary of the nested class."""
+    owner = find_owner(cls, name)
+    summary = (owner.__doc__ or "").split("\n")[0].replace("`", "").removesuffix(".")
+    return describe_all(cls)[name].group or ("" if owner is cls else summary)
+
+
+def flatten(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values of nested mappings under names such as `planar.crease_angle`."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            flat.update({f"{name}.{own}": one for own, one in flatten(value).items()})
+        else:
+            flat[name] = value
+    return flat
+
+
+def find_changed(params: Any) -> list[str]:
+    """Return the names of the parameters whose values are not the declared defaults."""
+    cls = type(params)
+    return [name for name in describe_all(cls) if get_value(params, name) != get_default(cls, name)]
+
+
 def hints_of(cls: Any) -> Mapping[str, Any]:
     """Return the type hints of a class; to work them out takes a millisecond, and they never change."""
     return _hints_of(cls)
@@ -117,6 +182,8 @@ def check(params: Any) -> None:
             )
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             _check_range(name, value, about)
+    for name, own in find_nested(cls).items():
+        _check_type(name, getattr(params, name), (own,))
 
 
 @cache
@@ -192,15 +259,47 @@ def _check_range(name: str, value: float, about: Described) -> None:
         )
 
 
-def resolve(cls: type[P], params: P | None, changes: Mapping[str, object]) -> P:
-    """Parameters of a call: those given (or the defaults), with the named changes applied."""
-    unknown = sorted(set(changes) - set(described(cls)))
+def resolve(cls: type[P], params: P | None, changes: Mapping[str, object], *, section: str = "") -> P:
+    """Return the parameters of a call: those given (or the defaults), with the named changes applied.
+
+    Nested parameters can be given as a mapping, which changes those that it names.
+
+    Parameters
+    ----------
+    section : prefix of names in messages, such as `planar.`.
+    """
+    unknown = sorted(set(changes) - set(described(cls)) - set(find_nested(cls)))
     if unknown:
         raise UsageError(
             CONFIG_PARAMETER_UNKNOWN,
-            "unknown parameter {unknown!r}; known are {described}.",
-            unknown=unknown[0],
-            described=", ".join(described(cls)),
+            "unknown parameter {unknown!r}; {advice}",
+            unknown=f"{section}{unknown[0]}",
+            advice=suggest_parameter(unknown[0], cls),
         )
     base = cls() if params is None else params
-    return replace(base, **changes) if changes else base  # type: ignore[type-var]
+    return apply_changes(base, changes) if changes else base
+
+
+def apply_changes(params: P, changes: Mapping[str, object]) -> P:
+    """Return parameters with some replaced; a mapping changes single ones of a nested class."""
+    values = dict(changes)
+    for name, own in find_nested(type(params)).items():
+        given = values.get(name)
+        if isinstance(given, Mapping):
+            try:
+                values[name] = resolve(own, getattr(params, name), given, section=f"{name}.")
+            except UsageError as error:
+                where = error.diagnostic.where
+                if where is None or where.parameter is None:
+                    raise
+                nested_name = f"{name}.{where.parameter}"
+                raise UsageError.of(error.diagnostic.within(parameter=nested_name)) from error
+    return replace(params, **values)  # type: ignore[type-var]
+
+
+def suggest_parameter(word: str, cls: type) -> str:
+    """Return advice for the name of a parameter that a class does not have."""
+    names = [*described(cls), *find_nested(cls)]
+    below = [name for name in describe_all(cls) if name.endswith(f".{word}")]
+    near = below or difflib.get_close_matches(word, [*names, *describe_all(cls)], n=1)
+    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}."

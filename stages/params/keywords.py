@@ -12,6 +12,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from stages.diagnostics.diagnostic import Diagnostic
+    from stages.simplification.certified.params import CertifiedParams
+    from stages.simplification.jia01.params import Jia01Params
+    from stages.simplification.planar.params import PlanarParams
+    from stages.simplification.seams.params import SeamsParams
+    from stages.stereo.params import SgbmParams
     from stages.surface.mesh import Colors, Triangles, Vertices
     from stages.surface.texture import Texture
 
@@ -38,9 +43,6 @@ class BakeKeywords(TypedDict, total=False):
 class CertifiedKeywords(TypedDict, total=False):
     """Fields of `CertifiedParams`."""
 
-    max_shape: float | None
-    max_color: float | None
-    attribute_scale: float | None
     close_bounds: bool
 
 
@@ -122,20 +124,11 @@ class DepthKeywords(TypedDict, total=False):
     model_memory: float
     model_seconds: float
     disparities: int | None
-    block_size: int
-    p1: int | None
-    p2: int | None
-    prefilter_cap: int
-    uniqueness: int | None
-    left_right: str
     left_right_tolerance: float
     speckle_size: int
     speckle_range: float
     min_texture: float
     refine: bool
-    smooth: bool
-    smooth_lambda: float
-    smooth_sigma: float
     views: str
     partners: int
     agreeing_views: int
@@ -148,6 +141,7 @@ class DepthKeywords(TypedDict, total=False):
     turn_back: bool
     max_skipped: float
     threads: int | None
+    sgbm: SgbmParams | SgbmKeywords
 
 
 class DeviationKeywords(TypedDict, total=False):
@@ -205,9 +199,6 @@ class FuseKeywords(TypedDict, total=False):
 class Jia01Keywords(TypedDict, total=False):
     """Fields of `Jia01Params`."""
 
-    max_shape: float | None
-    max_color: float | None
-    attribute_scale: float | None
     resolution: float | None
     paper_rule: bool
 
@@ -253,29 +244,20 @@ class MeshKeywords(TypedDict, total=False):
 class PatchKeywords(TypedDict, total=False):
     """Fields of `PatchParams`."""
 
-    max_shape: float | None
-    max_color: float | None
     patch_angle: float
     crease_angle: float
     noise_angle: float
+    max_shape: float | None
+    max_color: float | None
     threads: int | None
 
 
 class PlanarKeywords(TypedDict, total=False):
     """Fields of `PlanarParams`."""
 
-    max_shape: float | None
-    max_color: float | None
     patch_angle: float
     crease_angle: float
     noise_angle: float
-
-
-class QuadricKeywords(TypedDict, total=False):
-    """Fields of `QuadricParams`."""
-
-    attribute_scale: float | None
-    fit: bool
 
 
 class ReadingKeywords(TypedDict, total=False):
@@ -375,8 +357,6 @@ class ScanKeywords(TypedDict, total=False):
 class SeamsKeywords(TypedDict, total=False):
     """Fields of `SeamsParams`."""
 
-    attribute_scale: float | None
-    fit: bool
     similar_distance: float | None
     texture_weight: float
     normal_weight: float
@@ -386,6 +366,55 @@ class SeamsKeywords(TypedDict, total=False):
     valence_penalty: float
     set_penalty: float
     max_seam_drift: float | None
+
+
+class SgbmKeywords(TypedDict, total=False):
+    """Fields of `SgbmParams`."""
+
+    block_size: int
+    p1: int | None
+    p2: int | None
+    prefilter_cap: int
+    uniqueness: int | None
+    left_right: str
+    smooth: bool
+    smooth_lambda: float
+    smooth_sigma: float
+
+
+class SharedKeywords(TypedDict, total=False):
+    """Fields of `SharedParams`."""
+
+    triangles: int | None
+    ratio: float | None
+    max_shape: float | None
+    max_color: float | None
+    drop_below: float | None
+    attribute_scale: float | None
+    fit: bool
+    keep_uv: bool
+    bake: bool | None
+    threads: int | None
+
+
+class SimplifyKeywords(TypedDict, total=False):
+    """Fields of `SimplifyParams`."""
+
+    triangles: int | None
+    ratio: float | None
+    max_shape: float | None
+    max_color: float | None
+    drop_below: float | None
+    attribute_scale: float | None
+    fit: bool
+    keep_uv: bool
+    bake: bool | None
+    threads: int | None
+    method: str
+    certified: CertifiedParams | CertifiedKeywords
+    seams: SeamsParams | SeamsKeywords
+    jia01: Jia01Params | Jia01Keywords
+    planar: PlanarParams | PlanarKeywords
 
 
 class TextureKeywords(TypedDict, total=False):

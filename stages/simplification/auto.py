@@ -7,7 +7,7 @@ from typing import Any
 
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
-from stages.params import described
+from stages.params import find_changed, get_value
 from stages.simplification.codes import USAGE_METHOD_MISMATCH
 from stages.simplification.methods import METHODS, Method, Need
 from stages.simplification.params import AUTO, SimplifyParams
@@ -43,8 +43,8 @@ def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, An
     name = min(given, key=lambda name: len(_knowing(name)))
     raise UsageError(
         USAGE_METHOD_MISMATCH,
-        "{name} is for {why_not}",
-        name=name,
+        "is for {why_not}",
+        Where(parameter=name),
         why_not=_why_not(_knowing(name)[0], params, given),
     )
 
@@ -77,18 +77,8 @@ def require_taken(
 
 
 def _given(params: SimplifyParams) -> list[str]:
-    """Return the parameters of single methods that were given.
-
-    A switch that is off, or on by itself, asks for nothing; a number that is 0 does.
-    """
-    names = dict.fromkeys(name for method in METHODS for name in described(method.params))
-    return [name for name in names if getattr(params, name) is not None and not _is_default(params, name)]
-
-
-def _is_default(params: SimplifyParams, name: str) -> bool:
-    value = getattr(params, name)
-    defaults = (getattr(method.params(), name) for method in _knowing(name))
-    return isinstance(value, bool) and (not value or all(defaults))
+    """Return the parameters that differ from their defaults, of those that only some methods have."""
+    return [name for name in find_changed(params) if _knowing(name)]
 
 
 def _knowing(name: str) -> list[Method[Any, Any]]:
@@ -100,9 +90,9 @@ def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Col
     if foreign is not None:
         raise UsageError(
             USAGE_METHOD_MISMATCH,
-            "{foreign} has no meaning for method {method_name}",
+            "has no meaning for method {method_name}",
+            Where(parameter=foreign),
             remedy="leave one of them out.",
-            foreign=foreign,
             method_name=method.name,
         )
     if need is not None:
@@ -144,7 +134,7 @@ def _foreign(method: Method[Any, Any], given: Collection[str]) -> str | None:
 def _lacking(method: Method[Any, Any], params: SimplifyParams) -> Need | None:
     """Return what the method needs and is not given."""
     need = method.needs
-    return None if need is None or any(getattr(params, name) is not None for name in need.names) else need
+    return None if need is None or any(get_value(params, name) is not None for name in need.names) else need
 
 
 def _has_no_count(method: Method[Any, Any], params: SimplifyParams) -> bool:

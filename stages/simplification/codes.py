@@ -139,7 +139,7 @@ SIMPLIFY_SEAM_DRIFT = Code(
     "simplify.seam-drift",
     "Texture shifted beside seams",
     """
-`simplify.max_seam_drift` limits how far seams move in the image, in texels. A smaller limit keeps more
+`simplify.seams.max_seam_drift` limits how far seams move in the image, in texels. A smaller limit keeps more
 triangles beside seams. Without a limit given, seams move by at most 1.5 edges of the simplified mesh, and a
 warning appears from 16 texels on.
 """,
@@ -188,7 +188,7 @@ USAGE_METHOD_MISMATCH = Code(
 Each [method](../simplification.md) has parameters of its own. `--method auto`, the default, takes the
 first that knows all that were given; leave the method out, or leave out a parameter that belongs to another.
 """,
-    "patch_angle has no meaning for method quadric; leave one of them out.",
+    "planar.patch_angle has no meaning for method quadric; leave one of them out.",
 )
 USAGE_REGION_INVALID = Code(
     "usage.region-invalid",

@@ -1,59 +1,55 @@
-"""The keywords of `simplify`, for editors and type checkers: those of all methods, and those of each."""
+"""Keywords of `simplify` by method, for editors and type checkers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
 from stages.progress import Progress
-from stages.simplification.certified.params import CertifiedKeywords
-from stages.simplification.jia01.params import Jia01Keywords
-from stages.simplification.planar.params import PlanarKeywords
-from stages.simplification.quadric.params import QuadricKeywords
+from stages.simplification.certified.params import CertifiedParams
+from stages.simplification.jia01.params import Jia01Params
+from stages.simplification.planar.params import PlanarParams
 from stages.simplification.regions import Region
-from stages.simplification.seams.params import SeamsKeywords
-from stages.simplification.shared_params import GoalKeywords
+from stages.simplification.seams.params import SeamsParams
 
+if TYPE_CHECKING:
+    from stages.params.keywords import (
+        CertifiedKeywords,
+        Jia01Keywords,
+        PlanarKeywords,
+        SeamsKeywords,
+        SharedKeywords,
+    )
 
-class SimplifyKeywords(
-    GoalKeywords,
-    QuadricKeywords,
-    CertifiedKeywords,
-    SeamsKeywords,
-    Jia01Keywords,
-    PlanarKeywords,
-    total=False,
-):
-    """SimplifyParams as keywords of `simplify`."""
+    class _Call(SharedKeywords, total=False):
+        lock: ArrayLike | None
+        importance: ArrayLike | None
+        regions: Sequence[Region]
+        record: bool
+        partial: bool
+        progress: Progress
 
-    method: str
+    class QuadricCall(_Call, total=False):
+        """All that `simplify` takes for method `quadric`."""
 
+    class CertifiedCall(_Call, total=False):
+        """All that `simplify` takes for method `certified`."""
 
-class _Call(GoalKeywords, total=False):
-    lock: ArrayLike | None
-    importance: ArrayLike | None
-    regions: Sequence[Region]
-    record: bool
-    partial: bool
-    progress: Progress
+        certified: CertifiedParams | CertifiedKeywords
 
+    class SeamsCall(_Call, total=False):
+        """All that `simplify` takes for method `seams`."""
 
-class QuadricCall(_Call, QuadricKeywords, total=False):
-    """All that `simplify` takes for method `quadric`."""
+        seams: SeamsParams | SeamsKeywords
 
+    class Jia01Call(_Call, total=False):
+        """All that `simplify` takes for method `jia01`."""
 
-class CertifiedCall(_Call, CertifiedKeywords, total=False):
-    """All that `simplify` takes for method `certified`."""
+        jia01: Jia01Params | Jia01Keywords
 
+    class PlanarCall(_Call, total=False):
+        """All that `simplify` takes for method `planar`."""
 
-class SeamsCall(_Call, SeamsKeywords, total=False):
-    """All that `simplify` takes for method `seams`."""
-
-
-class Jia01Call(_Call, Jia01Keywords, total=False):
-    """All that `simplify` takes for method `jia01`."""
-
-
-class PlanarCall(_Call, PlanarKeywords, total=False):
-    """All that `simplify` takes for method `planar`."""
+        planar: PlanarParams | PlanarKeywords

@@ -1,8 +1,8 @@
 """The table of methods: what each needs and takes, its parameters, its call, and what it has to tell.
 
-A new method is a folder beside this file and a row below. The keywords of `simplify`, the options of the
-command, the keys of TOML, the help and what `auto` refuses are made from the rows. Type checkers read no
-tables: what they know of keywords and details stands in `keywords.py`.
+A new method is a folder beside this file, a row below, and a field of SimplifyParams if it has parameters
+of its own. The help of `method` and what `auto` refuses are made from the rows. Type checkers read no tables:
+for them `keywords.py` lists what `simplify` takes for each method.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from stages.params import described
 from stages.simplification.certified import run as certified
 from stages.simplification.certified.details import CertifiedDetails
 from stages.simplification.certified.params import CertifiedParams
@@ -24,7 +23,6 @@ from stages.simplification.planar.details import PlanarDetails
 from stages.simplification.planar.params import PlanarParams
 from stages.simplification.quadric import run as quadric
 from stages.simplification.quadric.details import QuadricDetails
-from stages.simplification.quadric.params import QuadricParams
 from stages.simplification.result import Details, Simplified
 from stages.simplification.seams import run as seams
 from stages.simplification.seams.details import SeamsDetails
@@ -76,7 +74,9 @@ class Method(Generic[P, D]):
     Attributes
     ----------
     name, text : what people call it, and what it is for, as the help says it.
-    params : the class of its own parameters, with their defaults.
+    params : the class of the parameters that it alone has; None without any. SimplifyParams has them in the
+        field of its name.
+    shared : the parameters of several methods that it has, too.
     details : the class of what it alone has to tell.
     run : the call.
     needs : what it cannot do without, if there is such a thing.
@@ -87,9 +87,10 @@ class Method(Generic[P, D]):
 
     name: str
     text: str
-    params: type[P]
+    params: type[P] | None
     details: type[D]
     run: Callable[[Task[P]], Simplified[D]]
+    shared: tuple[str, ...] = ()
     needs: Need | None = None
     takes: Takes = Takes()
     auto: bool = True
@@ -102,13 +103,12 @@ class Method(Generic[P, D]):
         return version
 
     def knows(self, name: str) -> bool:
-        """Return whether a parameter is one of its own."""
-        return name in described(self.params)
+        """Return whether it has a parameter, such as `max_shape` or `planar.crease_angle`."""
+        return name in self.shared or name.startswith(f"{self.name}.")
 
-    def own(self, params: Any) -> P:
-        """Return its own parameters from those of all methods, where None stands for its own default."""
-        values = {name: getattr(params, name) for name in described(self.params)}
-        return self.params(**{name: value for name, value in values.items() if value is not None})
+    def own(self, params: Any) -> Any:
+        """Return from SimplifyParams those that it alone has."""
+        return None if self.params is None else getattr(params, self.name)
 
 
 # In the order in which `auto` asks them.
@@ -116,9 +116,10 @@ METHODS: tuple[Method[Any, Any], ...] = (
     Method(
         name="quadric",
         text="to a number of triangles, with the least squared error of shape and colour.",
-        params=QuadricParams,
+        params=None,
         details=QuadricDetails,
         run=quadric.run,
+        shared=("attribute_scale",),
         needs=COUNT,
     ),
     Method(
@@ -128,6 +129,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=CertifiedParams,
         details=CertifiedDetails,
         run=certified.run,
+        shared=("max_shape", "max_color", "attribute_scale"),
         needs=BOUND,
         takes=Takes(texture=True),
         proves=True,
@@ -139,6 +141,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=SeamsParams,
         details=SeamsDetails,
         run=seams.run,
+        shared=("attribute_scale",),
         needs=COUNT,
         takes=Takes(texture=True),
     ),
@@ -148,6 +151,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=Jia01Params,
         details=Jia01Details,
         run=jia01.run,
+        shared=("max_shape", "max_color", "attribute_scale"),
         takes=Takes(importance=False),
     ),
     Method(
@@ -157,6 +161,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=PlanarParams,
         details=PlanarDetails,
         run=planar.run,
+        shared=("max_shape", "max_color"),
         takes=Takes(count=False, importance=False, record=False),
         auto=False,
     ),

@@ -49,6 +49,7 @@ from stages.surface.topology import require_measurable
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from stages.params.keywords import SimplifyKeywords
     from stages.simplification import keywords
     from stages.simplification.certified.details import CertifiedDetails
     from stages.simplification.jia01.details import Jia01Details
@@ -113,7 +114,7 @@ def simplify(
     record: bool = False,
     partial: bool = False,
     progress: Progress = silent,
-    **changes: Unpack[keywords.SimplifyKeywords],
+    **changes: Unpack[SimplifyKeywords],
 ) -> Simplified[Any]: ...
 def simplify(
     mesh: MeshLike,
@@ -125,7 +126,7 @@ def simplify(
     record: bool = False,
     partial: bool = False,
     progress: Progress = silent,
-    **changes: Unpack[keywords.SimplifyKeywords],
+    **changes: Unpack[SimplifyKeywords],
 ) -> Simplified[Any]:
     """Simplify a mesh to a triangle count, or as far as bounds on shape and colour allow.
 
@@ -140,7 +141,8 @@ def simplify(
         are one; where that is no oriented manifold, the surface is split into sheets, which stay as they are
         where they touch, and a warning says so. Vertices without triangles and triangles that name a vertex
         twice are left out.
-    params : SimplifyParams; single fields can be given by name instead. `triangles` or `ratio`, and bounds,
+    params : SimplifyParams; single fields can be given by name instead, those of one method as an object or a
+        dict: `planar={"crease_angle": 30}`. `triangles` or `ratio`, and bounds,
         `max_shape` (metres) and `max_color` (8-bit levels), say how far: whichever comes first. `drop_below`
         (metres) removes small components and holes first, and `dropped` of the result says which; a record
         begins with the mesh after that.
@@ -336,6 +338,10 @@ def _run(mesh: Mesh, params: SimplifyParams, target: int | None, control: _Contr
         triangles=target,
         lock=control.lock,
         importance=control.importance,
+        max_shape=params.max_shape,
+        max_color=params.max_color,
+        attribute_scale=params.attribute_scale,
+        fit=params.fit,
         threads=params.threads or 0,
         record=control.record,
         partial=control.partial,

@@ -22,8 +22,9 @@ class Task(Generic[P]):
     Attributes
     ----------
     mesh : what is to be made light; checked, as it was given.
-    params : the method's own.
+    params : those that only this method has; None if there are none.
     triangles : stop when at most this many are left; None if no number is wanted.
+    max_shape, max_color, attribute_scale, fit : see SharedParams.
     lock : (n,) bool, vertices that stay.
     importance : (n,) float64 above 0, factor of the squared error; (0,) for 1 everywhere.
     threads : 0 for one a core.
@@ -37,6 +38,10 @@ class Task(Generic[P]):
     triangles: int | None
     lock: NDArray[np.bool_]
     importance: NDArray[np.float64]
+    max_shape: float | None
+    max_color: float | None
+    attribute_scale: float | None
+    fit: bool
     threads: int = 0
     record: bool = False
     partial: bool = False

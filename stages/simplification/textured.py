@@ -17,6 +17,7 @@ from stages.comparing.compare import CompareParams, compare, compare_searched, s
 from stages.comparing.needles import WithNeedles
 from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Diagnostic
+from stages.params import find_changed
 from stages.simplification.codes import SIMPLIFY_IMAGES_KEPT
 from stages.simplification.kernel_input import texture_left_out
 from stages.simplification.methods import METHODS
@@ -36,7 +37,9 @@ from stages.texturing.bake_materials import bake_materials
 from stages.texturing.material_classes import MaterialClass, material_classes
 
 # Parameters that only mean something for texture coordinates, or colours of an image, that stay.
-_OF_KEPT_UVS = ("max_color", "max_seam_drift", "texture_weight", "across_textures")
+_OF_KEPT_UVS = frozenset(
+    ("max_color", "seams.max_seam_drift", "seams.texture_weight", "seams.across_textures")
+)
 # An image that repeats more often than this, as bricks on a wall, would lose detail in an atlas of its size.
 _MAX_REPEATS = 2.0
 # Share of the surface that shows less than one texel for each triangle, as with palettes, from which an atlas
@@ -142,7 +145,7 @@ def plan_baking(
     if params.bake is None:
         carrying = [method.name for method in METHODS if method.takes.texture]
         is_auto = params.method == AUTO
-        is_kept = any(getattr(params, name) is not None for name in _OF_KEPT_UVS)
+        is_kept = not _OF_KEPT_UVS.isdisjoint(find_changed(params))
         if params.method in carrying or (is_auto and (record or is_kept)):
             return None, None
     class_ids, classes = material_classes(mesh)

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from stages.diagnostics.collector import emit
+from stages.params import get_value
 from stages.printing import at_most
 from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COUNT_NOT_REACHED
 from stages.simplification.params import SimplifyParams
 
 # With any of these, stopping short of a number of triangles is what was asked for.
-_BOUNDS = ("max_shape", "max_color", "max_seam_drift", "resolution")
+_BOUNDS = ("max_shape", "max_color", "seams.max_seam_drift", "jia01.resolution")
 
 
 def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
@@ -44,7 +45,7 @@ def report_unmet(params: SimplifyParams, figures: Mapping[str, Any]) -> None:
             )
         )
     wanted, left = params.target(figures["triangles_before"]), figures["triangles"]
-    is_alone = all(getattr(params, name) is None for name in _BOUNDS)
+    is_alone = all(get_value(params, name) is None for name in _BOUNDS)
     if wanted is not None and is_alone and left > wanted and figures["stopped_by"] != "request":
         emit(
             SIMPLIFY_COUNT_NOT_REACHED.unmet(

@@ -31,7 +31,7 @@ Image = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
 # Only the matchers know of these.
-_OF_MATCHERS = ("matcher", "block_size", "p1", "p2", "prefilter_cap", "uniqueness", "left_right", "smooth")
+_OF_MATCHERS = ("matcher", "sgbm")
 # If left and right agree on less of the image, its sidecar is wrong rather than the network.
 _AGREEING = 0.01
 # Scale and shift come from so many pixels, evenly taken: the repeated median looks at all pairs of them.

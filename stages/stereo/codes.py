@@ -82,7 +82,7 @@ A warning, with the reasons for the rest, the largest share first.
 """,
     (
         "depth covers only 9% of the views' pixels: 71% has too little texture (depth.backdrop=0 keeps it), "
-        "18% matched no other view surely (depth.min_confidence=1 and depth.uniqueness=0 ask less)"
+        "18% matched no other view surely (depth.min_confidence=1 and depth.sgbm.uniqueness=0 ask less)"
     ),
 )
 DEPTH_ALREADY_MEASURED = Code(

@@ -93,7 +93,7 @@ def _report_low_coverage(counts: Counts, params: DepthParams) -> None:
         (counts.plain, "has too little texture (depth.backdrop=0 keeps it)"),
         (
             rest - counts.matched,
-            "matched no other view surely (depth.min_confidence=1 and depth.uniqueness=0 ask less)",
+            "matched no other view surely (depth.min_confidence=1 and depth.sgbm.uniqueness=0 ask less)",
         ),
         (
             counts.matched - kept,

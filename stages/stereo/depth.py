@@ -239,7 +239,7 @@ class PairStage:
         self.network = network
         self.is_by_network = network is not None and network.is_stereo
         derived = _AMONG_OTHERS if pairs >= SEVERAL else _ALONE
-        given = params.min_confidence, params.uniqueness
+        given = params.min_confidence, params.sgbm.uniqueness
         least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
         # A network searches in its own way: what it finds is only refused where it cannot be.
         self.search = _search_range(rig, params, stated, 1.0 if self.is_by_network else _WIDEST)
@@ -255,9 +255,9 @@ class PairStage:
         # Ours has its range narrowed by one that is fast.
         self.matcher = Matcher(
             FAST if self.is_own or params.matcher == AUTO else params.matcher,
-            params.block_size,
-            *params.penalties,
-            params.prefilter_cap,
+            params.sgbm.block_size,
+            *params.sgbm.penalties,
+            params.sgbm.prefilter_cap,
             uniqueness,
         )
         self.narrow = (
@@ -294,7 +294,7 @@ class PairStage:
         else:
             disparity, trust = self._matched(left, pair, search)
         near = self.params.min_depth or 0.0
-        if self.params.refine and not self.params.smooth:
+        if self.params.refine and not self.params.sgbm.smooth:
             disparity = refined(*pair, disparity, trust >= self.least_confidence)
         measured = DepthMap(
             self._depth(disparity, trust),
@@ -327,7 +327,7 @@ class PairStage:
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Return the same by one of OpenCV's."""
         first = self.matcher.left(*pair, search)
-        if self.params.left_right == "match":
+        if self.params.sgbm.left_right == "match":
             residual = consistency(first, self.matcher.right(*pair, search), search)
         else:
             residual = projected(first, search, self.params.left_right_tolerance)
@@ -341,14 +341,14 @@ class PairStage:
         )
         matched &= textured(pair[0], self.params.min_texture)
         trust = confidence(first, residual, matched, search)
-        if self.params.smooth:
+        if self.params.sgbm.smooth:
             first = smoothed(
                 first,
                 self.matcher.right(*pair, search),
                 _rgb(left),
-                block_size=self.params.block_size,
-                strength=self.params.smooth_lambda,
-                edge_sigma=self.params.smooth_sigma,
+                block_size=self.params.sgbm.block_size,
+                strength=self.params.sgbm.smooth_lambda,
+                edge_sigma=self.params.sgbm.smooth_sigma,
             )
         none = first < SUBPIXELS * search.lowest
         return np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS)), trust

@@ -2,35 +2,100 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Collection
+from dataclasses import dataclass, field
 
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
-from stages.params import check, param
+from stages.params import check, find_changed, param
 from stages.stereo.matching import LARGEST_DISPARITY
 
 # How views are measured.
 SWEEP, PAIRS = "sweep", "pairs"
-# Our own matcher, what only the others know, and the one of them that is fast.
+# Our own matcher, and the fast one of OpenCV's.
 AUTO, CENSUS, FAST = "auto", "census", "3way"
-_OF_OTHERS = (
-    "block_size",
-    "p1",
-    "p2",
-    "prefilter_cap",
-    "uniqueness",
-    "left_right",
-    "left_right_tolerance",
-    "speckle_size",
-    "speckle_range",
-    "smooth",
-)
+# Section and parameters that our own matcher does not have.
+_OF_OTHERS = ("sgbm", "left_right_tolerance", "speckle_size", "speckle_range")
 # From this many pairs on, fusion sees most surfaces several times and drops what a single pair says.
 SEVERAL = 3
 # Bytes that our own matcher may take where it was not asked for.
 _LARGEST_VOLUME = 4 << 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class SgbmParams:
+    """Parameters of OpenCV's semi-global matchers: 3way, sgbm, hh4 and hh."""
+
+    block_size: int = param(
+        3,
+        "Width of the compared blocks, odd: larger ones stand more noise, smaller ones keep detail",
+        unit="px",
+        low=1,
+        high=11,
+    )
+    p1: int | None = param(
+        None,
+        "Penalty for a change of disparity by 1 px between neighbours; 16·block_size² by default",
+        low=0,
+    )
+    p2: int | None = param(
+        None, "Penalty for a larger change, more than p1; 32·block_size² by default", low=1, high=10000
+    )
+    prefilter_cap: int = param(
+        15,
+        "Horizontal gradients are cut off here before comparison",
+        unit="grey levels",
+        low=15,
+        high=63,
+    )
+    uniqueness: int | None = param(
+        None,
+        "By how much the best match must beat every other, else there is none. Default: 20 for one or two "
+        "pairs, 5 for more",
+        unit="%",
+        low=0,
+        high=100,
+    )
+    left_right: str = param(
+        "project",
+        "How left and right are checked against each other: project claims each right pixel for the nearest "
+        "surface, match matches the right image too, which takes twice the time and errs a little less",
+        choices=("project", "match"),
+    )
+    smooth: bool = param(
+        False,
+        "Smooth disparity along the image's edges (weighted least squares): pleasant to look at, fuses "
+        "worse. What it fills in keeps its low confidence and gets no depth",
+    )
+    smooth_lambda: float = param(1000.0, "Strength of the smoothing", low=0, low_open=True)
+    smooth_sigma: float = param(
+        1.5, "How strong an edge of the image stops the smoothing", unit="grey levels", low=0, low_open=True
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.block_size % 2 == 0:
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "is {block_size}; it must be odd.",
+                Where(parameter="block_size"),
+                block_size=self.block_size,
+            )
+        if self.penalties[0] >= self.penalties[1]:
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "is {penalties}; it must be below p2, {penalties_2}.",
+                Where(parameter="p1"),
+                penalties=self.penalties[0],
+                penalties_2=self.penalties[1],
+            )
+
+    @property
+    def penalties(self) -> tuple[int, int]:
+        """Return p1 and p2 as used."""
+        area = self.block_size**2
+        return 16 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,42 +186,6 @@ class DepthParams:
         low=1,
         high=LARGEST_DISPARITY,
     )
-    block_size: int = param(
-        3,
-        "Width of the compared blocks, odd: larger ones stand more noise, smaller ones keep detail",
-        unit="px",
-        low=1,
-        high=11,
-    )
-    p1: int | None = param(
-        None,
-        "Penalty for a change of disparity by 1 px between neighbours; 16·block_size² by default",
-        low=0,
-    )
-    p2: int | None = param(
-        None, "Penalty for a larger change, more than p1; 32·block_size² by default", low=1, high=10000
-    )
-    prefilter_cap: int = param(
-        15,
-        "Horizontal gradients are cut off here before comparison",
-        unit="grey levels",
-        low=15,
-        high=63,
-    )
-    uniqueness: int | None = param(
-        None,
-        "By how much the best match must beat every other, else there is none. Default: 20 for one or two "
-        "pairs, 5 for more",
-        unit="%",
-        low=0,
-        high=100,
-    )
-    left_right: str = param(
-        "project",
-        "How left and right are checked against each other: project claims each right pixel for the nearest "
-        "surface, match matches the right image too, which takes twice the time and errs a little less",
-        choices=("project", "match"),
-    )
     left_right_tolerance: float = param(
         1.0,
         "How far the disparities of a pixel and of its match may differ",
@@ -181,15 +210,6 @@ class DepthParams:
         True,
         "Move each disparity by the fraction of a pixel at which the images agree best; takes away the "
         "matcher's bias on slanted surfaces. Smoothed disparities stay as they are",
-    )
-    smooth: bool = param(
-        False,
-        "Smooth disparity along the image's edges (weighted least squares): pleasant to look at, fuses "
-        "worse. What it fills in keeps its low confidence and gets no depth",
-    )
-    smooth_lambda: float = param(1000.0, "Strength of the smoothing", low=0, low_open=True)
-    smooth_sigma: float = param(
-        1.5, "How strong an edge of the image stops the smoothing", unit="grey levels", low=0, low_open=True
     )
     views: str = param(
         SWEEP,
@@ -265,16 +285,10 @@ class DepthParams:
     threads: int | None = param(
         None, "Pairs matched at the same time; one a core if not given", low=1, high=256, invalidates=False
     )
+    sgbm: SgbmParams = field(default=SgbmParams())
 
     def __post_init__(self) -> None:
         check(self)
-        if self.block_size % 2 == 0:
-            raise UsageError(
-                USAGE_VALUE_INVALID,
-                "is {block_size}; it must be odd.",
-                Where(parameter="block_size"),
-                block_size=self.block_size,
-            )
         if self.min_depth is not None and self.max_depth is not None and self.min_depth >= self.max_depth:
             raise UsageError(
                 USAGE_VALUE_INVALID,
@@ -285,42 +299,27 @@ class DepthParams:
             )
         if self.matcher == CENSUS:
             self.require_default(_OF_OTHERS, f"matcher {CENSUS}")
-        if self.penalties[0] >= self.penalties[1]:
-            raise UsageError(
-                USAGE_VALUE_INVALID,
-                "is {penalties}; it must be below p2, {penalties_2}.",
-                Where(parameter="p1"),
-                penalties=self.penalties[0],
-                penalties_2=self.penalties[1],
-            )
 
     def is_own(self, pairs: int, volume: int) -> bool:
         """Return whether our own matcher measures so many pairs, whose volumes take so many bytes."""
         if self.matcher != AUTO:
             return self.matcher == CENSUS
-        return pairs < SEVERAL and volume <= _LARGEST_VOLUME and not self.idle(_OF_OTHERS)
+        return pairs < SEVERAL and volume <= _LARGEST_VOLUME and not self.find_idle(_OF_OTHERS)
 
-    def idle(self, names: Sequence[str]) -> list[str]:
-        """Return which of these parameters were set."""
-        defaults = {one.name: one.default for one in fields(self)}
-        return [name for name in names if getattr(self, name) != defaults[name]]
+    def find_idle(self, names: Collection[str]) -> list[str]:
+        """Return which of these parameters, or of those of these sections, were set."""
+        return [name for name in find_changed(self) if name.partition(".")[0] in names]
 
-    def require_default(self, names: Sequence[str], where: str) -> None:
+    def require_default(self, names: Collection[str], place: str) -> None:
         """Raise UsageError for a parameter that was set and would do nothing."""
-        if idle := self.idle(names):
+        if idle := self.find_idle(names):
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "{idle} has no effect with {place}",
+                "has no effect with {place}",
+                Where(parameter=idle[0]),
                 remedy="leave it out.",
-                idle=", ".join(idle),
-                place=where,
+                place=place,
             )
-
-    @property
-    def penalties(self) -> tuple[int, int]:
-        """Return p1 and p2 as used."""
-        area = self.block_size**2
-        return 16 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
 
 
 # What views that are swept have no use for.

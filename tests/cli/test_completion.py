@@ -79,6 +79,9 @@ def test_values_where_one_parameter_is_meant(offered: Offered) -> None:
     # One alone would be taken, and a space put behind it.
     assert offered("scanloom run x --set fuse.voxel_s") == ["fuse.voxel_size=", "fuse.voxel_size=none"]
     assert offered("scanloom run x --set texture.rou") == ["texture.rounds=", "texture.rounds=1"]
+    assert offered("scanloom run x --set simplify.jia01.p") == [
+        *("simplify.jia01.paper_rule=", "simplify.jia01.paper_rule=true", "simplify.jia01.paper_rule=false")
+    ]
     # zsh and fish take what is behind the sign for the same word.
     assert offered("scanloom run x --set fuse.device=c") == ["fuse.device=cpu", "fuse.device=cuda"]
 

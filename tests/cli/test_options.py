@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
-from cli.options import build, with_options
+from cli.options import build, given, with_options
 from cli.output import Output
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class CableParams:
+    """Parameters of `cable` stitches."""
+
+    twist: float = param(0.5, "Turns of a cable.", unit="turns", low=0)
+    is_left: bool = param(False, "Twist to the left.")
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +36,7 @@ class KnittingParams:
     purl: bool = param(True, "Purl every second row.")
     corner: tuple[float, float] | None = param(None, "Where to begin.", unit="m")
     yarn: str = param("wool", "What to knit with.", choices=("wool", "silk"))
+    cable: CableParams = field(default=CableParams())
 
     def __post_init__(self) -> None:
         check(self)
@@ -62,6 +74,29 @@ def test_options_given_reach_their_fields(knit: Any) -> None:
     assert target == "sock"
     assert params == KnittingParams(stitch_width=0.5, rows=3, purl=False, yarn="silk", corner=(-1.0, 2.5))
     assert out.as_json
+
+
+def test_options_of_nested_parameters_go_by_their_own_names(knit: Any) -> None:
+    _, (_, params, _) = knit("sock", "--twist", "2", "--is-left")
+    assert params == KnittingParams(cable=CableParams(twist=2.0, is_left=True))
+    assert given(KnittingParams, {"twist": 3.0, "rows": 2}) == {"rows": 2, "cable": {"twist": 3.0}}
+    text = re.sub(r"\s+", " ", knit("--help")[0].output.replace("│", " "))
+    assert "Parameters of cable stitches" in text
+    assert "Turns of a cable. (turns; at least 0; default: 0.5)" in text
+
+
+def test_two_options_of_one_name_are_refused() -> None:
+    @dataclass(frozen=True)
+    class Twice:
+        twist: float = param(1.0, "Turns.")
+        cable: CableParams = field(default=CableParams())
+
+    def command(params: Twice) -> None:
+        del params
+
+    command.__annotations__ = {"params": Twice}
+    with pytest.raises(TypeError, match="two parameters twist"):
+        with_options(command)
 
 
 def test_help_shows_text_unit_range_and_default(knit: Any) -> None:

@@ -17,7 +17,7 @@ import pytest
 import recordings
 
 from pipeline.config import Config
-from stages.params import described
+from stages.params import describe_all
 
 Run = Callable[..., Any]
 SCANLOOM = [sys.executable, "-m", "cli.app"]
@@ -347,8 +347,9 @@ def test_help_teaches_with_an_example(scanloom: Run, command: tuple[str, ...]) -
 def test_help_of_a_stage_names_unit_and_default_of_every_parameter(scanloom: Run, command: str) -> None:
     text = re.sub(r"[\s│]+", " ", scanloom(command, "--help").stdout)
     helps = {option.split(" ", 1)[0]: option for option in re.split(r" --(?!no-)", text)}
-    for name, about in described(Config.types()[command]).items():
-        facts = re.search(r"\(([^()]*)(default: [^()]+|no fixed default)\)", helps[name.replace("_", "-")])
+    for name, about in describe_all(Config.types()[command]).items():
+        option = name.rpartition(".")[2].replace("_", "-")
+        facts = re.search(r"\(([^()]*)(default: [^()]+|no fixed default)\)", helps[option])
         assert facts, name
         assert about.unit in facts[1]
 

@@ -30,7 +30,7 @@ def test_every_field_of_a_parameter_class_is_a_keyword():
     written = {node.name: node.body[1:] for node in tree.body if isinstance(node, ast.ClassDef)}
     classes = keywords.find_classes()
 
-    assert {"FuseParams", "PatchParams", "Mesh"} <= {cls.__name__ for cls in classes}
+    assert {"FuseParams", "SimplifyParams", "Mesh"} <= {cls.__name__ for cls in classes}
     assert list(written) == [keywords.keywords_name(cls) for cls in classes]
     for cls in classes:
         names = [node.target.id for node in written[keywords.keywords_name(cls)]]

@@ -13,7 +13,7 @@ from markdown_it import MarkdownIt
 
 import stages
 from pipeline.config import Config
-from stages.params import described
+from stages.params import describe_all
 
 # Words and all signs that mean something in Markdown.
 TEXTS = st.text(st.sampled_from("ab *_<>[]|#$~{}\\&!1.-"), min_size=1).map(lambda text: f"a{text}z")
@@ -100,7 +100,7 @@ def test_every_parameter_stands_in_its_section(section: str):
     listed = parameters.of_section(section)
     params = getattr(Config(), section)
 
-    for name, about in described(type(params)).items():
+    for name, about in describe_all(type(params)).items():
         assert f"`{section}.{name}`\n: {escaped(about.text.split()[0])}" in listed
     assert f"## `[{section}]`" in parameters.of_all()
 

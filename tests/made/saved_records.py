@@ -42,7 +42,7 @@ def recorded(kind: str) -> CollapseRecord:
         case "no colours":
             result = simplify(mesh.with_(colors=None, normals=normals), ratio=0.1, record=True)
         case "split":
-            result = simplify(mesh, method="jia01", max_shape=0.05, resolution=0.15, record=True)
+            result = simplify(mesh, method="jia01", max_shape=0.05, jia01={"resolution": 0.15}, record=True)
         case _:
             result = simplify(cut_sheet(), method="seams", ratio=0.1, record=True)
     assert result.record is not None

@@ -69,7 +69,7 @@ def test_current_folder_does_not_matter(toy, scan, out, monkeypatch):
 
 
 def test_thread_count_keeps_the_cache(toy, scan, out):
-    assert ran(toy.run(scan, out, "mix.threads=7")) == []
+    assert ran(toy.run(scan, out, "mix.threads=7", "cut.soft.previews=3")) == []
 
 
 @pytest.mark.parametrize(
@@ -78,6 +78,7 @@ def test_thread_count_keeps_the_cache(toy, scan, out):
         ("mix.gain=0.25", ALL, "params changed: gain 0.5 → 0.25"),
         ("cut.far=3", ["cut", "count"], "params changed: far not set → 3"),
         ("cut.mode=soft", ["cut"], "params changed: mode hard → soft"),
+        ("cut.soft.width=0.2", ["cut"], "params changed: soft.width 0.1 → 0.2"),
         ("count.bins=5", ["count"], "params changed: bins 4 → 5"),
         ("count.exact=no", ["count"], "params changed: exact True → False"),
     ],

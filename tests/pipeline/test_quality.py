@@ -6,6 +6,7 @@ from pipeline.config import Config
 from pipeline.graph import STAGES
 from pipeline.quality import QUALITIES, STANDARD
 from stages.diagnostics.errors import UsageError
+from stages.params import flatten, get_value
 
 OTHERS = sorted(set(QUALITIES) - {STANDARD})
 
@@ -21,10 +22,9 @@ def test_a_quality_sets_what_it_names_and_nothing_else(quality):
     sections = [name for name in Config.types() if getattr(config, name) != getattr(usual, name)]
     assert sorted(sections) == sorted(QUALITIES[quality])
     for section, values in QUALITIES[quality].items():
-        for name, value in values.items():
-            assert (
-                getattr(getattr(config, section), name) == value != getattr(getattr(Config(), section), name)
-            )
+        for name, value in flatten(values).items():
+            assert get_value(getattr(config, section), name) == value
+            assert get_value(getattr(usual, section), name) != value
 
 
 @pytest.mark.parametrize("quality", OTHERS)

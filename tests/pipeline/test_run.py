@@ -25,7 +25,7 @@ from pipeline.run.events import RunStarted
 from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.run.schema import SCHEMA
 from stages.diagnostics.errors import InputError, UsageError
-from stages.params import described
+from stages.params import describe_all, flatten
 from stages.scans.images import read_color, read_depth
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.read import read_scan
@@ -236,7 +236,7 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
         ("remesh.levels=2", []),
         ("lod.ratio=2", []),
         ("tiles.page=true", []),
-        ("depth.block_size=5", []),
+        ("depth.sgbm.block_size=5", []),
     ],
 )
 def test_one_parameter_reruns_its_stage_and_what_follows(rgbd, made, tmp_path, assignment, expected):
@@ -256,8 +256,10 @@ def test_every_section_decides_one_stage():
 
 @pytest.mark.parametrize("section", sorted(set(Config.types()) - {"scan"}))
 def test_every_parameter_is_in_the_key_unless_it_cannot_change_the_result(section):
-    about = described(Config.types()[section])
-    assert set(Config().canonical(section)) == {name for name, one in about.items() if one.invalidates}
+    about = describe_all(Config.types()[section])
+    assert set(flatten(Config().canonical(section))) == {
+        name for name, one in about.items() if one.invalidates
+    }
 
 
 def test_configuration_prints_and_reads_back():
@@ -318,7 +320,7 @@ def test_stereo_scan_leaves_its_depth_as_a_scan(stereo, tmp_path):
     assert points.colors is not None
     assert ran(run(stereo, out, quick(), until="fuse")) == []
     assert ran(run(stereo, out, quick("depth.threads=1"), until="fuse")) == []
-    assert ran(run(stereo, out, quick("depth.uniqueness=6"), until="depth")) == ["depth"]
+    assert ran(run(stereo, out, quick("depth.sgbm.uniqueness=6"), until="depth")) == ["depth"]
 
 
 def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):

@@ -11,6 +11,17 @@ from stages.params import check, param
 
 
 @dataclass(frozen=True, kw_only=True)
+class BrickParams:
+    """Parameters of bricks."""
+
+    size: float = param(0.5, "Side of a brick.", unit="m", low=0, low_open=True)
+    workers: int = param(2, "Bricks at the same time.", low=1, invalidates=False)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
 class FuseParams:
     """Fuse depth maps."""
 
@@ -23,6 +34,7 @@ class FuseParams:
     color: bool = param(True, "Fuse colour too.")
     name: str | None = param(None, "Any text.")
     center: tuple[float, float, float] | None = param(None, "Where it is.", unit="m")
+    bricks: BrickParams = field(default=BrickParams())
 
     def __post_init__(self) -> None:
         check(self)
@@ -55,6 +67,7 @@ configs = st.builds(
         color=st.booleans(),
         name=st.none() | st.text(),
         center=st.none() | st.tuples(*3 * [st.floats(-1e9, 1e9)]),
+        bricks=st.builds(BrickParams, size=st.floats(1e-9, 1e9), workers=st.integers(1, 99)),
     ),
     clean=st.builds(CleanParams, islands=st.integers(0, 10**12)),
 )
@@ -73,6 +86,8 @@ def test_defaults_are_printed_with_text_unit_range_and_default():
     assert '# one of cpu, cuda; default: "cpu"\ndevice = "cpu"\n' in text
     assert "color = true" in text
     assert "# 3 numbers in m; not set by default\n# center =\n" in text
+    assert "\n\n[fuse.bricks]\n# Parameters of bricks.\n\n# Side of a brick.\n" in text
+    assert text.index("[fuse.bricks]") < text.index("[clean]")
     assert all(len(line) <= 100 for line in text.splitlines())
 
 
@@ -101,6 +116,12 @@ def test_file_sets_what_it_names_and_leaves_the_rest(tmp_path):
         ("[fuse]\ncenter = [1, 2]\n", "f.toml: fuse.center is (1.0, 2.0); it must be 3 finite numbers."),
         ("[fuse]\ncenter = [1, 2, 'x']\n", "f.toml: fuse.center is (1.0, 2.0, 'x'); it must be 3 finite"),
         ("[fuse]\ncenter = [1, 2, inf]\n", "f.toml: fuse.center is (1.0, 2.0, inf); it must be 3 finite"),
+        ("[fuse]\nbricks = 1\n", "f.toml: fuse.bricks is a section; write [fuse.bricks]"),
+        ("[fuse.bricks]\nsize = 0\n", "f.toml: fuse.bricks.size is 0 m; it must be more than 0 m."),
+        ("[fuse.bricks]\nsize = 'a'\n", "f.toml: fuse.bricks.size is 'a'; it must be of type float or int."),
+        ("[fuse.bricks]\nsiez = 1\n", "f.toml: fuse.bricks has no parameter 'siez'; did you mean size?"),
+        ("[fuse.briks]\nsize = 1\n", "f.toml: fuse has no parameter 'briks'; did you mean bricks?"),
+        ("[fuse]\nsize = 1\n", "f.toml: fuse has no parameter 'size'; did you mean bricks.size?"),
         ("[clean]\nislands = 1.5\n", "f.toml: clean.islands is 1.5; it must be of type int."),
         ("[clean\n", "f.toml: this is not TOML"),
     ],
@@ -152,6 +173,13 @@ def test_rows_of_numbers_are_read_as_they_are_written(row):
         ("fuse.center=1 2", "fuse.center is (1.0, 2.0); it must be 3 finite numbers"),
         ("fuse.center=here", "fuse.center is ('here',); it must be 3 finite numbers"),
         ("fuse.thread=2", "did you mean threads?"),
+        ("fuse.bricks=2", "fuse.bricks is a section; write [fuse.bricks], its parameters below."),
+        ("fuse.bricks.siez=2", "fuse.bricks has no parameter 'siez'; did you mean size?"),
+        ("fuse.bricks.size=-2", "fuse.bricks.size is -2 m; it must be more than 0 m"),
+        ("fuse.bricks.size=big", "fuse.bricks.size must be a number, not 'big'"),
+        ("fuse.bricks.size.x=2", "fuse.bricks has no parameter 'size.x'; did you mean size?"),
+        ("fuse.bricks.=2", "fuse.bricks has no parameter ''; known are size, workers."),
+        ("fuse.briks.size=2", "fuse has no parameter 'briks.size'; did you mean bricks.size?"),
         ("cleen.islands=2", "did you mean clean?"),
         ("clean.islands=-1", "clean.islands is -1 triangles; it must be at least 0 triangles"),
     ],
@@ -163,9 +191,18 @@ def test_mistakes_in_words_are_named(word, message):
     assert message in str(raised.value)
 
 
+def test_nested_sections_are_read_from_files_and_words():
+    config = Config.loads("[fuse]\nweight = 2\n[fuse.bricks]\nsize = 3\n")
+    assert config.fuse == FuseParams(weight=2.0, bricks=BrickParams(size=3.0))
+    # What is not named stays.
+    changed = config.set(["fuse.bricks.workers=4"])
+    assert changed.fuse == FuseParams(weight=2.0, bricks=BrickParams(size=3.0, workers=4))
+
+
 def test_canonical_form_leaves_out_what_cannot_change_the_result():
     values = Config().canonical("fuse")
     assert set(values) == {f.name for f in fields(FuseParams)} - {"threads"}
+    assert values["bricks"] == {"size": 0.5}
 
 
 def test_canonical_form_is_one_for_equal_values():
@@ -179,3 +216,5 @@ def test_canonical_form_is_one_for_equal_values():
 def test_infinity_has_no_canonical_form():
     with pytest.raises(UsageError, match=r"fuse\.voxel_size is infinite"):
         Config(fuse=FuseParams(voxel_size=float("inf"))).canonical("fuse")
+    with pytest.raises(UsageError, match=r"fuse\.bricks\.size is infinite"):
+        Config(fuse=FuseParams(bricks=BrickParams(size=float("inf")))).canonical("fuse")

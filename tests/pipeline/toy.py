@@ -36,11 +36,23 @@ class MixParams:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SoftParams:
+    """Parameters of soft cuts."""
+
+    width: float = param(0.1, "Width of the border.", unit="m", low=0)
+    previews: int = param(0, "Pictures on the way.", low=0, invalidates=False)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
 class CutParams:
     """Cut off the far part."""
 
     far: float | None = param(None, "Far limit; by default the mean.", unit="m", low=0, low_open=True)
     mode: str = param("hard", "How to cut.", choices=("hard", "soft"))
+    soft: SoftParams = field(default=SoftParams())
 
     def __post_init__(self) -> None:
         check(self)

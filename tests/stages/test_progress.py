@@ -53,7 +53,7 @@ def light() -> Mesh:
 ASKED: dict[str, dict[str, Any]] = {
     "quadric": {"ratio": 0.05},
     "certified": {"max_shape": 0.004, "max_color": 30},
-    "jia01": {"resolution": 0.02},
+    "jia01": {"jia01": {"resolution": 0.02}},
     "seams": {"ratio": 0.05},
     "planar": {"max_shape": 0.01},
 }

@@ -136,6 +136,20 @@ assert_type(simplify(mesh, method="certified", max_shape=0.01).details.proven, b
 assert_type(simplify(mesh, method="seams", ratio=0.1).details.seam_drift, float)
 assert_type(simplify(mesh, ratio=0.1).vertex_source, NDArray[np.int32])
 _ = simplify(mesh, method="quadric", ratio=0.1).details.proven  # error: attr-defined
+# Parameters of one method are an object or a dict.
+simplify(mesh, method="planar", planar=stages.PlanarParams(crease_angle=30))
+simplify(mesh, method="planar", planar={"crease_angle": 30})
+simplify(mesh, ratio=0.1, seams={"set_penalty": 0.2})
+simplify(mesh, stages.SimplifyParams(planar=stages.PlanarParams(noise_angle=0)), method="planar")
+simplify(mesh, method="planar", planar={"angle": 30})  # error: call-overload
+simplify(mesh, method="planar", planar={"crease_angle": "flat"})  # error: call-overload
+simplify(mesh, crease_angle=30)  # error: call-overload
+_ = stages.SimplifyParams().crease_angle  # error: attr-defined
+assert_type(stages.SimplifyParams().planar.crease_angle, float)
+depth_scan(scan, sgbm={"p1": 100}, matcher="hh4")
+depth_scan(scan, sgbm=stages.SgbmParams(left_right="match"))
+depth_scan(scan, sgbm={"p3": 100})  # error: arg-type
+depth_scan(scan, p1=100)  # error: call-arg
 planar_patches(mesh, max_shape=0.01, threads=2)
 planar_patches(mesh, ratio=0.1)  # error: call-arg
 _ = simplify(mesh, ratio=0.1, record=True).record.replay(ratio=0.5)  # error: union-attr

@@ -108,14 +108,18 @@ class _Found:
 
 def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[CertifiedDetails]:
     """Simplify within a proven distance of `shape` metres, and a measured difference of colour if given."""
-    mesh, params = task.mesh, task.params
-    weight = params.attribute_scale
+    mesh = task.mesh
+    weight = task.attribute_scale
     if weight is None:
         weight = balanced_weight(mesh, len(mesh.triangles) // REDUCTION, task.threads)
     tell, go_on = _forward_only(task.progress)
     inner = Task(
         mesh=mesh,
-        params=SeamsParams(attribute_scale=weight if mesh.colors is not None else None),
+        params=SeamsParams(),
+        max_shape=None,
+        max_color=None,
+        attribute_scale=weight if mesh.colors is not None else None,
+        fit=True,
         triangles=task.triangles,
         lock=task.lock,
         importance=np.zeros(0),
@@ -124,7 +128,7 @@ def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[Cer
         partial=task.partial,
         progress=tell,
     )
-    asked = _asked(replace(inner, progress=go_on), params, shape)
+    asked = _asked(replace(inner, progress=go_on), task.max_color, shape)
     factors = 1 / task.importance if len(task.importance) else np.ones(len(mesh.vertices))
     failures = np.zeros(len(mesh.vertices), np.int64)
     lock = task.lock.copy()
@@ -146,7 +150,7 @@ def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[Cer
         factors[around] *= _TIGHTER
         lock |= failures >= (_PATIENCE if passes < _MOST_PASSES - _PATIENCE else 1)
         lock[discolored] = True
-    result = _result(asked, params, found, weight, passes)
+    result = _result(asked, task, found, weight, passes)
     if not asked.ambiguous.any():
         return result
     emit(
@@ -159,8 +163,8 @@ def run_along_seams(task: Task[CertifiedParams], shape: float) -> Simplified[Cer
     return result
 
 
-def _asked(task: Task[Any], params: CertifiedParams, shape: float) -> _Asked:
-    color = math.inf if params.max_color is None else params.max_color
+def _asked(task: Task[Any], max_color: float | None, shape: float) -> _Asked:
+    color = math.inf if max_color is None else max_color
     is_image = is_textured(task.mesh)
     ambiguous = np.zeros(len(task.mesh.triangles), bool)
     samples = color_samples(task.mesh, task.mesh) if is_image and color < math.inf else None
@@ -279,14 +283,14 @@ def _around(mesh: Mesh, found: _Found, hopeless: NDArray[np.bool_]) -> NDArray[n
 
 
 def _result(
-    asked: _Asked, params: CertifiedParams, found: _Found, weight: float, passes: int
+    asked: _Asked, task: Task[CertifiedParams], found: _Found, weight: float, passes: int
 ) -> Simplified[CertifiedDetails]:
     mesh, light, proof = asked.task.mesh, found.light, found.proof
     with_color = mesh.colors is not None and not asked.is_image
     shape_bound, color_bound = proof.shape_bound, proof.color_bound
     (bound, color), (attained, color_attained) = proof.bound, proof.attained
     # Only so is the bound on colour found where none is wanted.
-    if params.close_bounds or (with_color and asked.color == math.inf):
+    if task.params.close_bounds or (with_color and asked.color == math.inf):
         close = _proof(light.mesh, asked, None)
         shape_bound = np.minimum(shape_bound, close.shape_bound)
         bound, attained = min(bound, close.bound[0]), max(attained, close.attained[0])
@@ -338,7 +342,7 @@ def _result(
             unproven_triangles=(0, 0) if proven else (without[0], without[1]),
             iterations=passes,
             max_shape_m=asked.shape,
-            max_color_levels=params.max_color,
+            max_color_levels=task.max_color,
             seam_drift=light.details.seam_drift,
         ),
         record=light.record,

@@ -44,11 +44,11 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     UsageError
         For importance below 1, or a bound on colour for a mesh without colours.
     """
-    mesh, params = task.mesh, task.params
+    mesh = task.mesh
     along_seams = is_in_pieces(mesh)
     if not along_seams:
-        require_colors(mesh, params.max_color)
-    elif params.max_color is not None and not has_color(mesh):
+        require_colors(mesh, task.max_color)
+    elif task.max_color is not None and not has_color(mesh):
         raise UsageError(
             USAGE_METHOD_MISMATCH,
             "is given, but the mesh has neither image nor vertex colours",
@@ -60,18 +60,18 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
             USAGE_METHOD_MISMATCH,
             "importance has values below 1 or not finite; bounds are divided by it, and never grow.",
         )
-    shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) if params.max_shape is None else float(params.max_shape)
+    shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) if task.max_shape is None else float(task.max_shape)
     if along_seams:
         return run_along_seams(task, shape)
     # The default is of the mesh that was given: one in sheets has no vertices without triangles.
-    return run_in_sheets(replace(task, params=replace(params, max_shape=shape)), _as_it_is)
+    return run_in_sheets(replace(task, max_shape=shape), _as_it_is)
 
 
 def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
-    mesh, params = task.mesh, task.params
-    shape = params.max_shape or 0.0
-    color = math.inf if params.max_color is None else float(params.max_color)
-    weight = params.attribute_scale
+    mesh = task.mesh
+    shape = task.max_shape or 0.0
+    color = math.inf if task.max_color is None else float(task.max_color)
+    weight = task.attribute_scale
     if weight is None:
         weight = balanced_weight(mesh, len(mesh.triangles) // REDUCTION, task.threads)
     with_color = mesh.colors is not None
@@ -86,7 +86,7 @@ def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
         share=SHARE_OF_VERTICES,
         tolerance=(TOLERANCE, TOLERANCE),
         effort=PIECES,
-        close=params.close_bounds,
+        close=task.params.close_bounds,
         running=task.running(REGION_TRIANGLES),
         progress=task.progress,
     )
@@ -128,7 +128,7 @@ def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
             unproven_triangles=result.unproven,
             iterations=result.iterations,
             max_shape_m=shape,
-            max_color_levels=params.max_color,
+            max_color_levels=task.max_color,
         ),
         record=record,
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.simplification.jia01.params import Jia01Params
+from stages.simplification.task import Task
 from stages.surface.mesh import Mesh
 
 # The defaults, found on a room fused at 2 cm and on a globe with a satellite map (see this package).
@@ -32,19 +33,20 @@ class Limits:
     attribute_scale: float
 
 
-def limits_of(mesh: Mesh, params: Jia01Params, *, only_given: bool, threads: int) -> Limits:
-    """Complete the limits that were given; with `only_given`, the others are no bounds. 0 threads for all."""
-    given = (params.resolution, params.max_shape, params.max_color)
+def limits_of(task: Task[Jia01Params]) -> Limits:
+    """Complete the limits that were given; with a number of triangles, the others are no bounds."""
+    mesh, only_given = task.mesh, task.triangles is not None
+    given = (task.params.resolution, task.max_shape, task.max_color)
     resolution, max_shape, max_color = given
     if resolution is None:
-        resolution = _default_resolution(mesh, threads)
+        resolution = _default_resolution(mesh, task.threads)
     if max_shape is None:
         max_shape = _default_shape(mesh, resolution)
     if max_color is None:
         max_color = MAX_COLOR
     # No texture change at all is a fair wish; it then needs another unit in the order.
     color_scale = max_color or 1.0
-    attribute_scale = params.attribute_scale
+    attribute_scale = task.attribute_scale
     if attribute_scale is None:
         attribute_scale = max_shape / color_scale
     bounds = (

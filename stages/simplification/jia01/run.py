@@ -41,7 +41,7 @@ def run(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
 
 def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     mesh = task.mesh
-    limits = limits_of(mesh, task.params, only_given=task.triangles is not None, threads=task.threads)
+    limits = limits_of(task)
     try:
         result = _kernels.simplify(
             mesh.vertices,
@@ -60,7 +60,7 @@ def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
         raise UsageError(
             USAGE_VALUE_INVALID,
             "is {scales:g} m, and with edges no longer than that {error}",
-            Where(parameter="resolution"),
+            Where(parameter="jia01.resolution"),
             remedy="give a coarser one.",
             scales=limits.scales[0],
             error=error,

@@ -1,11 +1,11 @@
-"""What limits near-planar patches."""
+"""Parameters of near-planar patches, and of method `planar` alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from stages.params import check, param
-from stages.simplification.shared_params import HOW_FAR, BoundKeywords, require_finite
+from stages.simplification.shared_params import HOW_FAR, require_finite
 
 # At 60 levels a room's result looks like its scan; without a bound its stains and shadows are gone.
 MAX_COLOR = 60.0
@@ -13,26 +13,8 @@ MAX_COLOR = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class PlanarParams:
-    """What limits the patches of method `planar`."""
+    """Parameters of method `planar`."""
 
-    max_shape: float | None = param(
-        None,
-        "Largest distance between a mesh and what simplify makes of its patches; a patch is at most 0.8 of "
-        "that thick. Default: 0.5 % of the bounding box's diagonal.",
-        unit="m",
-        low=0,
-        low_open=True,
-        group=HOW_FAR,
-    )
-    max_color: float | None = param(
-        None,
-        "Largest difference between the colours of a point and of its counterpart on the other surface, "
-        "Euclidean over the channels; the colours of a patch are within 0.4 of that of a linear function. "
-        f"Default for coloured meshes: {MAX_COLOR:g}; 1000 is no bound in effect.",
-        unit="8-bit levels",
-        low=0,
-        group=HOW_FAR,
-    )
     patch_angle: float = param(
         40.0,
         "Largest angle between the normal of a triangle and that of the patch it joins; the paper's ε of "
@@ -63,13 +45,30 @@ class PlanarParams:
 
     def __post_init__(self) -> None:
         check(self)
-        require_finite(self, "max_shape", "max_color")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PatchParams(PlanarParams):
-    """What limits near-planar patches, and how many are looked for at a time."""
+    """Parameters of `planar_patches`."""
 
+    max_shape: float | None = param(
+        None,
+        "Largest distance between a mesh and what simplify makes of its patches; a patch is at most 0.8 of "
+        "that thick. Default: 0.5 % of the bounding box's diagonal.",
+        unit="m",
+        low=0,
+        low_open=True,
+        group=HOW_FAR,
+    )
+    max_color: float | None = param(
+        None,
+        "Largest difference between the colours of a point and of its counterpart on the other surface, "
+        "Euclidean over the channels; the colours of a patch are within 0.4 of that of a linear function. "
+        f"Default for coloured meshes: {MAX_COLOR:g}; 1000 is no bound in effect.",
+        unit="8-bit levels",
+        low=0,
+        group=HOW_FAR,
+    )
     threads: int | None = param(
         None,
         "Parts of the mesh worked on at the same time, with the same result; one a core if not given.",
@@ -78,16 +77,6 @@ class PatchParams(PlanarParams):
         invalidates=False,
     )
 
-
-class PlanarKeywords(BoundKeywords, total=False):
-    """PlanarParams as keywords of `simplify`."""
-
-    patch_angle: float
-    crease_angle: float
-    noise_angle: float
-
-
-class PatchKeywords(PlanarKeywords, total=False):
-    """PatchParams as keywords of `planar_patches`."""
-
-    threads: int | None
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_finite(self, "max_shape", "max_color")

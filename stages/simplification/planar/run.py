@@ -79,7 +79,11 @@ def planar_patches(
     params = resolve(PatchParams, params, dict(changes))
     mesh = as_mesh(mesh)
     given = kernel_input(mesh)
-    cosines, bounds, threads = _cosines(params), _bounds(mesh, params), params.threads or 0
+    cosines, bounds, threads = (
+        _cosines(params),
+        _bounds(mesh, params.max_shape, params.max_color),
+        params.threads or 0,
+    )
 
     def found(surface: _Surface) -> _kernels.PlanarPatches:
         return _kernels.planar_patches(
@@ -117,10 +121,10 @@ def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
 
 
 def _as_it_is(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
-    mesh, params = task.mesh, task.params
+    mesh = task.mesh
     given = kernel_input(mesh)
-    shape, color = _bounds(mesh, params)
-    cosines = _cosines(params)
+    shape, color = _bounds(mesh, task.max_shape, task.max_color)
+    cosines = _cosines(task.params)
 
     def simplified(surface: _Surface, lock: NDArray[np.bool_]) -> Fewest[_kernels.ByPatches]:
         return fewest_triangles(
@@ -238,15 +242,14 @@ def _cosines(params: PlanarParams) -> tuple[float, float, float]:
     return max(fidelity, 0.0), max(detail, 0.0), noise if params.noise_angle > 0 else 2.0
 
 
-def _bounds(mesh: Mesh, params: PlanarParams) -> tuple[float, float]:
-    require_colors(mesh, params.max_color)
-    shape = params.max_shape
+def _bounds(mesh: Mesh, shape: float | None, max_color: float | None) -> tuple[float, float]:
+    require_colors(mesh, max_color)
     if shape is None:
         # A mesh without extent has nothing to bound.
         shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) or 1.0
     if mesh.colors is None:
         return shape, math.inf
-    return shape, MAX_COLOR if params.max_color is None else params.max_color
+    return shape, MAX_COLOR if max_color is None else max_color
 
 
 def _diagonal(mesh: Mesh) -> float:

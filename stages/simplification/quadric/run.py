@@ -8,7 +8,6 @@ from stages.simplification.color_weight import color_weight
 from stages.simplification.in_sheets import run_in_sheets
 from stages.simplification.kernel_input import Light, as_result, fitted, kernel_input
 from stages.simplification.quadric.details import QuadricDetails
-from stages.simplification.quadric.params import QuadricParams
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.reordered import run_reordered
 from stages.simplification.result import Simplified
@@ -20,20 +19,20 @@ RESULT_VERSION = 2
 REGION_TRIANGLES = 8192
 
 
-def run(task: Task[QuadricParams]) -> Simplified[QuadricDetails]:
+def run(task: Task[None]) -> Simplified[QuadricDetails]:
     """Simplify with method `quadric`."""
     return run_in_sheets(task, _in_order)
 
 
-def _in_order(task: Task[QuadricParams]) -> Simplified[QuadricDetails]:
+def _in_order(task: Task[None]) -> Simplified[QuadricDetails]:
     return run_reordered(task, _as_it_is)
 
 
-def _as_it_is(task: Task[QuadricParams]) -> Simplified[QuadricDetails]:
-    mesh, params, lock, progress = task.mesh, task.params, task.lock, task.progress
+def _as_it_is(task: Task[None]) -> Simplified[QuadricDetails]:
+    mesh, lock, progress = task.mesh, task.lock, task.progress
     running = task.running(REGION_TRIANGLES)
     given = kernel_input(mesh)
-    weight = params.attribute_scale
+    weight = task.attribute_scale
     if weight is None:
         try:
             weight = color_weight(mesh, running.target_triangles, task.threads)
@@ -55,7 +54,7 @@ def _as_it_is(task: Task[QuadricParams]) -> Simplified[QuadricDetails]:
     source = result.vertex_source
     vertices, attributes = given.placed_back(result.vertices, source), result.attributes
     stopped_by, is_fitted = result.stopped_by, False
-    if params.fit and result.collapses and stopped_by != "request":
+    if task.fit and result.collapses and stopped_by != "request":
         light = Light(vertices, attributes, result.triangles, source, result.became)
         try:
             vertices, attributes = fitted(

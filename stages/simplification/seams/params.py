@@ -1,11 +1,10 @@
-"""What method `seams` takes for one vertex, what it weighs, and what it avoids."""
+"""Parameters of method `seams` alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from stages.params import check, param
-from stages.simplification.shared_params import FitKeywords, ScaleKeywords, require_finite
 
 # Share of the bounding box's diagonal within which vertices are one: what single precision leaves of it.
 SIMILAR_DISTANCE = 1e-6
@@ -22,19 +21,8 @@ ASSUMED_SIDE = 1024
 
 @dataclass(frozen=True, kw_only=True)
 class SeamsParams:
-    """What method `seams` takes for one vertex, what it weighs, and what it avoids."""
+    """Parameters of method `seams`."""
 
-    attribute_scale: float | None = param(
-        None,
-        "Length that weighs as much as one level of colour. Default: derived from the mesh and the number of "
-        "triangles.",
-        unit="m per level",
-        low=0,
-    )
-    fit: bool = param(
-        True,
-        "Move vertices to fit the input by least squares at the end; boundaries stay.",
-    )
     similar_distance: float | None = param(
         None,
         "Vertices closer than this are one, unless an edge would get more than two triangles. A larger "
@@ -83,18 +71,3 @@ class SeamsParams:
 
     def __post_init__(self) -> None:
         check(self)
-        require_finite(self, "attribute_scale")
-
-
-class SeamsKeywords(ScaleKeywords, FitKeywords, total=False):
-    """SeamsParams as keywords of `simplify`."""
-
-    similar_distance: float | None
-    texture_weight: float
-    normal_weight: float
-    shape_weight: float
-    across_textures: float
-    across_parts: float
-    valence_penalty: float
-    set_penalty: float
-    max_seam_drift: float | None

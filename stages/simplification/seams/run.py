@@ -91,7 +91,7 @@ def simplified(
         task.importance[mesh.triangles].mean(axis=1) if len(task.importance) else task.importance,
         lock,
         knobs=_knobs(params, texture, attributes.uv_scale, expected),
-        fit=params.fit and within is None,
+        fit=task.fit and within is None,
         within=within,
         running=task.running(REGION_TRIANGLES),
         progress=task.progress,
@@ -180,8 +180,8 @@ def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, targ
     else:
         columns.append(np.zeros((len(corners), 2)))
     if mesh.colors is not None:
-        color_scale = params.attribute_scale or 0.0
-        if params.attribute_scale is None:
+        color_scale = task.attribute_scale or 0.0
+        if task.attribute_scale is None:
             color_scale = color_weight(mesh, target, task.threads)
         color_scale = max(color_scale, 1e-12)
         columns.append(attributes_of(mesh)[corners] * color_scale)

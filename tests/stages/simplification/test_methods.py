@@ -7,20 +7,19 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
+import numpy as np
 import pytest
 from coloured_meshes import sheet
 
 from stages.diagnostics.errors import UsageError
-from stages.params import described
+from stages.params import describe_all, described, find_nested, resolve
 from stages.simplification.auto import chosen
-from stages.simplification.keywords import SimplifyKeywords
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.params import SimplifyParams
-from stages.simplification.planar.params import PatchKeywords, PatchParams
+from stages.simplification.seams.params import SeamsParams
 from stages.simplification.simplify import simplify
 
 ROOT = Path(__file__).parents[3]
@@ -30,38 +29,56 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
-def test_keywords_for_type_checkers_are_those_of_the_class(method: Method[Any, Any]) -> None:
-    module = sys.modules[method.params.__module__]
-    keywords = getattr(module, method.params.__name__.replace("Params", "Keywords"))
-    assert get_type_hints(keywords) == get_type_hints(method.params)
-    assert method.name == method.params.__name__.removesuffix("Params").lower()
+def test_parameters_of_a_method_are_in_the_field_of_its_name(method: Method[Any, Any]) -> None:
+    assert find_nested(SimplifyParams).get(method.name) is method.params
+    assert set(method.shared) <= set(described(SimplifyParams))
 
 
-def test_keywords_of_all_methods_are_those_of_the_flat_class() -> None:
-    hints = get_type_hints(SimplifyParams)
-    keywords = get_type_hints(SimplifyKeywords)
-    assert set(keywords) == set(described(SimplifyParams))
-    # In the flat class None stands for a method's own default.
-    assert all(hints[name] in (kind, kind | None) for name, kind in keywords.items())
-    assert get_type_hints(PatchKeywords) == get_type_hints(PatchParams)
+def test_no_parameter_of_a_method_has_the_name_of_another() -> None:
+    names = [name.rpartition(".")[2] for name in describe_all(SimplifyParams)]
+    assert len(names) == len(set(names))
 
 
-def test_each_parameter_is_there_once_and_says_the_default_of_each_method() -> None:
-    flat = described(SimplifyParams)
-    for method in METHODS:
-        for field in fields(method.params):
-            text = flat[field.name].text
-            assert f"{method.name}: " in text or f"{method.name}, " in text
-            if isinstance(field.default, float):
-                assert f"Default: {field.default:g}." in text
-    own = {"method": "auto", "keep_uv": False}
-    assert all(field.default == own.get(field.name) for field in fields(SimplifyParams))
-
-
-def test_none_is_the_default_of_the_method() -> None:
+def test_a_method_gets_its_own_parameters() -> None:
     seams = next(method for method in METHODS if method.name == "seams")
-    assert seams.own(SimplifyParams()) == seams.params()
-    assert seams.own(SimplifyParams(texture_weight=2.0, max_shape=1.0)) == seams.params(texture_weight=2.0)
+    assert seams.own(SimplifyParams()) == SeamsParams()
+    own = SeamsParams(texture_weight=2.0)
+    assert seams.own(SimplifyParams(seams=own, max_shape=1.0)) is own
+
+
+def test_parameters_of_a_method_can_be_given_as_an_object_or_a_dict() -> None:
+    given = SimplifyParams(ratio=0.5, seams=SeamsParams(set_penalty=0.0, across_parts=2.0))
+    assert resolve(SimplifyParams, None, {"ratio": 0.5, "seams": given.seams}) == given
+    assert resolve(SimplifyParams, given, {"seams": {"set_penalty": 0.2}}).seams == SeamsParams(
+        set_penalty=0.2, across_parts=2.0
+    )
+    mesh = sheet(12)
+    one, other = (simplify(mesh, ratio=0.5, seams=own) for own in (given.seams, dict(vars(given.seams))))
+    assert one.method == other.method == "seams"
+    assert np.array_equal(one.mesh.vertices, other.mesh.vertices)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        (
+            {"planar": {"crease_angle": 95.0}},
+            "planar.crease_angle is 95 degrees; it must be at most 90 degrees.",
+        ),
+        ({"planar": {"angle": 1.0}}, "unknown parameter 'planar.angle'; did you mean patch_angle?"),
+        (
+            {"planar": {"crease_angel": 1.0}},
+            "unknown parameter 'planar.crease_angel'; did you mean crease_angle?",
+        ),
+        ({"crease_angle": 9.0}, "unknown parameter 'crease_angle'; did you mean planar.crease_angle?"),
+        ({"planar": 9.0}, "planar is 9.0; it must be of type PlanarParams."),
+        ({"planar": SeamsParams()}, "it must be of type PlanarParams."),
+    ],
+)
+def test_mistakes_in_parameters_of_a_method_are_named(given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        resolve(SimplifyParams, None, given)
+    assert sentence in str(refused.value)
 
 
 # -- what auto makes of it -------------------------------------------------------------------------------
@@ -74,19 +91,19 @@ def test_none_is_the_default_of_the_method() -> None:
         ({"ratio": 0.5}, "quadric", "seams"),
         ({"triangles": 5, "fit": False}, "quadric", "seams"),
         ({"ratio": 0.5, "attribute_scale": 0.0}, "quadric", "seams"),
-        ({"ratio": 0.5, "set_penalty": 0.0}, "seams", "seams"),
+        ({"ratio": 0.5, "seams": {"set_penalty": 0.0}}, "seams", "seams"),
         ({"ratio": 0.5, "max_shape": 0.1}, "certified", "certified"),
         ({"max_color": 0.0}, "certified", "certified"),
-        ({"max_color": 9.0, "close_bounds": True}, "certified", "certified"),
-        ({"max_shape": 0.1, "paper_rule": False}, "certified", "certified"),
-        ({"ratio": 0.5, "resolution": 0.1}, "jia01", "jia01"),
-        ({"paper_rule": True}, "jia01", "jia01"),
+        ({"max_color": 9.0, "certified": {"close_bounds": True}}, "certified", "certified"),
+        ({"max_shape": 0.1, "jia01": {"paper_rule": False}}, "certified", "certified"),
+        ({"ratio": 0.5, "jia01": {"resolution": 0.1}}, "jia01", "jia01"),
+        ({"jia01": {"paper_rule": True}}, "jia01", "jia01"),
     ],
 )
 def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
     given: dict[str, Any], plain: str, in_pieces: str
 ) -> None:
-    params = SimplifyParams(**given)
+    params = resolve(SimplifyParams, None, given)
     assert chosen(params).name == plain
     assert chosen(params, in_pieces=True).name == in_pieces
 
@@ -94,14 +111,26 @@ def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"close_bounds": True}, "close_bounds is for method certified, which needs max_shape or max_color."),
-        ({"texture_weight": 0.0}, "texture_weight is for method seams, which needs triangles or ratio."),
-        ({"max_shape": 0.1, "patch_angle": 9.0}, "patch_angle is for method planar; give method too."),
         (
-            {"max_shape": 0.1, "close_bounds": True, "resolution": 1.0},
-            "close_bounds is for method certified, for which resolution has no meaning; leave one of them",
+            {"certified": {"close_bounds": True}},
+            "certified.close_bounds is for method certified, which needs max_shape or max_color.",
         ),
-        ({"method": "jia01", "fit": True, "patch_angle": 9.0}, "patch_angle has no meaning for method jia01"),
+        (
+            {"seams": {"texture_weight": 0.0}},
+            "seams.texture_weight is for method seams, which needs triangles or ratio.",
+        ),
+        (
+            {"max_shape": 0.1, "planar": {"patch_angle": 9.0}},
+            "planar.patch_angle is for method planar; give method too.",
+        ),
+        (
+            {"max_shape": 0.1, "certified": {"close_bounds": True}, "jia01": {"resolution": 1.0}},
+            "certified.close_bounds is for method certified, for which jia01.resolution has no meaning",
+        ),
+        (
+            {"method": "jia01", "fit": True, "planar": {"patch_angle": 9.0}},
+            "planar.patch_angle has no meaning for method jia01",
+        ),
         ({"method": "planar", "attribute_scale": 1.0}, "attribute_scale has no meaning for method planar"),
         (
             {"method": "planar", "triangles": 9},
@@ -113,7 +142,7 @@ def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
 )
 def test_what_suits_no_method_is_said(given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(UsageError) as refused:
-        chosen(SimplifyParams(**given))
+        chosen(resolve(SimplifyParams, None, given))
     assert sentence in str(refused.value)
 
 
@@ -129,7 +158,7 @@ def test_what_a_method_does_not_take_is_said_with_those_that_do() -> None:
 
 # -- a sixth method --------------------------------------------------------------------------------------
 
-# The one row.
+# The one row, and the one field.
 _IMPORTS = """from stages.simplification.sixth import run as cut
 from stages.simplification.sixth.details import CutDetails
 from stages.simplification.sixth.params import CutParams
@@ -140,10 +169,12 @@ _ROW = """    Method(
         params=CutParams,
         details=CutDetails,
         run=cut.run,
-        needs=Need("a height", ("max_height",), "give max_height"),
+        needs=Need("a height", ("cut.max_height",), "give cut.max_height"),
         takes=Takes(importance=False, record=False),
     ),
 """
+_PARAMS = "from stages.simplification.sixth.params import CutParams\n"
+_FIELD = "    cut: CutParams = CutParams()\n"
 _CALLS = """
 import contextlib, io, json, sys
 import numpy as np
@@ -171,19 +202,19 @@ def refused(**given):
     except UsageError as error:
         return str(error)
 
-config = Config.loads("[simplify]\\nmax_height = 2.0\\nslope = 0.5\\n")
+config = Config.loads("[simplify.cut]\\nmax_height = 2.0\\nslope = 0.5\\n")
 json.dump({
-    "removed": simplify(mesh, max_height=2.0, slope=0.0).details.removed,
+    "removed": simplify(mesh, cut={"max_height": 2.0, "slope": 0.0}).details.removed,
     "method": simplify(mesh, config.simplify).method,
     "toml": config.dumps(),
     "help": said("simplify", "--help"),
     "json": said("simplify", "sheet.ply", "out.ply", "--max-height", "2", "--json"),
     "text": said("simplify", "sheet.ply", "again.ply", "--max-height", "2", "--slope", "0"),
     "refused": [
-        refused(slope=1.0),
+        refused(cut={"slope": 1.0}),
         refused(method="cut"),
-        refused(method="quadric", ratio=0.5, max_height=1.0),
-        refused(max_height=1.0, importance=[2.0] * 25),
+        refused(method="quadric", ratio=0.5, cut={"max_height": 1.0}),
+        refused(cut={"max_height": 1.0}, importance=[2.0] * 25),
         refused(method="sixth"),
     ],
 }, sys.stdout)
@@ -203,6 +234,8 @@ def six(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     imports, table = (room / "methods.py").read_text().split('\nP = TypeVar("P")\n')
     rows, end = table.rsplit(")\n", 1)
     (room / "methods.py").write_text(f'{imports}{_IMPORTS}\nP = TypeVar("P")\n{rows}{_ROW})\n{end}')
+    params = (room / "params.py").read_text()
+    (room / "params.py").write_text(params.replace("\nAUTO =", f"{_PARAMS}\nAUTO =").rstrip() + f"\n{_FIELD}")
     ran = subprocess.run(
         [sys.executable, "-c", _CALLS],
         cwd=copy,
@@ -227,9 +260,9 @@ def test_a_sixth_method_is_in_the_help_and_in_toml(six: dict[str, Any]) -> None:
     code, text, _ = six["help"]
     assert code == 0
     assert "--max-height" in text
-    assert "For method cut" in text
+    assert "Parameters of method cut" in text
     assert "auto|quadric|certified|seams|jia01|planar|cut" in text
-    assert "cut: how much the height grows along x. Default: 0.25." in text
+    assert "How much the height grows along x. (at least 0; default: 0.25)" in text
     assert "slope = 0.5" in six["toml"]
     assert "what is above a height falls away" in " ".join(six["toml"].replace("\n#", "").split())
 
@@ -244,9 +277,9 @@ def test_a_sixth_method_is_in_json_and_in_words(six: dict[str, Any]) -> None:
 
 def test_a_sixth_method_is_in_what_auto_refuses(six: dict[str, Any]) -> None:
     assert six["refused"] == [
-        "slope is for method cut, which needs max_height.",
-        "method cut needs a height; give max_height.",
-        "max_height has no meaning for method quadric; leave one of them out.",
+        "cut.slope is for method cut, which needs cut.max_height.",
+        "method cut needs a height; give cut.max_height.",
+        "cut.max_height has no meaning for method quadric; leave one of them out.",
         "importance has no meaning for method cut; it is for quadric, certified and seams.",
         "method is 'sixth'; it must be one of auto, quadric, certified, seams, jia01, planar, cut.",
     ]

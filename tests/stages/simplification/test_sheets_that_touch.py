@@ -50,7 +50,7 @@ def _balls(touching: int) -> Mesh:
         {"method": "quadric", "triangles": 8},
         {"method": "certified", "max_shape": 2.0},
         {"method": "jia01", "triangles": 8},
-        {"method": "planar", "max_shape": 1.0, "patch_angle": 80.0, "crease_angle": 80.0},
+        {"method": "planar", "max_shape": 1.0, "planar": {"patch_angle": 80.0, "crease_angle": 80.0}},
     ],
 )
 @pytest.mark.parametrize("is_soup", [False, True])

@@ -73,7 +73,7 @@ def assert_same_topology(result: Simplified, before: Mesh) -> None:
 @pytest.mark.parametrize("make", [lambda: sheet(60, hills, 0.001), ball], ids=["hills", "ball"])
 def test_shape_bound_holds_both_ways(make: Callable[[], Mesh], max_shape: float) -> None:
     mesh = make()
-    result = simplify(mesh, method="jia01", max_shape=max_shape, max_color=1e9, resolution=3.0)
+    result = simplify(mesh, method="jia01", max_shape=max_shape, max_color=1e9, jia01={"resolution": 3.0})
     assert 0 < result.details.largest_shape_change_m <= max_shape
     assert compare(mesh, result.mesh, samples=100_000).symmetric.maximum <= max_shape
     assert_same_topology(result, mesh)
@@ -103,7 +103,7 @@ def test_no_texture_change_keeps_every_colour_edge() -> None:
 def test_paper_rule_may_overshoot() -> None:
     mesh = sheet(40, hills, 0.003)
     bounds = {"method": "jia01", "max_shape": 0.002, "max_color": 200.0}
-    assert simplify(mesh, paper_rule=True, **bounds).details.largest_shape_change_m > 0.002
+    assert simplify(mesh, jia01={"paper_rule": True}, **bounds).details.largest_shape_change_m > 0.002
     assert simplify(mesh, **bounds).details.largest_shape_change_m <= 0.002
 
 
@@ -127,7 +127,7 @@ def test_long_edges_are_split_first() -> None:
     colors = np.array([[0, 0, 0], [200, 0, 0], [200, 100, 0], [0, 100, 0]], np.uint8)
     mesh = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), colors=colors)
     # Neither a shape nor a texture change is allowed where every edge has contrast: only splits remain.
-    result = simplify(mesh, resolution=0.7, max_color=0, max_shape=1e-9)
+    result = simplify(mesh, jia01={"resolution": 0.7}, max_color=0, max_shape=1e-9)
     assert result.details.splits > 0
     assert edge_lengths(result.mesh).max() <= 0.7
     assert result.mesh.vertices[:4].tolist() == corners.tolist()
@@ -150,7 +150,7 @@ def test_default_resolution_does_not_multiply_triangles() -> None:
 
 def test_resolution_too_fine_is_refused_at_once() -> None:
     with pytest.raises(UsageError, match=r"resolution is 1e-07 m.*triangles; the limit is 20000000"):
-        simplify(sheet(10, flat), resolution=1e-7)
+        simplify(sheet(10, flat), jia01={"resolution": 1e-7})
 
 
 # -- stops -----------------------------------------------------------------------------------------------
@@ -358,7 +358,7 @@ def test_other_threads_run_meanwhile() -> None:
         {"max_shape": 0.02},
         {"ratio": 0.5, "method": "seams"},
         {"method": "jia01"},
-        {"method": "planar", "max_shape": 0.1, "patch_angle": 60.0, "crease_angle": 60.0},
+        {"method": "planar", "max_shape": 0.1, "planar": {"patch_angle": 60.0, "crease_angle": 60.0}},
     ],
 )
 def test_every_method_takes_a_mesh_that_is_no_manifold(asked: dict[str, Any]) -> None:
@@ -429,7 +429,7 @@ def test_triangles_that_meet_the_wrong_way_are_sheets(triangles: list[list[int]]
         ({"ratio": 0.0}, "more than 0"),
         ({"ratio": 1.5}, "at most 1"),
         ({"triangles": 0}, "at least 1"),
-        ({"resolution": -1.0}, "more than 0"),
+        ({"jia01": {"resolution": -1.0}}, "more than 0"),
         ({"max_shape": float("nan")}, "not a number"),
         ({"max_shape": float("inf")}, "infinite"),
         ({"max_color": -1}, "at least 0"),

@@ -94,8 +94,8 @@ def test_a_scans_pairs_are_the_same_on_any_number_of_threads(matcher):
 
 
 def test_what_only_matchers_know_is_refused_beside_a_network(matcher):
-    with pytest.raises(UsageError, match="block_size, uniqueness has no effect with a network of pairs"):
-        depth(LEFT, RIGHT, RIG, model=matcher, block_size=5, uniqueness=3)
+    with pytest.raises(UsageError, match=r"sgbm\.block_size has no effect with a network of pairs"):
+        depth(LEFT, RIGHT, RIG, model=matcher, sgbm={"block_size": 5, "uniqueness": 3})
 
 
 def made_map(depth_map: np.ndarray, color: np.ndarray) -> DepthMap:

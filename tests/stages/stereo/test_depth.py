@@ -102,8 +102,8 @@ def test_depth_counts_in_the_offset_of_the_principal_points() -> None:
 @pytest.mark.parametrize(
     ("given", "wrong", "in_hidden"),
     [
-        ({"matcher": "3way", "left_right": "project"}, 0.002, 0.05),
-        ({"matcher": "3way", "left_right": "match"}, 0.002, 0.05),
+        ({"matcher": "3way", "sgbm": {"left_right": "project"}}, 0.002, 0.05),
+        ({"matcher": "3way", "sgbm": {"left_right": "match"}}, 0.002, 0.05),
         # What the right camera cannot see is taken from what is around: four of five times the wall.
         ({"matcher": "census"}, 0.003, None),
     ],
@@ -175,7 +175,7 @@ def test_a_pair_alone_is_held_to_more_than_one_among_others() -> None:
     assert np.array_equal(given(1), alone)
     assert np.array_equal(given(2), alone)
     assert np.count_nonzero(given(3)) > np.count_nonzero(alone)
-    assert np.array_equal(given(3, min_confidence=128, uniqueness=20), alone)
+    assert np.array_equal(given(3, min_confidence=128, sgbm={"uniqueness": 20}), alone)
 
 
 def test_one_pair_or_two_are_matched_by_our_own_matcher() -> None:
@@ -192,7 +192,7 @@ def test_one_pair_or_two_are_matched_by_our_own_matcher() -> None:
     for pairs in (1, 2):
         assert same(given(pairs), given(pairs, matcher="census"))
         # An option of the others asks for them.
-        assert same(given(pairs, p1=100), given(pairs, matcher="3way", p1=100))
+        assert same(given(pairs, sgbm={"p1": 100}), given(pairs, matcher="3way", sgbm={"p1": 100}))
     assert same(given(3), given(3, matcher="3way"))
     # 8,000 × 6,000 px and 100 disparities take 28 GB.
     assert stages.DepthParams().is_own(1, 4 << 30)
@@ -240,7 +240,7 @@ def test_smoothing_fills_the_picture_and_gives_no_more_depth() -> None:
     right[100:140, 120:190] = 90
 
     plain, smooth = (
-        depth(left, right, RIG, matcher="3way", disparities=48, smooth=on) for on in (False, True)
+        depth(left, right, RIG, matcher="3way", disparities=48, sgbm={"smooth": on}) for on in (False, True)
     )
 
     assert np.isfinite(smooth.disparity).sum() > np.isfinite(plain.disparity).sum()
@@ -478,9 +478,9 @@ def test_rgbd_scan_has_no_pairs() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"block_size": 4}, "must be odd"),
+        ({"sgbm": {"block_size": 4}}, "must be odd"),
         ({"min_depth": 2.0, "max_depth": 1.0}, "max_depth"),
-        ({"p1": 500}, "p1"),
+        ({"sgbm": {"p1": 500}}, "sgbm.p1"),
         ({"matcher": "magic"}, "3way"),
         ({"min_confidence": 256}, "at most 255"),
         ({"wrong": 1}, "unknown parameter"),
@@ -495,7 +495,7 @@ def test_wrong_parameters_are_refused(changes: dict[str, Any], message: str) -> 
 
 
 def test_parameters_are_declared_with_text() -> None:
-    from stages.params import described
+    from stages.params import describe_all
 
-    assert all(about.text for about in described(DepthParams).values())
-    assert not described(DepthParams)["threads"].invalidates
+    assert all(about.text for about in describe_all(DepthParams).values())
+    assert not describe_all(DepthParams)["threads"].invalidates

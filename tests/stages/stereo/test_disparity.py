@@ -309,5 +309,7 @@ def test_the_stage_takes_it() -> None:
 
 
 def test_what_it_does_not_know_is_refused() -> None:
-    with pytest.raises(UsageError, match="p1, smooth has no effect with matcher census; leave"):
-        stages.DepthParams(matcher="census", smooth=True, p1=5)
+    with pytest.raises(UsageError, match=r"sgbm\.p1 has no effect with matcher census; leave"):
+        stages.DepthParams(matcher="census", sgbm=stages.SgbmParams(smooth=True, p1=5))
+    with pytest.raises(UsageError, match="speckle_size has no effect with matcher census; leave"):
+        stages.DepthParams(matcher="census", speckle_size=5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from stages.comparing.certify import certify
 from stages.comparing.compare import compare
 from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import UsageError
+from stages.params import resolve
 from stages.simplification.auto import chosen
 from stages.simplification.regions import Box, Sphere
 from stages.simplification.simplify import Simplified, SimplifyParams, simplify
@@ -63,15 +65,15 @@ def assert_bounds_hold(result: Simplified, mesh: Mesh, samples: int = 100_000) -
         ({"max_shape": 0.01, "max_color": 9.0}, "certified"),
         ({"max_shape": 0.01, "ratio": 0.5}, "certified"),
         ({"max_color": 9.0, "triangles": 50}, "certified"),
-        ({"max_shape": 0.01, "resolution": 1.0}, "jia01"),
-        ({"max_color": 9.0, "paper_rule": True}, "jia01"),
+        ({"max_shape": 0.01, "jia01": {"resolution": 1.0}}, "jia01"),
+        ({"max_color": 9.0, "jia01": {"paper_rule": True}}, "jia01"),
         ({"method": "jia01", "max_shape": 0.01, "ratio": 0.5}, "jia01"),
         ({"ratio": 0.5}, "quadric"),
         ({}, "jia01"),
     ],
 )
-def test_bounds_are_proven_ones_unless_jia01_is_wanted(given: dict[str, float], method: str) -> None:
-    assert chosen(SimplifyParams(**given)).name == method
+def test_bounds_are_proven_ones_unless_jia01_is_wanted(given: dict[str, Any], method: str) -> None:
+    assert chosen(resolve(SimplifyParams, None, given)).name == method
     assert simplify(hills(8), **given).method == method
 
 
@@ -145,7 +147,7 @@ def test_a_number_with_bounds_has_the_same_bytes_on_any_number_of_threads() -> N
 def test_bounds_of_triangles_are_close_if_asked_for() -> None:
     mesh = hills()
     bounds = {"max_shape": 0.01, "max_color": 30.0}
-    loose, close = (simplify(mesh, close_bounds=close, **bounds) for close in (False, True))
+    loose, close = (simplify(mesh, certified={"close_bounds": close}, **bounds) for close in (False, True))
     assert close.mesh.vertices.tobytes() == loose.mesh.vertices.tobytes()
     assert loose.details.shape_bound is not None
     assert close.details.shape_bound is not None
@@ -287,7 +289,7 @@ def test_without_a_bound_on_colours_the_largest_difference_is_proven_of_all(mesh
     assert attained <= found.color_bound_levels <= 1.05 * attained + 1.5
     apart = certify(light.mesh, mesh)
     assert apart.color_attained_levels <= found.color_bound_levels
-    close = simplify(mesh, max_shape=0.003, close_bounds=True)
+    close = simplify(mesh, max_shape=0.003, certified={"close_bounds": True})
     assert (close.mesh.vertices == light.mesh.vertices).all()
     assert (close.details.color_bound <= 1.05 * found.color_bound).all()
 

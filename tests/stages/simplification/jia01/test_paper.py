@@ -313,12 +313,11 @@ def compare_with_reference(mesh: Mesh, limits: Limits, target: int) -> None:
     reference.run(target)
     result = simplify(
         mesh,
-        resolution=limits.length,
         max_shape=limits.shape,
         max_color=limits.texture,
         attribute_scale=limits.scale,
         triangles=target,
-        paper_rule=limits.paper_rule,
+        jia01={"resolution": limits.length, "paper_rule": limits.paper_rule},
     )
     assert result.details.splits == 0
     assert result.collapses == len(mesh.vertices) - len(reference.points)

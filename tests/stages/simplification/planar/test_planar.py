@@ -102,7 +102,8 @@ def assert_counterparts(result: Simplified, mesh: Mesh, samples: int) -> None:
 def test_any_tolerance_keeps_topology_and_bounds(name: str, max_shape: float) -> None:
     mesh = MESHES[name]()
     for angle in (20, 80):
-        assert_promises(planar(mesh, max_shape=max_shape, patch_angle=angle, crease_angle=angle), mesh)
+        angles = {"patch_angle": angle, "crease_angle": angle}
+        assert_promises(planar(mesh, max_shape=max_shape, planar=angles), mesh)
 
 
 @pytest.mark.slow
@@ -130,7 +131,7 @@ def test_noise_of_any_strength_keeps_them_too(
     mesh = mesh.with_(vertices=moved)
     angles = {"patch_angle": angle, "crease_angle": angle, "noise_angle": noise_angle}
     bounds = {"max_shape": max_shape} | ({} if max_color is None else {"max_color": max_color})
-    result = planar(mesh, **bounds, **angles)
+    result = planar(mesh, **bounds, planar=angles)
     assert_promises(result, mesh, samples=2000)
     if max_color is not None:
         assert (result.details.color_bound_levels or 0) <= max_color * (1 + 1e-9)
@@ -170,7 +171,8 @@ def test_a_cylinder_closes_around_itself() -> None:
     made = trimesh.creation.cylinder(radius=1, height=3, sections=64).subdivide().subdivide()
     mesh = Mesh(np.array(made.vertices), np.array(made.faces, np.int32))
     for max_shape in (1e-5, 0.01, 0.1, 0.5, 10.0):
-        assert_promises(planar(mesh, max_shape=max_shape, patch_angle=80, crease_angle=80), mesh)
+        angles = {"patch_angle": 80, "crease_angle": 80}
+        assert_promises(planar(mesh, max_shape=max_shape, planar=angles), mesh)
 
 
 def test_no_vertex_lies_on_an_edge_of_others() -> None:
@@ -192,7 +194,7 @@ def test_reductions_of_the_paper(name: str, monkeypatch: pytest.MonkeyPatch) -> 
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     for percent in wanted:
         # The paper states no error; a fifth of a per cent of the diagonal is what it takes here at most.
-        result = planar(mesh, max_shape=0.002 * diagonal, patch_angle=ANGLES[name])
+        result = planar(mesh, max_shape=0.002 * diagonal, planar={"patch_angle": ANGLES[name]})
         left = 1 - len(result.mesh.vertices) / len(mesh.vertices)
         assert 100 * left >= percent
         assert_promises(result, mesh)
@@ -288,14 +290,14 @@ def test_what_it_refuses() -> None:
     mesh = sheet(4)
     for params, word in (
         ({"ratio": 0.5}, "as far as its bounds"),
-        ({"resolution": 0.1}, "resolution has no meaning"),
-        ({"patch_angle": 85.0}, "at most 80"),
+        ({"jia01": {"resolution": 0.1}}, "resolution has no meaning"),
+        ({"planar": {"patch_angle": 85.0}}, "at most 80"),
         ({"max_shape": 0.0}, "more than 0"),
     ):
         with pytest.raises(UsageError, match=word):
             planar(mesh, **params)
     with pytest.raises(UsageError, match="is for method planar"):
-        simplify(mesh, ratio=0.5, noise_angle=0.0)
+        simplify(mesh, ratio=0.5, planar={"noise_angle": 0.0})
     with pytest.raises(UsageError, match="no vertex colours"):
         planar(mesh.with_(colors=None), max_color=10)
     with pytest.raises(UsageError, match="importance has no meaning for method planar"):

@@ -56,7 +56,7 @@ BOUNDED = {
     "certified": {"max_shape": 0.02, "max_color": 20},
     "certified to a number": {"max_shape": 0.05, "triangles": 500},
     "jia01": {"method": "jia01", "max_shape": 0.03},
-    "jia01 with splits": {"method": "jia01", "max_shape": 0.03, "resolution": 0.07},
+    "jia01 with splits": {"method": "jia01", "max_shape": 0.03, "jia01": {"resolution": 0.07}},
 }
 
 

@@ -87,7 +87,7 @@ def test_joined_vertices_give_finite_positions_near_the_input(share: float) -> N
         np.concatenate([sheet.triangles, flipped]).astype(np.int32),
     )
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    light = simplify(mesh, method="seams", ratio=0.3, similar_distance=share * diagonal).mesh
+    light = simplify(mesh, method="seams", ratio=0.3, seams={"similar_distance": share * diagonal}).mesh
     assert np.isfinite(light.vertices).all()
     assert (light.vertices >= mesh.vertices.min(axis=0) - 0.02 * diagonal).all()
     assert (light.vertices <= mesh.vertices.max(axis=0) + 0.02 * diagonal).all()

@@ -59,9 +59,9 @@ def test_seams_go_no_farther_than_they_may_and_a_larger_bound_is_told() -> None:
     image = Image(given=np.full((512, 512, 3), 128, np.uint8))
     mesh = mesh.with_(texture=replace(mesh.texture, materials=(Material("globe", image),)))
     for bound in (10.0, 25.0):
-        light = simplify(mesh, ratio=0.03, method="seams", max_seam_drift=bound)
+        light = simplify(mesh, ratio=0.03, method="seams", seams={"max_seam_drift": bound})
         assert light.details.seam_drift_texels <= bound
-    far = simplify(mesh, ratio=0.02, method="seams", max_seam_drift=512)
+    far = simplify(mesh, ratio=0.02, method="seams", seams={"max_seam_drift": 512})
     assert far.details.seam_drift_texels > 50
     assert any("texture seams moved by up to" in str(one) for one in far.diagnostics)
 

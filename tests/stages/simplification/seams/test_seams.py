@@ -230,7 +230,7 @@ def _halves(corner: int) -> list[list[int]]:
 
 def test_a_straight_seam_stays_straight_in_the_image() -> None:
     mesh = wrapped_ball()
-    result = simplify(mesh, ratio=0.1, max_seam_drift=0)
+    result = simplify(mesh, ratio=0.1, seams={"max_seam_drift": 0})
     assert result.method == "seams"
     assert edge_counts(welded(result.mesh)) == (0, 0)
     assert result.mesh.texture is not None
@@ -251,7 +251,7 @@ def test_seams_stay_within_the_bound_on_their_image(bound: float) -> None:
     mesh = textured("Duck.glb")
     assert mesh.texture is not None
     side = max(mesh.texture.images[0].size or ())
-    result = simplify(mesh, ratio=0.05, method="seams", max_seam_drift=bound * side)
+    result = simplify(mesh, ratio=0.05, method="seams", seams={"max_seam_drift": bound * side})
     assert result.details.seam_drift_texels == pytest.approx(result.details.seam_drift * side)
     assert result.details.seam_drift is not None
     assert result.details.seam_drift <= bound
@@ -397,7 +397,7 @@ def test_similar_distance_closes_cracks_between_parts() -> None:
     apart = simplify(mesh, method="seams", ratio=0.3)
     assert bodies(apart.mesh) == 2
     assert apart.details.joined_vertices == 0
-    joined = simplify(mesh, method="seams", ratio=0.3, similar_distance=0.1)
+    joined = simplify(mesh, method="seams", ratio=0.3, seams={"similar_distance": 0.1})
     assert bodies(joined.mesh) == 1
     assert joined.details.joined_vertices == 24
     assert edge_counts(welded(joined.mesh))[1] == 0
@@ -405,7 +405,7 @@ def test_similar_distance_closes_cracks_between_parts() -> None:
 
 def test_similar_distance_keeps_walls_that_face_each_other_apart() -> None:
     mesh = two_cubes(gap=1e-3)
-    light = simplify(mesh, method="seams", ratio=0.3, similar_distance=2e-3)
+    light = simplify(mesh, method="seams", ratio=0.3, seams={"similar_distance": 2e-3})
     assert bodies(light.mesh) == 2
     assert light.stopped_by == "triangles"
     assert edge_counts(welded(light.mesh)) == (0, 0)
@@ -420,7 +420,9 @@ def test_no_distance_makes_edges_of_more_than_two_triangles(seed: int, gap: floa
     before = edge_counts(welded(mesh))[1]
     for ratio in (1.0, 0.3):
         try:
-            light = simplify(mesh, method="seams", ratio=ratio, similar_distance=distance * diagonal).mesh
+            light = simplify(
+                mesh, method="seams", ratio=ratio, seams={"similar_distance": distance * diagonal}
+            ).mesh
         except UsageError:  # the distance is larger than many edges
             return
         t = welded(light)
@@ -489,7 +491,7 @@ def test_a_penalty_puts_off_what_it_is_for() -> None:
         by_part = [set(t[result.mesh.part_ids == part].reshape(-1).tolist()) for part in (0, 1)]
         return len(by_part[0] & by_part[1])
 
-    assert left_on_border(across_parts=1000) > left_on_border(across_parts=0)
+    assert left_on_border(seams={"across_parts": 1000}) > left_on_border(seams={"across_parts": 0})
 
 
 def test_importance_keeps_triangles_where_it_is() -> None:
@@ -515,7 +517,7 @@ def test_high_valence_is_put_off() -> None:
         light = simplify(mesh, method="seams", ratio=0.2, **changes).mesh
         return int(np.maximum(np.bincount(welded(light).reshape(-1)) - 8, 0).sum())
 
-    assert beyond_eight(valence_penalty=10) < beyond_eight(valence_penalty=0)
+    assert beyond_eight(seams={"valence_penalty": 10}) < beyond_eight(seams={"valence_penalty": 0})
 
 
 def test_materials_are_borders() -> None:
@@ -585,11 +587,11 @@ def test_a_vertex_far_away_does_not_make_all_others_one() -> None:
 def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_parameters() -> None:
     mesh = wrapped_ball(8, 10)
     assert simplify(mesh, ratio=0.5, keep_uv=True).method == "seams"
-    assert simplify(mesh, ratio=0.5, max_seam_drift=0.05).method == "seams"
+    assert simplify(mesh, ratio=0.5, seams={"max_seam_drift": 0.05}).method == "seams"
     assert simplify(mesh, ratio=0.5, record=True).method == "seams"
     assert simplify(mesh, ratio=0.5, bake=True).method == "quadric"
     assert simplify(mesh.with_(texture=None), ratio=0.5).method == "quadric"
-    assert simplify(mesh.with_(texture=None), ratio=0.5, similar_distance=0.0).method == "seams"
+    assert simplify(mesh.with_(texture=None), ratio=0.5, seams={"similar_distance": 0.0}).method == "seams"
     assert simplify(mesh, max_shape=0.05).method == "certified"
 
 
@@ -598,9 +600,9 @@ def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_paramet
     [
         ({"method": "seams"}, "needs a number of triangles"),
         ({"method": "seams", "ratio": 0.5, "max_shape": 0.1}, "max_shape has no meaning for method seams"),
-        ({"method": "quadric", "ratio": 0.5, "across_parts": 1.0}, "across_parts has no meaning"),
-        ({"ratio": 0.5, "texture_weight": -1.0}, "texture_weight"),
-        ({"ratio": 0.5, "similar_distance": 5.0}, "similar_distance 5 m is far more"),
+        ({"method": "quadric", "ratio": 0.5, "seams": {"across_parts": 1.0}}, "across_parts has no meaning"),
+        ({"ratio": 0.5, "seams": {"texture_weight": -1.0}}, "texture_weight"),
+        ({"ratio": 0.5, "seams": {"similar_distance": 5.0}}, "similar_distance 5 m is far more"),
     ],
 )
 def test_parameters_that_do_not_fit(changes: dict[str, Any], words: str) -> None:

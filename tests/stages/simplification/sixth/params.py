@@ -9,7 +9,7 @@ from stages.params import check, param
 
 @dataclass(frozen=True, kw_only=True)
 class CutParams:
-    """Where method `cut` cuts."""
+    """Parameters of method `cut`."""
 
     max_height: float | None = param(None, "Height above which nothing stays.", unit="m")
     slope: float = param(0.25, "How much the height grows along x.", low=0)
