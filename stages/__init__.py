@@ -67,7 +67,6 @@ if TYPE_CHECKING:
     from stages.stereo.views_depth import views_depth
     from stages.surface.cloud_files import read_cloud
     from stages.surface.convert import (
-        ConversionWarning,
         MeshLike,
         as_mesh,
         to_open3d,
@@ -135,7 +134,6 @@ _NAMES_OF = {
     "stereo.views_depth": ("views_depth",),
     "surface.cloud_files": ("read_cloud",),
     "surface.convert": (
-        "ConversionWarning",
         "MeshLike",
         "as_mesh",
         "to_open3d",
@@ -170,7 +168,6 @@ __all__ = [
     "CollapseRecord",
     "CompareParams",
     "Comparison",
-    "ConversionWarning",
     "Coverage",
     "CoverageParams",
     "DepthMap",
