@@ -12,7 +12,7 @@ from stages.files.own_process import DiedError, asked
 
 BODIES = {
     "answers": "return {'words': words}",
-    "refuses": "raise InputError('is no cloud.', words[0])",
+    "refuses": "raise InputError(MACHINE_BUG, 'is no cloud.', words[0])",
     "aborts": "import os; os.abort()",
     "fails": "raise RuntimeError('odd')",
     "fails_as_rust_does": "raise type('PanicException', (BaseException,), {})()",
@@ -22,7 +22,10 @@ BODIES = {
 
 
 def module_of(body: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    text = "from stages.diagnostics.errors import InputError\nfrom stages.files.own_process import answer\n\n"
+    text = "from stages.diagnostics.codes import MACHINE_BUG\n"
+    text += (
+        "from stages.diagnostics.errors import InputError\nfrom stages.files.own_process import answer\n\n"
+    )
     text += f"def work(words):\n    {body}\n\ndef main():\n    answer(work)\n"
     (folder / "made_for_a_test.py").write_text(text)
     monkeypatch.syspath_prepend(str(folder))
