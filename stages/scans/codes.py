@@ -49,8 +49,8 @@ swapped; T is that of the other direction; the baseline is in millimetres withou
 holds the matrices of rectified images, and the images are not rectified.
 """,
     (
-        "room/calib.yaml: the lens model mei is not supported; radial-tangential and equidistant are. "
-        "Undistort the images first."
+        "room/calib.yaml: the second camera is not right of the first: T maps left-camera points to "
+        "the right camera, so its x must be negative. Are the two cameras swapped?"
     ),
 )
 CAMERA_CALIBRATION_ASSUMED = Code(

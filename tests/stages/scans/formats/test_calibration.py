@@ -491,7 +491,10 @@ def test_real_settings_and_camchains(shared_data):
     assert read_camera(files / "kalibr_single_camchain.yaml", 1280, 720).fx == pytest.approx(
         863.728, abs=1e-3
     )
-    rig = read_rig(files / "far_stereo.yaml", 1280, 524)
+    with collecting() as found:
+        rig = read_rig(files / "far_stereo.yaml", 1280, 524)
+    codes = ["camera.calibration-assumed", "camera.calibration-contradictory"]
+    assert [one.code for one in found] == codes
     assert rig.left.fx == pytest.approx(1927.268, abs=1e-3)
     # By RIGHT.P; its Camera.bf says half of that.
     assert rig.baseline == pytest.approx(1181.878 / 1966.836, rel=1e-3)

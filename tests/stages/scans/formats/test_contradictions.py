@@ -92,7 +92,7 @@ def test_the_two_baselines_of_a_real_file(shared_data):
     with collecting() as found:
         rig = read_rig(file, 1280, 524)
     assert rig.baseline == pytest.approx(0.6011, abs=1e-4)
-    assert [str(one) for one in found] == [
+    assert [str(one) for one in found if one.code == "camera.calibration-contradictory"] == [
         f"{file}: it states more than one baseline, 0.6011 (RIGHT.P) and 0.3116 (Camera.bf): the first "
         "is taken; scan.baseline=METRES states another"
     ]
