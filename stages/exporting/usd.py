@@ -47,8 +47,8 @@ def require_usd() -> None:
         ) from None
 
 
-def write_usd(path: Path, mesh: Mesh) -> list[str]:
-    """Write a mesh as .usda or .usdz, y up, in metres; return sentences on what the format does not hold.
+def write_usd(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as .usda or .usdz, y up, in metres; parts that the format does not hold are reported.
 
     Positions stay as they are, under a transform that turns what is up along y. Images become JPEG or PNG.
 
