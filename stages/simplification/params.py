@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields, make_dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, described, hints_of, param
-from stages.simplification.codes import USAGE_METHOD_MISMATCH
 from stages.simplification.methods import METHODS, Method
 from stages.simplification.shared_params import HOW_FAR
 
@@ -92,14 +91,14 @@ class _Goal:
         check(self)
         if self.keep_uv and self.bake:
             raise UsageError(
-                USAGE_METHOD_MISMATCH,
+                USAGE_OPTIONS_CONFLICT,
                 "and bake are both given",
                 Where(parameter="keep_uv"),
                 remedy="give one of them.",
             )
         if self.triangles is not None and self.ratio is not None:
             raise UsageError(
-                USAGE_VALUE_INVALID,
+                USAGE_OPTIONS_CONFLICT,
                 "and ratio are both given",
                 Where(parameter="triangles"),
                 remedy="give one of them.",
