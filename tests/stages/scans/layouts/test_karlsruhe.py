@@ -40,6 +40,12 @@ def test_without_poses_and_without_a_calibration(scan_folder):
     assert [one.code for one in lacking] == ["camera.pair-uncalibrated", "pose.missing"]
     stated = ScanParams(intrinsics="100,100,16,12", baseline=0.5)
     assert read_scan(scan_folder, stated, complete=False).rig.baseline == 0.5
+    with pytest.raises(InputError, match=r"no calibration: calib\.txt .*; and no poses: poses\.txt") as both:
+        read_scan(scan_folder)
+    assert both.value.diagnostic.code == "camera.pair-uncalibrated"
+    with pytest.raises(InputError, match=r"no poses: poses\.txt is missing; name a traj") as alone:
+        read_scan(scan_folder, stated)
+    assert (alone.value.diagnostic.code, alone.value.diagnostic.severity.value) == ("pose.missing", "error")
 
 
 def test_the_places_of_the_car_are_no_poses_and_that_is_told(scan_folder):
