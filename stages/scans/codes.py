@@ -347,7 +347,7 @@ Each is named in `frames_skipped` of report.json with its reason. A few are harm
 left out, the times of images and poses are from different clocks, or counted instead of measured: give a
 trajectory with one pose a frame (KITTI's form has no times).
 """,
-    "12 frames have no mask in masks/: 000003, 000004, 000005 …",
+    "2 frames have no mask in masks/: 000003, 000004",
 )
 FRAME_IMAGE_MISSING = Code(
     "frame.image-missing",
