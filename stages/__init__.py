@@ -71,14 +71,7 @@ if TYPE_CHECKING:
     from stages.stereo.params import SgbmParams
     from stages.stereo.views_depth import views_depth
     from stages.surface.cloud_files import read_cloud
-    from stages.surface.convert import (
-        ConversionWarning,
-        MeshLike,
-        as_mesh,
-        to_open3d,
-        to_open3d_legacy,
-        to_trimesh,
-    )
+    from stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
     from stages.surface.mesh import Mesh
     from stages.surface.mesh_files import read_mesh, write_mesh
     from stages.surface.texture import Image, Material, Texture
@@ -145,7 +138,6 @@ _NAMES_OF = {
     "stereo.views_depth": ("views_depth",),
     "surface.cloud_files": ("read_cloud",),
     "surface.convert": (
-        "ConversionWarning",
         "MeshLike",
         "as_mesh",
         "to_open3d",
@@ -181,7 +173,6 @@ __all__ = [
     "CollapseRecord",
     "CompareParams",
     "Comparison",
-    "ConversionWarning",
     "Coverage",
     "CoverageParams",
     "DepthMap",

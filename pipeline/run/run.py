@@ -103,7 +103,7 @@ class RunResult:
                 REPORT_INCOMPLETE, "this run left no page; report.page=true and report.enabled=true make one."
             )
         html = content_of(self.page)
-        return Page(title=self.out.name, html=html, width=width, height=height, warnings=())
+        return Page(title=self.out.name, html=html, width=width, height=height)
 
     @property
     def unmet(self) -> tuple[Diagnostic, ...]:

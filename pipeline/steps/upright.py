@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,23 +68,20 @@ def estimate_up(
     scan : in its world; frames without a pose tell nothing.
     plane : what is up from the table or floor that was left out of it; None if none was.
     """
-    up, told, warnings = _found(mesh, scan, plane, params)
+    up, source = _find_up(mesh, scan, plane, params)
     write_up(folder, up)
-    return {"up": up, "up_source": told, "warnings": warnings}
+    return {"up": up, "up_source": source}
 
 
-def _found(
-    mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection
-) -> tuple[Up | None, str, list[str]]:
-    """Return what is up, what told it, and what is odd about that."""
+def _find_up(mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection) -> tuple[Up | None, str]:
+    """Return the up direction and its source."""
     if params.up is not None:
         given = direction_of(_words_of(params.up))
-        return None if given is None else _rounded(given), "given", []
+        return None if given is None else _rounded(given), "given"
     found = up_in(mesh, scan, plane)
     if found is None:
-        return None, "nothing", []
-    advice = "; upright.up=AXIS states it"
-    return _rounded(found.direction), found.source, [text + advice for text in found.warnings]
+        return None, "nothing"
+    return _rounded(found.direction), found.source
 
 
 def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
@@ -92,10 +89,9 @@ def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
     poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
     if not poses:
         return None
-    known, said = known_up(scan)
+    known = known_up(scan)
     told = None if known is None else (known.direction, known.source)
-    found = up_of_place(mesh, np.array(poses), told, plane)
-    return replace(found, warnings=(*said, *found.warnings))
+    return up_of_place(mesh, np.array(poses), told, plane)
 
 
 def _words_of(up: str) -> str:

@@ -14,7 +14,7 @@ from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.features import detect_keypoints
 from stages.registration.codes import REGISTER_FRAMES_UNUSABLE
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_IMAGE_MISSING
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
@@ -96,12 +96,12 @@ def read_view(frame: Frame) -> View:
     frame = replace(frame, shutter_turn=None)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", Where(frame=frame.name))
     camera = color_camera(frame)
     is_plain = not camera.fisheye and len(camera.distortion) <= OPENCV
     color = as_taken(frame) if is_plain else read_color(frame)
     if color is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "there is no colour image.", Where(frame=frame.name))
     grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
     if not _DARK <= grey.mean() <= _BRIGHT:
         what = BLACK if grey.mean() < _DARK else OVER_EXPOSED

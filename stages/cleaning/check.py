@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stages.cleaning.codes import CLEAN_CHECK_FAILED
 from stages.cleaning.regularity import Limits, irregular
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import UsageError
 from stages.params import check as check_params
@@ -123,7 +123,7 @@ def require_answerable(requirements: Iterable[str], min_thickness: float) -> Non
     for word in requirements:
         if word not in REQUIREMENTS:
             raise UsageError(
-                USAGE_OPTIONS_CONFLICT,
+                USAGE_VALUE_INVALID,
                 "there is no requirement {word!r}; there are {requirements}.",
                 word=word,
                 requirements=", ".join(REQUIREMENTS),

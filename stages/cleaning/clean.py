@@ -21,7 +21,7 @@ from stages.cleaning.degenerate import without_degenerate
 from stages.cleaning.manifold import make_manifold
 from stages.cleaning.repair import Repaired, repair
 from stages.cleaning.stitch import stitch, weld
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.codes import MACHINE_BUG, USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import MeshError, StageError, UsageError
 from stages.params import check, param, resolve
@@ -217,7 +217,7 @@ def clean(
     try:
         require_manifold(traced.mesh)
     except MeshError as error:
-        raise StageError(CLEAN_NOTHING_LEFT, "cleaning failed, its result {error}", error=error) from error
+        raise StageError(MACHINE_BUG, "cleaning failed, its result {error}", error=error) from error
     progress(_STEPS, steps)
     cleaned = Cleaned(traced.mesh, traced.vertex_source, traced.triangle_source, Removed(**counts), min_area)
     if params.repair:

@@ -27,8 +27,8 @@ CLEAN_NOT_REPAIRED = Code(
     "clean.not-repaired",
     "Places that repairs leave alone",
     """
-Warnings: irregular places that are left, with the reason. `max_shape` of repairs bounds how far the surface
-may move.
+Warnings: irregular places that are left, with the reason. `max_shape` of repairs bounds how far the
+surface may move.
 """,
     (
         "3 of 41 caps left: 3 where the distance is not proven to be within max_shape; the first at (0.12, "

@@ -20,8 +20,8 @@ TEXTURE_PHOTOS_MISMATCH = Code(
     "texture.photos-mismatch",
     "Photos that do not fit the mesh",
     """
-The mesh and the photos are not of one world: poses of another scan, a mesh that was moved or scaled since, or
-a calibration of another size. A mesh for `scanloom texture` has to stand where the scan stands;
+The mesh and the photos are not of one world: poses of another scan, a mesh that was moved or scaled
+since, or a calibration of another size. A mesh for `scanloom texture` has to stand where the scan stands;
 `scanloom compare FUSED MESH` shows by how much it is off.
 """,
     "none of the 120 photos shows the mesh: do poses and mesh belong together?",

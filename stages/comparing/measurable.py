@@ -6,7 +6,7 @@ import numpy as np
 
 from stages.diagnostics.errors import MeshError
 from stages.surface.cloud import is_cloud
-from stages.surface.codes import COMPARE_POINT_CLOUD
+from stages.surface.codes import MESH_NO_SURFACE
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, bounding_box
@@ -40,9 +40,7 @@ def comparable(given: MeshLike, called: str) -> Mesh:
         return mesh
     require_measurable(mesh, called)
     if not np.ptp(mesh.vertices, axis=0).any():
-        raise MeshError(
-            COMPARE_POINT_CLOUD, "it has no triangles, and its points are all in one place.", called
-        )
+        raise MeshError(MESH_NO_SURFACE, "it has no triangles, and its points are all in one place.", called)
     return mesh
 
 

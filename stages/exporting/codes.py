@@ -8,7 +8,8 @@ EXPORT_LEFT_OUT = Code(
     "export.left-out",
     "Parts of a mesh that a format does not hold",
     """
-Warnings. STL and OFF hold the shape alone, without colours, parts and normals of corners; USD holds one mesh.
+Warnings. STL and OFF hold the shape alone, without colours, parts and normals of corners; USD holds one
+mesh.
 """,
     ".stl holds the shape alone: the colours are left out; write .ply or .glb",
 )
@@ -16,8 +17,8 @@ EXPORT_UP_UNKNOWN = Code(
     "export.up-unknown",
     "An up direction that is not known",
     """
-A warning. `--axes` turns a mesh by its up direction, which neither its file nor `--up` states. The mesh is
-written as it is. `--up +z` states it.
+A warning. `--axes` turns a mesh by its up direction, which neither its file nor `--up` states. The mesh
+is written as it is. `--up +z` states it.
 """,
     "nothing tells what is up: the axes are taken to be y-up already; `up` says it",
 )

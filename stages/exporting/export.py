@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stages.cleaning.check import check
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import UsageError
@@ -234,14 +235,14 @@ def require_fitting(path: Path, params: ExportParams) -> None:
         )
     if suffix not in GLTF and (params.compress != "none" or params.shading != "bare"):
         raise UsageError(
-            USAGE_EXTENSION_UNKNOWN,
+            USAGE_OPTIONS_CONFLICT,
             "compress and shading are of glTF",
             remedy="write .glb.",
             where=path,
         )
     if suffix in STANDING and (params.unit != "m" or params.on_floor):
         raise UsageError(
-            USAGE_EXTENSION_UNKNOWN,
+            USAGE_OPTIONS_CONFLICT,
             "{suffix} is in metres, and placed by its own axes",
             remedy="write .stl or .obj.",
             where=path,

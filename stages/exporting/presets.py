@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from stages.diagnostics.codes import USAGE_VALUE_INVALID
 from stages.diagnostics.errors import UsageError
 from stages.exporting.export import GLTF, STANDING, ExportParams
 
@@ -49,7 +49,7 @@ def preset(name: str, suffix: str = ".glb") -> ExportParams:
     """
     if name not in PRESETS:
         raise UsageError(
-            USAGE_OPTIONS_CONFLICT,
+            USAGE_VALUE_INVALID,
             "there is no preset {name!r}; there are {presets}.",
             name=name,
             presets=", ".join(PRESETS),

@@ -18,7 +18,7 @@ from stages.diagnostics.errors import StageError, UsageError
 from stages.exporting.codes import EXPORT_IMAGE_AS_PNG, EXPORT_LEFT_OUT, EXPORT_USD_FAILED
 from stages.files.image_bytes import encoded_png
 from stages.files.replacing import replacing
-from stages.surface.codes import USAGE_EXTENSION_UNKNOWN
+from stages.surface.codes import MACHINE_EXTRA_MISSING, USAGE_EXTENSION_UNKNOWN
 from stages.surface.finite import LARGEST_SINGLE
 from stages.surface.formats.colors import linear_from_srgb
 from stages.surface.mesh import Mesh, require_writable
@@ -43,12 +43,12 @@ def require_usd() -> None:
         import pxr  # noqa: F401
     except ImportError:
         raise UsageError(
-            USAGE_EXTENSION_UNKNOWN, "USD is written by usd-core", remedy="install scanloom[usd]."
+            MACHINE_EXTRA_MISSING, "USD is written by usd-core", remedy="install scanloom[usd]."
         ) from None
 
 
-def write_usd(path: Path, mesh: Mesh) -> list[str]:
-    """Write a mesh as .usda or .usdz, y up, in metres; return sentences on what the format does not hold.
+def write_usd(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as .usda or .usdz, y up, in metres; parts that the format does not hold are reported.
 
     Positions stay as they are, under a transform that turns what is up along y. Images become JPEG or PNG.
 

@@ -31,6 +31,15 @@ previews: 256 steps are no measurement. Export the raw depth.
 """,
     "room/depth/000012.png: a depth map of one channel is expected; this is a colour image.",
 )
+FILE_IMAGE_FORMAT = Code(
+    "file.image-format",
+    "Images in a form that is not read",
+    """
+Convert the image: colour and masks have 8 bits a channel, and OpenEXR is read where it is a single part
+of scan lines, such as with ZIP compression.
+""",
+    "room/rgb/000012.png: a colour image of 8 bits a channel is expected; this one is uint16.",
+)
 FILE_PATH_OUTSIDE = Code(
     "file.path-outside",
     "Paths that lead out of the folder",

@@ -17,7 +17,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_UNREADABLE
+from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_IMAGE_FORMAT, FILE_UNREADABLE
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import content_of, opened, said_of
 from stages.files.room import require_room
@@ -123,7 +123,7 @@ def _header(data: bytes, path: Path) -> _Header:
         raise InputError(FILE_DAMAGED, "this is no OpenEXR image, or its start is damaged.", path)
     if int.from_bytes(data[4:8], "little") & _UNREAD:
         raise InputError(
-            FILE_DEPTH_FORMAT,
+            FILE_IMAGE_FORMAT,
             "OpenEXR with tiles, several parts or deep pixels is not read",
             path,
             remedy="write scan lines.",
@@ -137,7 +137,7 @@ def _header(data: bytes, path: Path) -> _Header:
         raise InputError(FILE_DAMAGED, "the header of the image is damaged.", path) from error
     if compression >= len(_ROWS):
         raise InputError(
-            FILE_DEPTH_FORMAT, "its kind of compression is not read", path, remedy="write it with ZIP."
+            FILE_IMAGE_FORMAT, "its kind of compression is not read", path, remedy="write it with ZIP."
         )
     width, height = right - left + 1, bottom - top + 1
     if not (width > 0 and height > 0 and channels > 0 and width * height * channels <= MAX_PIXELS):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stages._opencv import require_opencv
 from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_UNREADABLE
+from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_IMAGE_FORMAT, FILE_UNREADABLE
 from stages.files.exr import exr_size, read_exr
 from stages.files.image_bytes import (
     MAX_PIXELS,
@@ -125,7 +125,7 @@ def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
     image = _decoded(data, source)
     if image.dtype != np.uint8:
         raise InputError(
-            FILE_DEPTH_FORMAT,
+            FILE_IMAGE_FORMAT,
             "a colour image of 8 bits a channel is expected; this one is {image_dtype}.",
             source,
             image_dtype=image.dtype,
@@ -167,7 +167,7 @@ def read_alpha(path: Path) -> NDArray[np.uint8]:
     """
     image = read_stored(path)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4:
-        raise InputError(FILE_DEPTH_FORMAT, "an image with 8 bits of transparency (RGBA) is expected.", path)
+        raise InputError(FILE_IMAGE_FORMAT, "an image with 8 bits of transparency (RGBA) is expected.", path)
     return np.asarray(255 * (image[:, :, 3] >= 128), np.uint8)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError, ScanloomError
 from stages.files.room import require_room
@@ -33,6 +34,8 @@ class DiedError(Exception):
 
 def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
     """Run `main` of one of our modules in another Python, with words in `sys.argv`, and return its answer.
+
+    Diagnostics of that process are emitted here.
 
     Parameters
     ----------
@@ -66,6 +69,7 @@ def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
         raise DiedError(said["died"])
     if "error" in said:
         raise InputError.of(Diagnostic.from_figures(said["error"]))
+    emit(*map(Diagnostic.from_figures, said["diagnostics"]))
     answer: dict[str, Any] = said["answer"]
     return answer
 
@@ -93,7 +97,9 @@ def answer(work: Callable[[list[str]], Mapping[str, Any]]) -> None:
     _limit(seconds)
     said: dict[str, Any]
     try:
-        said = {"answer": dict(work(words))}
+        with collecting(forward=False) as diagnostics:
+            said = {"answer": dict(work(words))}
+        said["diagnostics"] = [one.figures() for one in diagnostics]
     except ScanloomError as error:
         said = {"error": error.diagnostic.figures()}
     except BaseException as error:  # that of Rust is no Exception

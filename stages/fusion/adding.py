@@ -307,11 +307,12 @@ def require_share(work: Work, outcomes: Sequence[Outcome]) -> None:
             SCAN_TOO_MANY_FRAMES_SKIPPED,
             (
                 "{skipped_count} of {count} frames cannot be used; at most {share:.0%} may "
-                "be bad (max_bad_share). The first: {reason}"
+                "be bad (max_bad_share). The first, frame {first}: {reason}"
             ),
             work.where,
             skipped_count=len(skipped),
             count=count,
             share=share,
+            first=skipped[0].name,
             reason=skipped[0].reason,
         )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import islice, takewhile
 from pathlib import Path
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.files.noting import only_looking
 from stages.printing import by_fields
@@ -93,7 +94,8 @@ def unused(scan: Scan) -> tuple[Unused, ...]:
     kinds: dict[tuple[Path, str], list[str]] = defaultdict(list)
     for path in files:
         kinds[path.parent, path.suffix.lower()].append(path.stem)
-    with only_looking():
+    # Diagnostics of files that are only tried say nothing about the scan.
+    with only_looking(), collecting(forward=False):
         found = [
             Unused(path.relative_to(scan.folder).as_posix(), 1, _looks_like(path, scan))
             for path in files

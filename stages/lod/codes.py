@@ -16,8 +16,8 @@ LEVELS_CUT_OFF = Code(
     "levels.cut-off",
     "Files of levels that end early",
     """
-A warning. A `.slod` file that ends early is a coarser mesh: levels before the damage are read. Copy the file
-again, or make it again from its mesh.
+A `.slod` file that ends early is a coarser mesh: levels before the damage are read, with a warning. Tiles
+need all levels, and are an error. Copy the file again, or make it again from its mesh.
 """,
     "clean.slod: the file ends after 12 of 85 nodes; finer levels are missing.",
 )
@@ -30,12 +30,20 @@ Views and cuts take the proven bound.
 """,
     ("14 triangles have no proof of their level's bound; what is proven of their nodes is told as it is."),
 )
-LEVELS_TILES = Code(
-    "levels.tiles",
-    "Tiles",
+LEVELS_MODEL_MISMATCH = Code(
+    "levels.model-mismatch",
+    "A model that tiles cannot get images from",
+    """
+The model for `--texture` has to lie where the levels lie, and needs an image or vertex colours.
+""",
+    "model: has neither an image nor vertex colours that tiles could get.",
+)
+LEVELS_TILES_TOO_FINE = Code(
+    "levels.tiles-too-fine",
+    "Levels that are too fine for tiles",
     """
 Positions of tiles have single precision. A model that is large and finely detailed at once needs coarser
-finest levels (`lod.base_error`). The model for `--texture` has to lie where the levels lie.
+finest levels (`lod.base_error`).
 """,
     (
         "vertices crowd too close for tiles, whose positions have single precision; build the levels with a "
@@ -55,8 +63,8 @@ LEVELS_ISLANDS_DROPPED = Code(
     "levels.islands-dropped",
     "Small components that are dropped",
     """
-Small components are dropped only with `lod.drop_islands`, and then nothing is proven of them. A length that
-would drop all of the mesh is refused.
+Small components are dropped only with `lod.drop_islands`, and then nothing is proven of them. A length
+that would drop all of the mesh is refused.
 """,
     (
         "20 loose pieces smaller than 0.1 m, of 1,600 triangles, were dropped: of what the mesh has there, "

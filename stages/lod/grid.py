@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
-from stages.lod.codes import LEVELS_TILES
+from stages.lod.codes import LEVELS_TILES_TOO_FINE
 from stages.lod.hierarchy import Hierarchy
 from stages.surface.welding import same_rows
 
@@ -76,7 +76,8 @@ def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
         step = _step_for(size, steps)
         if step > _LARGEST:
             raise InputError(
-                LEVELS_TILES, "the model is too large for tiles, whose positions have single precision."
+                LEVELS_TILES_TOO_FINE,
+                "the model is too large for tiles, whose positions have single precision.",
             )
         if in_16_bits and step > wanted:
             continue
@@ -92,7 +93,7 @@ def on_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, Grid]:
         share = max(math.sqrt(3) / 2, moved) * step * (1 + 1e-9) + lost
         return replace(hierarchy, vertices=places * step), Grid(step, origin, in_16_bits, share)
     raise InputError(
-        LEVELS_TILES,
+        LEVELS_TILES_TOO_FINE,
         (
             "vertices crowd too close for tiles, whose positions have single precision; "
             "build the levels with a larger base_error."

@@ -187,7 +187,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
         raise ValueError("its root is not whole")
     hierarchy = _joined(tree, columns, sizes, roots, parts)
     _require_sound(hierarchy)
-    emit(*(Diagnostic.from_figures(figures) for figures in tree["diagnostics"]))
+    emit(*map(_diagnostic, tree["diagnostics"]))
     if len(parts) < count:
         emit(
             LEVELS_CUT_OFF.warning(
@@ -260,6 +260,16 @@ def _joined(
         dropped_triangles=_natural(tree["dropped_triangles"]),
         up=_direction(tree["up"]) if "up" in tree else None,
     )
+
+
+def _diagnostic(value: object) -> Diagnostic:
+    if not isinstance(value, dict) or not isinstance(value.get("values", {}), dict):
+        raise ValueError(f"{value!r} is no diagnostic")
+    diagnostic = Diagnostic.from_figures(value)
+    texts = (diagnostic.code, diagnostic.message, diagnostic.remedy or "")
+    if not all(isinstance(text, str) for text in texts):
+        raise ValueError(f"{value!r} is no diagnostic")
+    return diagnostic
 
 
 def _direction(value: object) -> tuple[float, float, float]:

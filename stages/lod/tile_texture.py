@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_image
-from stages.lod.codes import LEVELS_TILES
+from stages.lod.codes import LEVELS_MODEL_MISMATCH
 from stages.params import check, param
 from stages.scans.prefetch import read_ahead, workers
 from stages.surface.color import color_at, has_color
@@ -200,7 +200,7 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
     require_area(mesh, "model")
     if not has_color(mesh):
         raise MeshError(
-            LEVELS_TILES, "has neither an image nor vertex colours that tiles could get.", "model"
+            LEVELS_MODEL_MISMATCH, "has neither an image nor vertex colours that tiles could get.", "model"
         )
     if origin.any():
         mesh = mesh.with_(vertices=mesh.vertices - origin)
@@ -211,7 +211,7 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
     size = float(np.linalg.norm(np.ptp(levels.vertices, axis=0)))
     if away > _FAR * size:
         raise MeshError(
-            LEVELS_TILES,
+            LEVELS_MODEL_MISMATCH,
             (
                 "is of another surface than the levels, or in another place: half of them "
                 "lie more than {away:.3g} m from it, and they are {size:.3g} m large."

@@ -21,7 +21,7 @@ from stages.diagnostics.errors import InputError
 from stages.files.opening import content_of
 from stages.files.replacing_folder import replacing_folder
 from stages.files.written_by import installed_version
-from stages.lod.codes import LEVELS_FILE_DAMAGED, LEVELS_LEFT_OUT
+from stages.lod.codes import LEVELS_CUT_OFF, LEVELS_LEFT_OUT
 from stages.lod.grid import Grid, on_grid
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_glb import tile_glb
@@ -255,8 +255,9 @@ def _require_whole(h: Hierarchy) -> None:
         below = int(h.coarse[children].sum())
         if below != h.full[node] if len(children) else h.level[node] > 0:
             raise InputError(
-                LEVELS_FILE_DAMAGED,
-                "the finest levels are missing; tiles need them all. Build the file again.",
+                LEVELS_CUT_OFF,
+                "the finest levels are missing; tiles need them all.",
+                remedy="Build the file again.",
             )
 
 

@@ -40,8 +40,8 @@ LEVELS_VERTICES_SPLIT = Code(
     "levels.vertices-split",
     "Vertices that are split",
     """
-A warning. Fans of triangles that touch at one vertex get a vertex each, because a normal mesh is a manifold.
-`scanloom clean` splits them, too.
+A warning. Fans of triangles that touch at one vertex get a vertex each, because a normal mesh is a
+manifold. `scanloom clean` splits them, too.
 """,
     ("1 pinched vertex was split, so that each fan of triangles that touched there has its own."),
 )
@@ -49,8 +49,8 @@ LEVELS_TOO_FINE = Code(
     "levels.too-fine",
     "Edges that are too short beside the size of the mesh",
     """
-The file has 32-bit floats. One stray vertex far away makes the box of the mesh so large that all edges are
-below their precision: remove it.
+The file has 32-bit floats. One stray vertex far away makes the box of the mesh so large that all edges
+are below their precision: remove it.
 """,
     (
         "mesh: most edges are shorter than 5e-05 m, which is all that can be told apart in a mesh of this "

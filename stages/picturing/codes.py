@@ -16,8 +16,8 @@ REPORT_INCOMPLETE = Code(
     "report.incomplete",
     "The page of a run",
     """
-The page is made of the files in OUT. If something there is missing or changed, run again: cached results are
-only copied.
+The page is made of the files in OUT. If something there is missing or changed, run again: cached results
+are only copied.
 """,
     "out/photos/12.jpg: this photo is missing; run once more.",
 )
@@ -25,19 +25,18 @@ REPORT_REDUCED = Code(
     "report.reduced",
     "A page that is larger than asked, or without some photos",
     """
-A warning. Photos and triangles are left out until the page fits `report.page_size`. A larger size keeps more;
-the complete result is a file of its own.
+A warning. Photos and triangles are left out until the page fits `report.page_size`. A larger size keeps
+more; the complete result is a file of its own.
 """,
     "40 of the photos are left out of the page, which may take 20,000,000 bytes.",
 )
-RENDER_LIBRARY_MISSING = Code(
-    "render.library-missing",
-    "Videos and plots",
+RENDER_ENCODER_MISSING = Code(
+    "render.encoder-missing",
+    "Encoders of videos that are missing",
     """
 Not every build of OpenCV has every encoder: `--codec mpeg4` is in nearly all, and pictures always work.
-Plots need `pip install "scanloom[plot]"`.
 """,
-    "turn.mp4: OpenCV has no encoder for h264 here; write pictures (.png).",
+    "turn.mp4: OpenCV has no encoder for vp9 here; write pictures (.png).",
 )
 MACHINE_PORT_TAKEN = Code(
     "machine.port-taken",

@@ -13,8 +13,8 @@ import numpy as np
 
 from stages.diagnostics.errors import UsageError
 from stages.files.replacing import replacing
-from stages.picturing.codes import RENDER_LIBRARY_MISSING
 from stages.simplification.tradeoff import Tradeoff
+from stages.surface.codes import MACHINE_EXTRA_MISSING
 
 SUFFIXES = (".png", ".svg")
 
@@ -37,7 +37,7 @@ def require_plots() -> None:
         import matplotlib  # noqa: F401
     except ImportError:
         raise UsageError(
-            RENDER_LIBRARY_MISSING, "plots are drawn by matplotlib", remedy="install scanloom[plot]."
+            MACHINE_EXTRA_MISSING, "plots are drawn by matplotlib", remedy="install scanloom[plot]."
         ) from None
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from stages._opencv import require_opencv
 from stages.diagnostics.errors import StageError
 from stages.files.replacing import replacing
-from stages.picturing.codes import RENDER_LIBRARY_MISSING
+from stages.picturing.codes import RENDER_ENCODER_MISSING
 from stages.scans.scan import ColorImage
 
 # How a file says what it is encoded by. MPEG-4 is known to players and presentations, VP9 to browsers.
@@ -43,7 +43,7 @@ def write_video(path: Path, images: Iterable[ColorImage], fps: float, codec: str
             size = (image.shape[1], image.shape[0])
             if not writer.isOpened() and not writer.open(str(draft), cv2.CAP_FFMPEG, tag, fps, size):
                 raise StageError(
-                    RENDER_LIBRARY_MISSING,
+                    RENDER_ENCODER_MISSING,
                     "OpenCV has no encoder for {codec} here",
                     remedy="write pictures (.png).",
                     where=path,

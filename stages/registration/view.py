@@ -16,7 +16,7 @@ from stages.frames.projection import unproject
 from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
 from stages.registration.features import PIXELS, Features, features_of
 from stages.registration.points import deviation
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_IMAGE_MISSING
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
 
@@ -67,7 +67,7 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
 
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", Where(frame=frame.name))
     depth[depth > max_depth] = 0
     valid = depth[depth > 0]
     if valid.size == 0:
@@ -101,7 +101,7 @@ def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
 
     color = read_matching_color(frame, depth) if frame.color_camera is not None else read_color(frame)
     if color is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no colour image.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "there is no colour image.", Where(frame=frame.name))
     share = min((PIXELS / (color.shape[0] * color.shape[1])) ** 0.5, 1.0)
     size = (max(round(color.shape[1] * share), 1), max(round(color.shape[0] * share), 1))
     if size != (color.shape[1], color.shape[0]):

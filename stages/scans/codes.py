@@ -49,8 +49,8 @@ swapped; T is that of the other direction; the baseline is in millimetres withou
 holds the matrices of rectified images, and the images are not rectified.
 """,
     (
-        "room/calib.yaml: the lens model mei is not supported; radial-tangential and equidistant are. "
-        "Undistort the images first."
+        "room/calib.yaml: the second camera is not right of the first: T maps left-camera points to "
+        "the right camera, so its x must be negative. Are the two cameras swapped?"
     ),
 )
 CAMERA_CALIBRATION_ASSUMED = Code(
@@ -347,7 +347,7 @@ Each is named in `frames_skipped` of report.json with its reason. A few are harm
 left out, the times of images and poses are from different clocks, or counted instead of measured: give a
 trajectory with one pose a frame (KITTI's form has no times).
 """,
-    "12 frames have no mask in masks/: 000003, 000004, 000005 …",
+    "2 frames have no mask in masks/: 000003, 000004",
 )
 FRAME_IMAGE_MISSING = Code(
     "frame.image-missing",

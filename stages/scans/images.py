@@ -17,7 +17,11 @@ from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.files.images import decode_color, file_bytes, read_raw_depth, read_stored, require_raw_depth
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, CAMERA_INTRINSICS_GUESSED, FRAME_IMAGE_MISSING
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_MISMATCH,
+    CAMERA_PAIR_UNCALIBRATED,
+    FRAME_IMAGE_MISSING,
+)
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
 from stages.scans.shutter import turn_of_color
 from stages.scans.undistortion import Maps, maps_of, undistorted
@@ -84,7 +88,7 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
     known = frame.color_camera or frame.camera
     if not known.is_calibrated:
         raise InputError(
-            CAMERA_INTRINSICS_GUESSED, "its camera is not calibrated.", _called(frame.color, frame.name)
+            CAMERA_PAIR_UNCALIBRATED, "its camera is not calibrated.", _called(frame.color, frame.name)
         )
     if abs(width * known.height / (height * known.width) - 1) > _SAME_SHAPE:
         require_size(image, known, frame.color, frame.name)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, POSE_INVALID
+from stages.scans.codes import POSE_INVALID
 
 Pose = NDArray[np.float64]
 
@@ -129,7 +129,7 @@ def turn_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
     if len(numbers) != 3 or not math.hypot(*numbers) <= _MOST_TURN:
         raise InputError(
-            CAMERA_ADJUSTED_MISMATCH,
+            POSE_INVALID,
             "{place}: shutter_turn is no rotation vector of three numbers, {most_turn:g} radian at most.",
             path,
             place=where,

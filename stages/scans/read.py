@@ -15,15 +15,15 @@ from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.diagnostic import Diagnostic, Severity
 from stages.diagnostics.errors import InputError, UsageError
 from stages.files.blas_buffers import require_buffers
-from stages.files.codes import FILE_PATH_INVALID
+from stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
 from stages.files.noting import noting
 from stages.files.repeated import merge_repeated
 from stages.scans.codes import (
-    CAMERA_CALIBRATION_MISMATCH,
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     POSE_ASSUMED,
     POSE_MISSING,
+    SCAN_IMAGES_UNPAIRED,
     SCAN_LAYOUT_UNKNOWN,
     SCAN_OPTION_UNUSED,
     SCAN_SELECTION_EMPTY,
@@ -227,11 +227,6 @@ def matching(folder: Path) -> tuple[Layout, str] | None:
     InputError
         If there is no such folder, it cannot be listed, or it is of a layout that cannot be read yet.
     """
-    with collecting(forward=False):
-        return _matching(folder)
-
-
-def _matching(folder: Path) -> tuple[Layout, str] | None:
     _require_place(folder, [suffix for one in LAYOUTS for suffix in one.suffixes])
     if folder.is_file():
         return next((one, folder.name) for one in LAYOUTS if folder.suffix.lower() in one.suffixes)
@@ -259,7 +254,7 @@ def _require_place(folder: Path, suffixes: Collection[str]) -> None:
         next(folder.iterdir(), None)
     except OSError as error:
         raise InputError(
-            SCAN_LAYOUT_UNKNOWN, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
+            FILE_UNREADABLE, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
         ) from error
 
 
@@ -268,7 +263,9 @@ def _refusal(known: Refused) -> str:
 
 
 def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:
-    return next(((one, reason) for one in layouts if (reason := one.matches(folder)) is not None), None)
+    # What is odd about a file is reported when the scan is read.
+    with collecting(forward=False):
+        return next(((one, reason) for one in layouts if (reason := one.matches(folder)) is not None), None)
 
 
 def _unknown(folder: Path) -> str:
@@ -413,7 +410,7 @@ def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
     left, right = common_size(lefts), common_size(rights)
     if left != right:
         raise InputError(
-            CAMERA_CALIBRATION_MISMATCH,
+            SCAN_IMAGES_UNPAIRED,
             (
                 "left images are {left}×{left_2} and right images {right}×{right_2}; both "
                 "cameras of a pair must give one size."

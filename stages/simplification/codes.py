@@ -19,9 +19,9 @@ SIMPLIFY_BOUND_NOT_PROVEN = Code(
     "simplify.bound-not-proven",
     "Bounds that are not proven, or not kept",
     """
-Exit code 1: the file is written, and the bounds that are proven instead are named. Where sheets of different
-colours touch, no small bound on colour is true even of the mesh and itself. Give a larger bound, or leave the
-bound on colour out.
+Exit code 1: the file is written, and the bounds that are proven instead are named. Where sheets of
+different colours touch, no small bound on colour is true even of the mesh and itself. Give a larger
+bound, or leave the bound on colour out.
 """,
     "the bounds that were asked for are not proven; proven are 0.00213 m and 31.5 levels.",
 )
@@ -38,8 +38,9 @@ SIMPLIFY_TRADEOFF = Code(
     "simplify.tradeoff",
     "Error against triangles",
     """
-Of `tradeoff`. Exit code 1 if the bound is below the error of all numbers of triangles: give larger numbers,
-or a larger bound. The others are remarks: why a curve ends, and which meshes its distances belong to.
+Of `tradeoff`. Exit code 1 if the bound is below the error of all numbers of triangles: give larger
+numbers, or a larger bound. The others are remarks: why a curve ends, and which meshes its distances
+belong to.
 """,
     "none of these numbers keeps 95 % of the surface within 0.001 m; give more triangles with --counts.",
 )
@@ -59,9 +60,10 @@ SIMPLIFY_COUNT_NOT_REACHED = Code(
     "simplify.count-not-reached",
     "Not as few triangles as asked",
     """
-Exit code 1: the file is written. The remaining edges may not collapse: locked vertices, borders, a topology
-of many holes and handles (which all stay), or a bound that was given too. `scanloom clean --fill-holes 0.05`
-and a larger `clean.min_island_area` before simplifying take small holes and islands away.
+Exit code 1: the file is written. The remaining edges may not collapse: locked vertices, borders, a
+topology of many holes and handles (which all stay), or a bound that was given too. `scanloom clean
+--fill-holes 0.05` and a larger `clean.min_island_area` before simplifying take small holes and islands
+away.
 """,
     "2,418 triangles are left, not 1,000 as asked: no other edge may collapse, for topology most often.",
 )
@@ -69,8 +71,9 @@ SIMPLIFY_CROWDED = Code(
     "simplify.crowded",
     "Little left to collapse",
     """
-A warning: most of the remaining edges stand for holes, handles and small components, or are locked, so that
-all accuracy is lost elsewhere. Fill or remove small ones with `scanloom clean` first, or keep more triangles.
+A warning: most of the remaining edges stand for holes, handles and small components, or are locked, so
+that all accuracy is lost elsewhere. Fill or remove small ones with `scanloom clean` first, or keep more
+triangles.
 """,
     (
         "62% of the edges that are left stand for holes, handles and loose pieces, which all stay, so that "
@@ -82,8 +85,8 @@ SIMPLIFY_LINES_LEFT_OUT = Code(
     "simplify.lines-left-out",
     "Triangles that are lines or points",
     """
-A warning. A triangle with two corners in one place has no area, and no method keeps it. Where it lies beside
-no other triangle, bounds on shape do not cover it.
+A warning. A triangle with two corners in one place has no area, and no method keeps it. Where it lies
+beside no other triangle, bounds on shape do not cover it.
 """,
     (
         "triangles with two corners in one place that lie beside no other triangle were left out, and no "
@@ -95,16 +98,26 @@ SIMPLIFY_RECORD_INVALID = Code(
     "Records of collapses",
     """
 A record is the `.npz` file that `--save-record` writes. A damaged one cannot be used: simplify again with
-`--save-record`. `replay` goes from the whole mesh to where the record ends, not beyond.
+`--save-record`. A record of method `seams` cannot be fitted.
 """,
     "a record of method seams cannot be fitted; simplify to that number instead.",
+)
+SIMPLIFY_RECORD_TOO_SHORT = Code(
+    "simplify.record-too-short",
+    "Records that end before what is asked",
+    """
+`replay` goes from the whole mesh to where the record ends, not beyond. Simplify further with
+`--save-record`.
+""",
+    "triangles asks for 100 triangles, but the record ends at 2418.",
 )
 SIMPLIFY_COMPONENTS_REMOVED = Code(
     "simplify.components-removed",
     "Small components and holes",
     """
-`--drop-below` was given. A warning names the counts; check that the number and the area are what you meant.
-Give a smaller length if something is missing. A length that would remove every component is refused.
+`--drop-below` was given. A warning names the counts; check that the number and the area are what you
+meant. Give a smaller length if something is missing. A length that would remove every component is
+refused.
 """,
     (
         "drop_below removed 37 connected components smaller than 0.05 m (4,410 triangles, 0.0213 m²) and "
@@ -115,8 +128,8 @@ SIMPLIFY_DROP_BELOW_UNUSED = Code(
     "simplify.drop-below-unused",
     "A mesh that is too large for the removal of small components",
     """
-A warning. A mesh that is simplified in parts keeps its small components. `clean.min_island_area` removes them
-before.
+A warning. A mesh that is simplified in parts keeps its small components. `clean.min_island_area` removes
+them before.
 """,
     (
         "drop_below has no effect on this mesh: it has 7,412,306 triangles, which are simplified in parts; "
@@ -140,8 +153,8 @@ SIMPLIFY_SEAM_DRIFT = Code(
     "Texture shifted beside seams",
     """
 `simplify.seams.max_seam_drift` limits how far seams move in the image, in texels. A smaller limit keeps more
-triangles beside seams. Without a limit given, seams move by at most 1.5 edges of the simplified mesh, and a
-warning appears from 16 texels on.
+triangles beside seams. Without a limit given, seams move by at most 1.5 edges of the simplified mesh, and
+a warning appears from 16 texels on.
 """,
     (
         "texture seams moved by up to 23 texels in the image, so the texture may be shifted beside them; "
@@ -161,8 +174,9 @@ SIMPLIFY_IMAGES_KEPT = Code(
     "simplify.images-kept",
     "Images that are kept with their seams",
     """
-A warning. An atlas has as many texels as the images that it replaces: one brick that repeats over a wall, or
-a palette of colours, has too few. Seams then stay, and hold the shape in place; `--bake` bakes regardless.
+A warning. An atlas has as many texels as the images that it replaces: one brick that repeats over a wall,
+or a palette of colours, has too few. Seams then stay, and hold the shape in place; `--bake` bakes
+regardless.
 """,
     (
         "the images repeat on the surface: texture coordinates and images are kept, since an atlas of as few "
@@ -186,7 +200,8 @@ USAGE_METHOD_MISMATCH = Code(
     "A method of `simplify` that does not fit what was asked",
     """
 Each [method](../simplification.md) has parameters of its own. `--method auto`, the default, takes the
-first that knows all that were given; leave the method out, or leave out a parameter that belongs to another.
+first that knows all that were given; leave the method out, or leave out a parameter that belongs to
+another.
 """,
     "planar.patch_angle has no meaning for method quadric; leave one of them out.",
 )
@@ -195,8 +210,8 @@ USAGE_REGION_INVALID = Code(
     "Regions, locks and importance",
     """
 Places are in metres and in the axes of the mesh's own file: look one up with *Measure* in the page of
-`scanloom view`, or in any viewer that shows coordinates. `--region "sphere x y z radius 5"` counts squared
-errors there five times; `lock` leaves all vertices in it as they are.
+`scanloom view`, or in any viewer that shows coordinates. `--region "sphere x y z radius 5"` counts
+squared errors there five times; `lock` leaves all vertices in it as they are.
 """,
     "sphere at (0.1, 0.2, 5) holds no vertex of the mesh; places are in metres.",
 )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.codes import MACHINE_BUG
 from stages.diagnostics.errors import StageError
 from stages.simplification.result import Simplified
-from stages.surface.codes import FUSE_TOO_LARGE
+from stages.surface.codes import MESH_FILE_DAMAGED
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import Extent, Part
 
@@ -63,7 +63,7 @@ def halves(part: Part, extent: Extent, rim: float) -> tuple[Cut, Cut]:
     is_strip = np.asarray(near[mesh.triangles].all(axis=1))
     if (mesh.triangles[~is_strip] >= part.own).any():
         raise StageError(
-            FUSE_TOO_LARGE,
+            MESH_FILE_DAMAGED,
             "pieces of the mesh meet farther inside than their voxels tell",
             remedy="fuse again.",
         )

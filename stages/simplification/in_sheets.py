@@ -160,7 +160,7 @@ def _one_normal(mesh: Mesh, sets: NDArray[Any]) -> NDArray[np.float64] | None:
     """Return the mean normal of the copies of each vertex (n, 3), of length 1 or 0."""
     if mesh.normals is None:
         return None
-    mean = _means(mesh.normals, sets)
+    mean: NDArray[np.float64] = _means(mesh.normals, sets)
     length = np.linalg.norm(mean, axis=1, keepdims=True)
     mean = np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
     cosine = np.einsum("ij,ij->i", mean, mesh.normals)

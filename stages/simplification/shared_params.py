@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
-from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
 
 # Headings of the help.
 HOW_FAR = "How far: a number, bounds or both"
@@ -107,14 +106,14 @@ class SharedParams:
         require_finite(self, "max_shape", "max_color", "attribute_scale")
         if self.keep_uv and self.bake:
             raise UsageError(
-                SIMPLIFY_IMAGES_NOT_BAKED,
+                USAGE_OPTIONS_CONFLICT,
                 "and bake are both given",
                 Where(parameter="keep_uv"),
                 remedy="give one of them.",
             )
         if self.triangles is not None and self.ratio is not None:
             raise UsageError(
-                USAGE_VALUE_INVALID,
+                USAGE_OPTIONS_CONFLICT,
                 "and ratio are both given",
                 Where(parameter="triangles"),
                 remedy="give one of them.",

@@ -27,7 +27,6 @@ from stages.progress import Progress, silent
 from stages.simplification.codes import (
     SIMPLIFY_DEFAULT_COUNT,
     SIMPLIFY_DROP_BELOW_UNUSED,
-    USAGE_METHOD_MISMATCH,
 )
 from stages.simplification.cuts import (
     Cut,
@@ -43,6 +42,7 @@ from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
 from stages.simplification.strips import Strips
 from stages.simplification.unmet import report_unmet
+from stages.surface.codes import FUSE_TOO_LARGE
 from stages.surface.mesh import Mesh
 from stages.surface.pieces import MOST_AT_ONCE, Pieces
 
@@ -147,7 +147,7 @@ def simplify_in_pieces(
 def _in_pieces(path: Path, params: SimplifyParams, scratch: Path | None, progress: Progress) -> InPieces:
     if params.bake:
         raise UsageError(
-            USAGE_METHOD_MISMATCH,
+            FUSE_TOO_LARGE,
             "is for meshes that are simplified in one piece",
             Where(parameter="bake"),
             remedy="leave it out, and enable the stage bake.",

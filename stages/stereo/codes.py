@@ -93,14 +93,6 @@ The scan has depth already: `fuse` takes it as it is.
 """,
     "scans/desk: the scan has no stereo pairs; its depth maps need no matching.",
 )
-DEPTH_IMAGES_UNUSABLE = Code(
-    "depth.images-unusable",
-    "Images that are missing",
-    """
-A frame without one of its images is skipped.
-""",
-    "frame 000012: there is no right image.",
-)
 DEPTH_PAIR_SWAPPED = Code(
     "depth.pair-swapped",
     "Left and right are exchanged",

@@ -14,7 +14,7 @@ from stages.diagnostics.errors import InputError, UsageError
 from stages.frames.matching_color import read_matching_color
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.scans.codes import SCAN_FRAMES_SKIPPED, SCAN_TOO_MANY_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.images import read_color, read_depth, read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Scan, SkippedFrame, pinhole
@@ -89,12 +89,13 @@ def completed_scan(
                     SCAN_TOO_MANY_FRAMES_SKIPPED,
                     (
                         "{skipped} of the scan's {frames_count} frames cannot be used, more than the "
-                        "share of {max_skipped:g} that max_skipped allows; the last of them: {reason}"
+                        "share of {max_skipped:g} that max_skipped allows; the last of them, {last}: {reason}"
                     ),
                     scan.folder,
                     skipped=skipped,
                     frames_count=len(scan.frames),
                     max_skipped=params.max_skipped,
+                    last=frame.name,
                     reason=result.reason,
                 )
         progress(done, len(scan.frames))
@@ -108,7 +109,7 @@ def _completed_frame(
         depth, photo = read_depth(frame), read_color(frame)
         if depth is None or photo is None:
             missing = "depth map" if depth is None else "photo"
-            why = SCAN_FRAMES_SKIPPED.warning("there is no {missing}", missing=missing)
+            why = FRAME_IMAGE_MISSING.warning("there is no {missing}", missing=missing)
             return frame, SkippedFrame(frame.name, why)
         color = read_matching_color(frame, depth)
         seen = read_seen(frame) if frame.mask is not None else None

@@ -18,12 +18,12 @@ from stages.diagnostics.errors import InputError, UsageError
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans import images
-from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
 from stages.scans.threads import threads_to_use
 from stages.stereo.by_network import completed, network_disparity, network_of, report_agreement
-from stages.stereo.codes import DEPTH_ALREADY_MEASURED, DEPTH_IMAGES_UNUSABLE, DEPTH_RANGE_EMPTY
+from stages.stereo.codes import DEPTH_ALREADY_MEASURED, DEPTH_RANGE_EMPTY
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.disparity import stereo_disparity, volume_bytes
@@ -152,12 +152,13 @@ def depth_scan(
                     SCAN_TOO_MANY_FRAMES_SKIPPED,
                     (
                         "{skipped} of the scan's {total} pairs cannot be used, more than the share "
-                        "of {max_skipped:g} that max_skipped allows; the last of them: {reason}"
+                        "of {max_skipped:g} that max_skipped allows; the last of them, {last}: {reason}"
                     ),
                     scan.folder,
                     skipped=skipped,
                     total=total,
                     max_skipped=params.max_skipped,
+                    last=frame.name,
                     reason=result.reason,
                 )
         progress(done, total)
@@ -182,7 +183,7 @@ def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[An
     left, right = images.read_color(frame), images.read_right(frame)
     if left is None or right is None:
         raise InputError(
-            DEPTH_IMAGES_UNUSABLE,
+            FRAME_IMAGE_MISSING,
             "there is no {side} image.",
             Where(frame=frame.name),
             side="left" if left is None else "right",

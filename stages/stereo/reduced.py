@@ -9,9 +9,9 @@ import numpy as np
 
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import FRAME_IMAGE_MISSING
 from stages.scans.images import read_color, require_size
 from stages.scans.scan import ColorImage, Frame, Packed, scaled
-from stages.stereo.codes import DEPTH_IMAGES_UNUSABLE
 
 
 def reduced(frame: Frame, longest: int) -> Frame:
@@ -30,7 +30,7 @@ def reduced(frame: Frame, longest: int) -> Frame:
 
         color = read_color(frame)
         if color is None:
-            raise InputError(DEPTH_IMAGES_UNUSABLE, "there is no image.", Where(frame=frame.name))
+            raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
         require_size(color, camera, frame.color, frame.name)
         return np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
 

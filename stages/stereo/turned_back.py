@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import FRAME_IMAGE_MISSING
 from stages.scans.images import read_color, read_mask
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Packed, Scan
 from stages.scans.threads import threads_to_use
-from stages.stereo.codes import DEPTH_IMAGES_TURNED, DEPTH_IMAGES_UNUSABLE
+from stages.stereo.codes import DEPTH_IMAGES_TURNED
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView
 from stages.stereo.turned import Corners, corners, turned
@@ -68,7 +69,7 @@ def _upside_down(
     def load() -> NDArray[np.uint8]:
         image = read(frame)
         if image is None:
-            raise InputError(DEPTH_IMAGES_UNUSABLE, "there is no image.", Where(frame=frame.name))
+            raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
         return np.ascontiguousarray(image[::-1, ::-1])
 
     if isinstance(source, np.ndarray):

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import FRAME_IMAGE_MISSING
 from stages.scans.images import read_pinhole
 from stages.scans.scan import ColorImage, Frame
-from stages.stereo.codes import DEPTH_IMAGES_UNUSABLE
 from stages.stereo.posed_views import PosedView
 
 
@@ -40,7 +40,7 @@ def color_of(frame: Frame) -> ColorImage:
     """
     color = read_pinhole(frame)
     if color is None:
-        raise InputError(DEPTH_IMAGES_UNUSABLE, "there is no image.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
     return color
 
 

@@ -15,8 +15,8 @@ from stages.files.codes import FILE_UNREADABLE
 from stages.files.opening import require_regular, said_of
 from stages.files.own_process import DiedError, asked
 from stages.surface.codes import (
+    MACHINE_EXTRA_MISSING,
     MESH_CLOUD_DAMAGED,
-    MESH_CLOUD_LIBRARY_MISSING,
     MESH_NO_SURFACE,
     USAGE_EXTENSION_UNKNOWN,
 )
@@ -113,7 +113,7 @@ def _read_elsewhere(path: Path) -> Mesh:
     missing = [name for name in _READERS[suffix] if find_spec(name) is None]
     if missing:
         raise UsageError(
-            MESH_CLOUD_LIBRARY_MISSING,
+            MACHINE_EXTRA_MISSING,
             "{suffix} is read by {missing}",
             remedy="install scanloom[clouds].",
             where=path,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import MeshError
-from stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_FILE_DAMAGED
+from stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NOT_FINITE
 
 # Largest number of the formats that hold single precision alone: glTF, STL, USD.
 LARGEST_SINGLE = float(np.finfo(np.float32).max)
@@ -45,22 +45,22 @@ def require_finite(arrays: Iterable[Named], where: Path | str, remedy: str, limi
         values = row.tolist()
         if not np.isfinite(row).all():
             raise MeshError(
-                MESH_FILE_DAMAGED,
-                "{name} {bad} is {values}, not finite ({bad_count:,} such); {remedy_value}",
+                MESH_NOT_FINITE,
+                "{name} {bad} is {values}, not finite ({bad_count:,} such)",
                 where,
+                remedy=remedy,
                 name=name,
                 bad=bad[0],
                 values=values,
                 bad_count=len(bad),
-                remedy_value=remedy,
             )
         raise MeshError(
             MESH_COORDINATES_TOO_LARGE,
-            "{name} {bad} is {values}, beyond single precision ({bad_count:,} such); {remedy_value}",
+            "{name} {bad} is {values}, beyond single precision ({bad_count:,} such)",
             where,
+            remedy=remedy,
             name=name,
             bad=bad[0],
             values=values,
             bad_count=len(bad),
-            remedy_value=remedy,
         )

@@ -14,7 +14,7 @@ from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_png
 from stages.printing import counted, extent_in_words, line, table
-from stages.surface.codes import MESH_FILE_DAMAGED
+from stages.surface.codes import MESH_INDEX_OUT_OF_RANGE
 from stages.surface.finite import LARGEST_SINGLE, require_finite
 from stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
 from stages.surface.thumbnail import thumbnail
@@ -301,7 +301,7 @@ def _indices(data: Any, vertex_count: int, where: str) -> Triangles:
         bad = np.flatnonzero(((array < 0) | (array >= vertex_count)).any(axis=1))
         row = array[bad[0]].tolist()
         raise MeshError(
-            MESH_FILE_DAMAGED,
+            MESH_INDEX_OUT_OF_RANGE,
             (
                 "triangle {bad} uses vertices {row}, but there are only {vertex_count} "
                 "({bad_count} such triangles); the file is damaged or cut short."

@@ -123,8 +123,8 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     if extension not in EXTENSIONS:
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "{path}: meshes are written as {extensions}, not as {path_suffix!r}.",
-            path=path,
+            "meshes are written as {extensions}, not as {path_suffix!r}.",
+            path,
             extensions=", ".join(EXTENSIONS),
             path_suffix=path.suffix,
         )

@@ -13,7 +13,7 @@ from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import decoded_image, encoded_png, kind_of, promised_size
 from stages.printing import counted, line
-from stages.surface.codes import MESH_FILE_DAMAGED, MESH_TEXTURE_DAMAGED
+from stages.surface.codes import MESH_NOT_FINITE, MESH_TEXTURE_DAMAGED
 
 Pixels = NDArray[np.uint8]
 
@@ -210,7 +210,7 @@ def validated_texture(texture: Texture, triangle_count: int, where: str) -> Text
     if not np.isfinite(uvs).all():
         bad = int(np.flatnonzero(~np.isfinite(uvs).all(axis=(1, 2)))[0])
         raise MeshError(
-            MESH_FILE_DAMAGED,
+            MESH_NOT_FINITE,
             "texture coordinates of triangle {bad} are {uvs}, not finite",
             where,
             remedy="set those of such a triangle to 0 for none.",

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
-from stages.surface.codes import MESH_FILE_DAMAGED
+from stages.surface.codes import MESH_FILE_DAMAGED, MESH_NOT_FINITE
 from stages.surface.formats.ply_format import CORNERS, LENGTH, Rows, rows_of_triangles
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats
@@ -96,7 +96,7 @@ def _box(vertices: Rows) -> tuple[Floats, float]:
         return np.zeros(3), 0.0
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     if not np.isfinite([low, high]).all():
-        raise InputError(MESH_FILE_DAMAGED, "a vertex is not finite; the file is damaged.", vertices.path)
+        raise InputError(MESH_NOT_FINITE, "a vertex is not finite; the file is damaged.", vertices.path)
     return low, float((high - low).max())
 
 

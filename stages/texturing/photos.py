@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import InputError
 from stages.progress import Progress
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_POSE_MISSING
 from stages.scans.images import read_photo
 from stages.scans.poses import inverted
 from stages.scans.prefetch import read_ahead, workers
@@ -63,7 +63,7 @@ def photo_of(frame: Frame) -> Photo:
         If it has none, or no pose, it cannot be read, or hardly anything but black and white is in it.
     """
     if frame.world_from_camera is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no camera pose.", Where(frame=frame.name))
+        raise InputError(FRAME_POSE_MISSING, "there is no camera pose.", Where(frame=frame.name))
     image, camera, seen = read_photo(frame)
     black_or_white = _black_or_white(image)
     # Of what masks leave: a thing that is cut out of its photo may fill little of it.

@@ -46,7 +46,7 @@ def test_a_batch_tells_and_writes_what_became_of_every_scan(scanloom: Run, scans
     assert ran.exit_code == 1
     assert f"no scan: {scans / 'notes'}: it is of no known layout" in ran.stderr
     assert re.search(r"^scan-0001  done, [\d.]+ s", ran.stderr, re.MULTILINE)
-    assert "scanloom: 1 of 3 scans are not done: 1 unusable; the table says why." in ran.stderr
+    assert "scanloom: 1 of 3 scans are not done: 1 unusable; the table has the reasons." in ran.stderr
     assert re.search(r"^more/broken +unusable", ran.stdout, re.MULTILINE)
     assert re.search(r"^more/broken: .*scan\.json: the file is not valid JSON", ran.stdout, re.MULTILINE)
     assert "2 done, 1 unusable" in ran.stdout

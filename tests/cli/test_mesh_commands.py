@@ -170,14 +170,14 @@ def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_pa
     ran = scanloom("simplify", source, light, "--max-color", 20)
     assert ran.exit_code == 1
     assert light.exists()
-    assert f"scanloom: {light}: the bounds that were asked for are not proven; proven are" in ran.stderr
+    assert f"scanloom: {source}: the bounds that were asked for are not proven; proven are" in ran.stderr
     assert "Not proven: the bounds that were asked for, at 4 triangles of the result and 4 of" in ran.stdout
 
 
 def test_simplify_warns_when_too_few_triangles_are_wanted(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     light = tmp_path / "light.ply"
     ran = scanloom("simplify", ball, light, "--triangles", 1)
-    assert "\nwarning: 100% of the edges that are left stand for holes" in ran.stderr
+    assert f"warning: {ball}: 100% of the edges that are left stand for holes" in ran.stderr
     assert "diagnostics" not in ran.stdout
     (warning,) = scanloom("simplify", ball, light, "--triangles", 1, "--json").warnings
     assert "warning: " + warning in ran.stderr

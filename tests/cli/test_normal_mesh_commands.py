@@ -62,7 +62,7 @@ def test_the_text_has_a_row_for_each_level(scanloom: Run, clean_ball: Path, tmp_
     assert [row[0] for row in rows[1:4]] == ["0", "1", "2"]
     assert rows[0][-3:] == ["largest", "distance", "m"]
     assert float(rows[1][-1]) > float(rows[3][-1]) > 0
-    assert "warning: the finest level is up to" in ran.stderr
+    assert f"scanloom: {clean_ball}: the finest level is up to" in ran.stderr
 
 
 def test_decode_gives_what_was_remeshed_to_the_byte(scanloom: Run, kept: Path, tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_mesh_that_is_not_manifold_is_split_and_a_warning_says_so(scanloom: Ru
     write_ply(fan, Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)))
     ran = scanloom("remesh", fan, tmp_path / "out.ply")
     assert ran.exit_code == 0
-    assert "warning: 2 pinched vertices were split" in ran.stderr
+    assert f"warning: {fan}: 2 pinched vertices were split" in ran.stderr
 
 
 def test_pinched_vertices_are_split_with_a_warning(scanloom: Run, tmp_path: Path) -> None:
@@ -166,4 +166,4 @@ def test_pinched_vertices_are_split_with_a_warning(scanloom: Run, tmp_path: Path
     write_ply(hourglass, Mesh(np.array(corners, float), np.array(upper + lower, np.int32)))
     ran = scanloom("remesh", hourglass, tmp_path / "out.ply", "--levels", 1)
     assert ran.exit_code == 0, ran.stderr
-    assert "warning: 1 pinched vertex was split" in ran.stderr
+    assert f"warning: {hourglass}: 1 pinched vertex was split" in ran.stderr

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from cli.options import build, given, with_options
 from cli.output import Output
+from cli.rendering import render
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
@@ -122,7 +123,7 @@ def test_a_value_out_of_range_is_named_as_it_was_typed(field: str, value: object
     values = dict.fromkeys(("stitch_width", "rows", "purl", "yarn")) | {field: value}
     with pytest.raises(UsageError) as caught:
         build(KnittingParams, values)
-    assert str(caught.value) == sentence
+    assert render(caught.value.diagnostic) == sentence
 
 
 def test_a_word_where_a_number_belongs_is_wrong_usage(knit: Any) -> None:

@@ -28,7 +28,7 @@ def test_another_word_is_wrong_usage(scanloom: Run, tiny_scan: Path, tmp_path: P
     ran = scanloom("run", tiny_scan, "-o", tmp_path / "out", "--quality", "bests")
     assert (ran.exit_code, ran.stderr) == (
         2,
-        "scanloom: quality is 'bests'; it must be one of draft, standard, best.\n",
+        "scanloom: --quality is 'bests'; it must be one of draft, standard, best.\n",
     )
 
 
@@ -73,4 +73,4 @@ WORDS = [("config",), ("run", "samples", "-o", "out"), ("batch", "samples", "-o"
 def test_an_empty_word_is_no_quality(scanloom: Run, words: tuple[str, ...]) -> None:
     ran = scanloom(*words, "--quality", "")
     assert ran.exit_code == 2
-    assert ran.stderr == "scanloom: quality is ''; it must be one of draft, standard, best.\n"
+    assert ran.stderr == "scanloom: --quality is ''; it must be one of draft, standard, best.\n"

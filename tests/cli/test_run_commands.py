@@ -168,10 +168,12 @@ def test_inspect_says_what_there_is_beside_what_is_missing(
     assert ran.exit_code == 0
     assert "frames    6" in ran.stdout
     assert (
-        "missing   poses: trajectory.log (or .json) is missing; name a trajectory with --poses" in ran.stdout
+        "missing   no poses: trajectory.log (or .json) is missing; name a trajectory with --poses"
+        in ran.stdout
     )
     (missing,) = scanloom("inspect", folder, "--json").json["missing"]
-    assert missing.startswith("poses: trajectory.log")
+    assert missing["message"].startswith("no poses: trajectory.log")
+    assert missing["code"] == "pose.missing"
     assert scanloom("fuse", folder, tmp_path / "fused.ply").exit_code == 3
     assert scanloom("inspect", tiny_scan, "--json").json["missing"] == []
 

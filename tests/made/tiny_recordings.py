@@ -11,6 +11,7 @@ import numpy as np
 from recordings import COLOR, DEPTH, Image, Recording, Stream, made, stamped, transform
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import POSE_ASSUMED
 from stages.scans.images import read_color, read_depth
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan
@@ -107,7 +108,7 @@ def or_fault(read, *arguments, **options):
 
 def doubts(scan: Scan) -> list[str]:
     """Return what is told of the recording, beside that one frame alone needs no pose."""
-    return [text for text in scan.warnings if not text.startswith("a single frame without a pose")]
+    return [str(one) for one in scan.diagnostics if one.code != POSE_ASSUMED.name]
 
 
 def outcome(file):

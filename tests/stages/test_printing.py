@@ -60,10 +60,13 @@ def registration() -> Registration:
     """What register returns; the real thing takes frames that show more than a wall."""
     edge = {"source": 0, "target": 1, "fitness": 0.8, "rmse_m": 0.002, "is_loop": False, "is_used": True}
     names = tuple(frame.name for frame in frames())
-    lost = (SkippedFrame("9", "too dark"),)
+    dark = MESH_LEFT_OUT.warning("too dark")
+    lost = (SkippedFrame("9", dark),)
     apart = {2: {9: frames(1)[0]}}
     return Registration(
-        tuple(frames()), (0, 1, 2, 3), lost, (names, ("9",)), apart, (edge,) * 3, lost, (0,), ("slow",), 1.5
+        *(tuple(frames()), (0, 1, 2, 3), lost, (names, ("9",)), apart, (edge,) * 3, lost, (0,)),
+        seconds=1.5,
+        diagnostics=(dark,),
     )
 
 
@@ -154,6 +157,7 @@ def everything():
         # All of it was seen obliquely, as this asks.
         (missing := stages.coverage(fused.mesh, scan, oblique=1.0, few_frames=100, least_area=1e-4)),
         missing.places[0],
+        MESH_LEFT_OUT.warning("colours are left out", "a.stl"),
     ]
 
 
@@ -174,7 +178,8 @@ def test_results_print_as_a_line_or_two_without_arrays(results):
 
 @pytest.mark.slow
 def test_every_public_class_is_among_them(results):
-    classes = {getattr(stages, name) for name in stages.__all__ if name[0].isupper() and name != "MeshLike"}
+    names = {name for name in stages.__all__ if name[0].isupper()} - {"MeshLike", "Severity"}
+    classes = {getattr(stages, name) for name in names}
     results_of = {
         cls for cls in classes if not issubclass(cls, Exception) and not cls.__name__.endswith("Params")
     }
@@ -193,6 +198,14 @@ def test_a_mesh_says_how_large_it_is():
         part_ids=np.zeros(320, np.int32), part_names=("a", "b"), diagnostics=(MESH_LEFT_OUT.warning("said"),)
     )
     assert repr(parts) == "Mesh(320 triangles, colours, 2 parts, 6.2 × 4.1 × 2.4 m, 1 diagnostic)"
+
+
+def test_a_result_says_how_many_diagnostics_it_has_and_a_notebook_which():
+    mesh = ball().with_(part_ids=np.zeros(320, np.int32), part_names=("a",))
+    result = stages.simplify(mesh, ratio=0.5, method="quadric")
+    assert repr(result).endswith(", 1 diagnostic)")
+    table = result._repr_html_()
+    assert "<th style='text-align:left'>warning</th><td>simplify left out: parts; method seams" in table
 
 
 def test_other_results_say_what_matters(results):

@@ -96,10 +96,10 @@ def look(ground: Ground, frames: Sequence[Frame], where: Path | None, progress: 
             seen.frames.append(Remembered.of(number, view))
         progress(number + 1, len(frames))
     if not seen.frames:
-        first = f" (the first, {seen.skipped[0].name}: {seen.skipped[0].reason})" if seen.skipped else ""
+        first = f" The first, frame {seen.skipped[0].name}: {seen.skipped[0].reason}" if seen.skipped else ""
         raise InputError(
             COVERAGE_MESH_UNMEASURED,
-            "none of the {frames_count} frames has a camera pose and depth{first}.",
+            "none of the {frames_count} frames has a camera pose and depth.{first}",
             where,
             frames_count=len(frames),
             first=first,

@@ -12,7 +12,7 @@ from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
+from stages.scans.codes import FRAME_IMAGE_MISSING
 from stages.scans.images import read_depth, read_seen
 from stages.scans.poses import inverted
 from stages.scans.scan import Camera, DepthImage, Frame, pinhole
@@ -104,7 +104,7 @@ def read_view(frame: Frame, origin: Floats) -> View:
     pose = require_rigid_pose(frame)
     depth = read_depth(frame)
     if depth is None:
-        raise InputError(SCAN_FRAMES_SKIPPED, "there is no depth map.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "there is no depth map.", Where(frame=frame.name))
     if not depth.any():
         raise InputError(SCAN_DEPTH_MOSTLY_EMPTY, "no pixel has a depth.", Where(frame=frame.name))
     to_camera = inverted(pose)

@@ -23,6 +23,7 @@ from stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     CAMERA_CALIBRATION_INVALID,
     CAMERA_CALIBRATION_MISMATCH,
+    CAMERA_LENS_UNKNOWN,
 )
 from stages.scans.formats import azure_kinect, named_arrays, named_text, orb_slam, realsense, ros_text, zed
 from stages.scans.formats.contradictions import check_camera
@@ -273,7 +274,7 @@ def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, pa
     table = table_in(values, side, path)
     if table.get("camera_model", "pinhole") != "pinhole":
         raise InputError(
-            CAMERA_CALIBRATION_INVALID,
+            CAMERA_LENS_UNKNOWN,
             "{side} is of camera_model {table}; pinhole is supported.",
             path,
             side=side,
@@ -367,7 +368,7 @@ def is_fisheye(model: object, path: Path) -> bool:
     if model in _FISHEYE:
         return True
     raise InputError(
-        CAMERA_CALIBRATION_INVALID,
+        CAMERA_LENS_UNKNOWN,
         (
             "the lens model {model} is not supported; radial-tangential and equidistant "
             "are. Undistort the images first."

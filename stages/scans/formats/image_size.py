@@ -10,7 +10,11 @@ from typing import Any
 from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, CAMERA_CALIBRATION_SCALED
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_CALIBRATION_MISMATCH,
+    CAMERA_CALIBRATION_SCALED,
+)
 from stages.scans.formats.table_values import number_of, number_row
 from stages.scans.scan import Camera, scaled
 
@@ -45,7 +49,7 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
     if len(size) != 2 or not all(1 <= side <= LARGEST_SIDE for side in size):
         shown = "×".join(f"{side:g}" for side in size[:4])
         raise InputError(
-            CAMERA_CALIBRATION_MISMATCH,
+            CAMERA_CALIBRATION_INVALID,
             "the size of its images, {shown}, cannot be right.",
             path,
             shown=shown,

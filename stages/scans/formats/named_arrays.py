@@ -9,7 +9,7 @@ from typing import Any
 from stages.diagnostics.errors import InputError
 from stages.files.numpy_files import NPY_FAULTS, array_of
 from stages.files.zip_archives import entry_content, opened_archive
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID
 
 # Of an array; boards seen in a hundred images, which lie beside the cameras, are more.
 _MOST_BYTES = 1 << 20
@@ -39,5 +39,5 @@ def tables(path: Path) -> dict[str, Any]:
             if array.size <= _MOST_NUMBERS and array.dtype.kind in "uifbU":
                 found[entry.filename.removesuffix(".npy")] = array.tolist()
     if not found:
-        raise InputError(CAMERA_PAIR_UNCALIBRATED, "no small array of numbers is in it.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "no small array of numbers is in it.", path)
     return found

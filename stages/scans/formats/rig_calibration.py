@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import (
-    CAMERA_ADJUSTED_MISMATCH,
     CAMERA_CALIBRATION_ASSUMED,
     CAMERA_CALIBRATION_INVALID,
     CAMERA_PAIR_UNCALIBRATED,
@@ -382,7 +381,7 @@ def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool
 def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
     pose = rigid(matrix, path, name)
     if pose is None:
-        raise InputError(CAMERA_ADJUSTED_MISMATCH, "{name} is not finite.", path, name=name)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "{name} is not finite.", path, name=name)
     return pose
 
 

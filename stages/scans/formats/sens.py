@@ -21,7 +21,7 @@ from stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.images import decode_color
 from stages.files.opening import opened
-from stages.scans.codes import RECORDING_WRONG_KIND
+from stages.scans.codes import RECORDING_ENCODING_UNKNOWN, RECORDING_WRONG_KIND
 from stages.scans.scan import ColorImage
 
 _FORMAT_VERSION = 4
@@ -186,14 +186,14 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     color_coder, depth_coder, color_width, color_height, width, height, scale, promised = settings
     if color_coder not in (_RAW_COLOR, _PNG_COLOR, _JPEG_COLOR):
         raise InputError(
-            RECORDING_WRONG_KIND,
+            RECORDING_ENCODING_UNKNOWN,
             "colour is compressed in way {color_coder}; raw, PNG and JPEG are known.",
             path,
             color_coder=color_coder,
         )
     if depth_coder not in (_RAW_DEPTH, _ZLIB_DEPTH):
         raise InputError(
-            RECORDING_WRONG_KIND,
+            RECORDING_ENCODING_UNKNOWN,
             "depth is compressed in way {depth_coder}; raw and zlib are known.",
             path,
             depth_coder=depth_coder,

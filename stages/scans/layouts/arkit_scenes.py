@@ -17,7 +17,7 @@ from pathlib import Path
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.codes import (
-    CAMERA_CALIBRATION_MISMATCH,
+    CAMERA_CALIBRATION_INVALID,
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     SCAN_FILES_MISSING,
@@ -129,12 +129,10 @@ def _camera(path: Path, size: tuple[int, int]) -> Camera:
         width, height, *matrix = (float(word) for word in documents.read_text(path).split())
         fx, fy, cx, cy = matrix
     except ValueError as error:
-        raise InputError(
-            CAMERA_CALIBRATION_MISMATCH, "it is not `width height fx fy cx cy`.", path
-        ) from error
+        raise InputError(CAMERA_CALIBRATION_INVALID, "it is not `width height fx fy cx cy`.", path) from error
     if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
         raise InputError(
-            CAMERA_CALIBRATION_MISMATCH,
+            CAMERA_CALIBRATION_INVALID,
             "it is for images of {width:g}×{height:g} pixels, which cannot be right.",
             path,
             width=width,

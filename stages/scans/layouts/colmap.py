@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import image_size
 from stages.scans.codes import (
     DEPTH_RANGE_UNKNOWN,
+    FILE_COLMAP_INVALID,
     FRAME_IMAGE_MISSING,
     SCAN_ASSUMED,
     SCAN_FILES_MISSING,
@@ -210,7 +210,7 @@ def _frame(
     width, height = colmap.depth_map_size(depth)
     if not math.isclose(width / full.width, height / full.height, rel_tol=_LARGEST_STRETCH):
         raise InputError(
-            FILE_DEPTH_FORMAT,
+            FILE_COLMAP_INVALID,
             (
                 "the depth map is {width}×{height}, which is not the shape of its camera's "
                 "{full_width}×{full_height}."

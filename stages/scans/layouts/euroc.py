@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.files.codes import FILE_DEPTH_FORMAT
+from stages.files.codes import FILE_IMAGE_FORMAT
 from stages.files.images import read_stored
 from stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
@@ -186,7 +186,7 @@ def _narrowed(path: Path) -> Packed:
 def _high_bytes(path: Path) -> NDArray[np.uint8]:
     image = read_stored(path)
     if image.ndim != 2 or image.dtype != np.uint16:
-        raise InputError(FILE_DEPTH_FORMAT, "a grey image of 16 bits is expected, as the others are.", path)
+        raise InputError(FILE_IMAGE_FORMAT, "a grey image of 16 bits is expected, as the others are.", path)
     return (image >> 8).astype(np.uint8)
 
 

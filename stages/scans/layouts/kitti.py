@@ -16,7 +16,7 @@ import numpy as np
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_TRAJECTORY_UNREADABLE
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, SCAN_TABLE_DAMAGED
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import (
     check_order,
@@ -191,7 +191,7 @@ def _nanoseconds(text: str, number: int, path: Path) -> int:
         return int(moment.timestamp()) * 10**9 + int(fraction[:9].ljust(9, "0"))
     except ValueError as error:
         raise InputError(
-            POSE_TRAJECTORY_UNREADABLE, "line {number} is no date and time.", path, number=number
+            SCAN_TABLE_DAMAGED, "line {number} is no date and time.", path, number=number
         ) from error
 
 

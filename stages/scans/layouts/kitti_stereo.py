@@ -12,7 +12,7 @@ from pathlib import Path
 from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
 from stages.files.noting import note
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, SCAN_FILES_MISSING
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, RECORDING_SEVERAL, SCAN_FILES_MISSING
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import has, images, pair
 from stages.scans.reading.lacking import poses_missing
@@ -56,7 +56,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     scenes = sorted({one.stem[:6] for one, _ in pairs[options.first : end : options.every]})
     if len(scenes) != 1:
         raise InputError(
-            SCAN_FILES_MISSING,
+            RECORDING_SEVERAL,
             "it holds {scenes_count} scenes of one or two pairs each",
             folder,
             remedy="choose one, such as {pairs_stem} with scan.first=0 and scan.last=0.",

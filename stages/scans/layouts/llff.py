@@ -15,9 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DEPTH_FORMAT
+from stages.files.codes import FILE_IMAGE_FORMAT
 from stages.files.images import read_array, read_stored
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_INVALID,
+    SCAN_FILES_MISSING,
+    SCAN_TABLE_DAMAGED,
+)
 from stages.scans.formats import calibration, trajectories
 from stages.scans.poses import rigid
 from stages.scans.reading.files import images, numbers
@@ -103,7 +107,7 @@ def _camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path
     height, width, focal = row[4:15:5].tolist()
     if not all(1 <= side < 1 << 16 and side == int(side) for side in (width, height)):
         raise InputError(
-            CAMERA_CALIBRATION_MISMATCH,
+            CAMERA_CALIBRATION_INVALID,
             "it is for images of {width:g}×{height:g} pixels, which cannot be right.",
             path,
             width=width,
@@ -131,7 +135,7 @@ def _mask(folder: Path, color: Path) -> Packed | None:
 def _shown(path: Path) -> NDArray[np.uint8]:
     mask = read_stored(path)
     if mask.dtype != np.uint8:
-        raise InputError(FILE_DEPTH_FORMAT, "a mask of 8 bits a channel is expected.", path)
+        raise InputError(FILE_IMAGE_FORMAT, "a mask of 8 bits a channel is expected.", path)
     grey = mask if mask.ndim == 2 else mask[:, :, :3].max(axis=2)
     return np.asarray(np.where(grey >= _SHOWN, 255, 0), np.uint8)
 

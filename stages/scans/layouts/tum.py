@@ -21,7 +21,6 @@ from stages.scans.codes import (
     SCALE_DEPTH_UNIT_ASSUMED,
     SCAN_ASSUMED,
     SCAN_FILES_MISSING,
-    SCAN_IMAGES_UNPAIRED,
     SCAN_TABLE_DAMAGED,
 )
 from stages.scans.formats import calibration, trajectories
@@ -207,7 +206,7 @@ def _streams(folder: Path) -> tuple[_Stream, _Stream]:
         depth = _Stream(np.array([one.depth_time for one in couples]), [one.depth for one in couples])
     elif (stamped := _stamped(folder)) is not None:
         emit(
-            SCAN_IMAGES_UNPAIRED.warning(
+            SCAN_ASSUMED.warning(
                 "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
             )
         )

@@ -42,7 +42,7 @@ def aligned(scan: Scan, folder: Path) -> Scan:
         else replace(frame, world_from_camera=alignment @ frame.world_from_camera)
         for frame in scan.frames
     ]
-    emit(SCAN_ASSUMED.warning("the world is turned by the axisAlignment of {file}", file=path.name))
+    emit(SCAN_ASSUMED.info("the world is turned by the axisAlignment of {file}", file=path.name))
     up = scan.up
     if up is not None:
         x, y, z = (alignment[:3, :3] @ up.direction).tolist()

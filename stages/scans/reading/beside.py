@@ -12,7 +12,7 @@ from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
-from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
 from stages.scans.formats import calibration, named_arrays, rig_calibration, trajectories
 from stages.scans.formats.image_size import is_off_centre, was_scaled
 from stages.scans.scan import Camera, StereoRig
@@ -152,7 +152,7 @@ def warn_of_rejected(folder: Path, width: int, height: int, read: Callable[[Path
     for path, fault in doubtful:
         if fault is not None:
             emit(
-                CAMERA_INTRINSICS_GUESSED.warning(
+                CAMERA_CALIBRATION_ASSUMED.warning(
                     "it seems to state a camera and is not taken: {fault}", path, fault=fault
                 )
             )

@@ -9,14 +9,13 @@ from pathlib import Path, PurePosixPath
 
 from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_PATH_OUTSIDE
+from stages.files.codes import FILE_PATH_OUTSIDE, FILE_UNREADABLE
 from stages.files.images import image_size
 from stages.files.inside import leads_inside
 from stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     SCAN_FILES_MISSING,
     SCAN_IMAGES_UNPAIRED,
-    SCAN_LAYOUT_UNKNOWN,
 )
 from stages.scans.scan import SkippedFrame
 
@@ -51,7 +50,7 @@ def images(folder: Path, suffixes: Sequence[str] = IMAGES) -> list[Path]:
         found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
     except OSError as error:
         raise InputError(
-            SCAN_LAYOUT_UNKNOWN, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
+            FILE_UNREADABLE, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
         ) from error
     return sorted(found, key=lambda path: (numbers(path.stem), path.name))
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
+from stages.scans.codes import POSE_INVALID
 from stages.scans.formats import trajectories
 from stages.scans.scan import Pose, SkippedFrame
 
@@ -30,7 +31,10 @@ def read_pose_files(files: Mapping[str, Path]) -> tuple[dict[str, Pose | None], 
     faults = {name: fault for name, fault in read.items() if isinstance(fault, InputError)}
     if len(faults) > _MOST_DAMAGED * len(files):
         raise next(iter(faults.values()))
-    return poses, [SkippedFrame(name, error.diagnostic) for name, error in faults.items()]
+    return poses, [
+        SkippedFrame(name, POSE_INVALID.warning("its pose is damaged: {reason}", reason=str(error)))
+        for name, error in faults.items()
+    ]
 
 
 def _pose_or_fault(path: Path) -> Pose | InputError | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_LAYOUT_UNKNOWN
+from stages.scans.codes import RECORDING_SEVERAL, SCAN_LAYOUT_UNKNOWN
 
 
 def one_recording(place: Path, suffix: str) -> Path:
@@ -25,7 +25,7 @@ def one_recording(place: Path, suffix: str) -> Path:
         raise InputError(SCAN_LAYOUT_UNKNOWN, "there is no {suffix} file.", place, suffix=suffix)
     names = ", ".join(path.name for path in files[:5]) + (" …" if len(files) > 5 else "")
     raise InputError(
-        SCAN_LAYOUT_UNKNOWN,
+        RECORDING_SEVERAL,
         "there are {files_count} {suffix} files ({names}), each a scan of its own",
         place,
         remedy="give the one to read.",

@@ -96,7 +96,7 @@ def _color(image: ImageMessage, source: Path | str) -> ColorImage:
         return pixels
     if size == 2 and image.width % 2:
         raise InputError(
-            RECORDING_ENCODING_UNKNOWN,
+            RECORDING_DAMAGED,
             "a {encoding} image cannot be {image_width} pixels wide.",
             source,
             encoding=image.encoding,
@@ -134,9 +134,7 @@ def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any
     if "32fc1" not in form.lower():
         return stored
     if start != _QUANTIZATION.size or stored.dtype != np.uint16:
-        raise InputError(
-            RECORDING_ENCODING_UNKNOWN, "the depth's quantization is missing before its image.", source
-        )
+        raise InputError(RECORDING_DAMAGED, "the depth's quantization is missing before its image.", source)
     _, factor, offset = _QUANTIZATION.unpack_from(data)
     # What is stored is factor / depth + offset, 0 where depth is missing.
     with np.errstate(all="ignore"):
@@ -159,7 +157,7 @@ def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint
         )
     if image.step < used or len(image.data) < image.step * height:
         raise InputError(
-            RECORDING_ENCODING_UNKNOWN,
+            RECORDING_DAMAGED,
             "the image does not hold the {width}×{height} pixels of {size} bytes that it claims.",
             source,
             width=width,

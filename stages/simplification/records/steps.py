@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 from stages.printing import by_fields, table
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from stages.simplification.codes import SIMPLIFY_RECORD_TOO_SHORT
 from stages.simplification.records.meetings import Meetings
 from stages.surface.mesh import Mesh, Triangles
 from stages.surface.topology import repeats_vertex
@@ -42,7 +42,7 @@ class ReplayParams:
         given = [name for name in ("triangles", "ratio", "collapses") if getattr(self, name) is not None]
         if len(given) > 1:
             raise UsageError(
-                USAGE_VALUE_INVALID,
+                USAGE_OPTIONS_CONFLICT,
                 "{given} are given",
                 remedy="give one of them.",
                 given=" and ".join(given),
@@ -142,7 +142,7 @@ class Steps:
         if params.collapses is not None:
             if params.collapses > most:
                 raise UsageError(
-                    SIMPLIFY_RECORD_INVALID,
+                    SIMPLIFY_RECORD_TOO_SHORT,
                     "is {collapses}, but the record holds only {most}.",
                     Where(parameter="collapses"),
                     collapses=params.collapses,
@@ -158,7 +158,7 @@ class Steps:
         if wanted < least:
             name = "triangles" if params.ratio is None else "ratio"
             raise UsageError(
-                SIMPLIFY_RECORD_INVALID,
+                SIMPLIFY_RECORD_TOO_SHORT,
                 "{name} asks for {wanted} triangles, but the record ends at {least}.",
                 name=name,
                 wanted=wanted,

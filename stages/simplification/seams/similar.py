@@ -185,8 +185,8 @@ def _pairs_in_tree(positions: Vertices, distance: float) -> NDArray[np.integer[A
         if pairs_in_all > _MOST_PAIRS * count:
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "{distance:g} m is far more than the distance between "
-                "vertices: {pairs_in_all:,} pairs of {count:,} vertices are closer",
+                "{distance:g} m is far more than the distance between vertices: {pairs_in_all:,} pairs of "
+                "{count:,} vertices are closer",
                 Where(parameter="seams.similar_distance"),
                 remedy="give a smaller one.",
                 distance=distance,

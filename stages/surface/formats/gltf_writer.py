@@ -18,9 +18,9 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import MACHINE_DISK_FAILED
 from stages.diagnostics.errors import MeshError, StageError
 from stages.files.replacing import replacing
+from stages.surface.codes import MESH_FILE_TOO_LARGE
 from stages.surface.finite import LARGEST_SINGLE
 from stages.surface.formats.colors import linear_from_srgb
 from stages.surface.formats.gltf_buffer import Buffer
@@ -347,7 +347,7 @@ def _write_one(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter
     size = 12 + 8 + len(text) + (8 + buffer.size if buffer.size else 0)
     if size >= _LARGEST:
         raise StageError(
-            MACHINE_DISK_FAILED,
+            MESH_FILE_TOO_LARGE,
             "would take {size:,} bytes, more than a GLB file can hold",
             remedy="write PLY.",
             where=path,

@@ -139,10 +139,10 @@ def test_files_that_a_mesh_names_are_files(tmp_path: Path, kind: Callable[[Path]
     [image] = tmp_path.glob("*.png")
     image.unlink()
     kind(image)
-    assert any(image.name in note for note in read_mesh(tmp_path / "b.obj").notes)
+    assert any(image.name in str(note) for note in read_mesh(tmp_path / "b.obj").diagnostics)
     (tmp_path / "b.mtl").unlink()
     kind(tmp_path / "b.mtl")
-    assert any("b.mtl" in note for note in read_mesh(tmp_path / "b.obj").notes)
+    assert any("b.mtl" in str(note) for note in read_mesh(tmp_path / "b.obj").diagnostics)
 
 
 @pytest.mark.parametrize("kind", KINDS[:3])

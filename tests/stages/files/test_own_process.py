@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.files.own_process import DiedError, asked
 
 BODIES = {
+    "warns": "emit(MACHINE_BUG.warning('{count} points are odd', words[0], count=2)); return {}",
     "answers": "return {'words': words}",
-    "refuses": "raise InputError('is no cloud.', words[0])",
+    "refuses": "raise InputError(MACHINE_BUG, 'is no cloud.', words[0])",
     "aborts": "import os; os.abort()",
     "fails": "raise RuntimeError('odd')",
     "fails_as_rust_does": "raise type('PanicException', (BaseException,), {})()",
@@ -22,7 +24,11 @@ BODIES = {
 
 
 def module_of(body: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    text = "from stages.diagnostics.errors import InputError\nfrom stages.files.own_process import answer\n\n"
+    text = "from stages.diagnostics.codes import MACHINE_BUG\n"
+    text += "from stages.diagnostics.collector import emit\n"
+    text += (
+        "from stages.diagnostics.errors import InputError\nfrom stages.files.own_process import answer\n\n"
+    )
     text += f"def work(words):\n    {body}\n\ndef main():\n    answer(work)\n"
     (folder / "made_for_a_test.py").write_text(text)
     monkeypatch.syspath_prepend(str(folder))
@@ -39,6 +45,14 @@ def test_a_sentence_about_the_file_comes_back(tmp_path: Path, monkeypatch: pytes
     module = module_of(BODIES["refuses"], tmp_path, monkeypatch)
     with pytest.raises(InputError, match=r"^a\.las: is no cloud\.$"):
         asked(module, ["a.las"], 20)
+
+
+def test_what_it_emits_is_emitted_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = module_of(BODIES["warns"], tmp_path, monkeypatch)
+    with collecting() as found:
+        assert asked(module, ["a.las"], 20) == {}
+    assert [str(one) for one in found] == ["a.las: 2 points are odd"]
+    assert found[0].values == {"count": 2}
 
 
 @pytest.mark.parametrize("name", ["aborts", "fails", "fails_as_rust_does", "leaves"])

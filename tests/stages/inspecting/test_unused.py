@@ -4,8 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.diagnostics.collector import collecting
 from stages.inspecting.inspect import inspect
 from stages.inspecting.unused import unused
+from stages.scans.codes import CAMERA_CALIBRATION_CONTRADICTORY
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 
@@ -55,6 +57,20 @@ def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
         "notes.txt",
     ]
     assert "camera_path.txt" not in " ".join(told(scan_folder, poses="camera_path.txt"))
+
+
+def test_files_that_are_only_tried_emit_nothing(scan_folder):
+    (scan_folder / "other.json").write_text(json.dumps({**CAMERA, "fy": 90}))
+    with collecting() as read:
+        scan = read_scan(scan_folder, complete=False)
+    with collecting() as tried:
+        assert [str(one) for one in unused(scan)] == [
+            "other.json looks like a camera: scan.calibration=other.json"
+        ]
+    assert not tried
+    with collecting() as stated:
+        read_scan(scan_folder, ScanParams(calibration=str(scan_folder / "other.json")), complete=False)
+    assert CAMERA_CALIBRATION_CONTRADICTORY.name in [one.code for one in stated if one not in read]
 
 
 def test_what_adjust_found_is_no_camera(scan_folder):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from stages import InputError, Mesh, lod
+from stages.diagnostics.collector import collecting
 from stages.lod import Hierarchy
 from tests.made.coloured_meshes import assert_same_topology, sheet
 
@@ -55,13 +56,45 @@ def test_what_is_up_comes_back_in_the_file_and_in_cuts(
     "up", ["up", [0, 1], [0.0, 0.0, 0.0], [1.0, 1.0, 0.0], [True, 0.0, 0.0], [1e400, 0.0, 0.0], None]
 )
 def test_what_is_no_direction_is_damage(file: Path, up: object) -> None:
+    _replace_in_tree(file, up=up)
+    with pytest.raises(InputError, match="is no direction"):
+        lod.read_slod(file)
+
+
+def _replace_in_tree(file: Path, **changes: object) -> None:
     data = file.read_bytes()
     size = struct.unpack_from("<Q", data, 8)[0]
-    text = json.dumps({**json.loads(data[20 : 20 + size]), "up": up}).encode()
+    text = json.dumps({**json.loads(data[20 : 20 + size]), **changes}).encode()
     file.write_bytes(
         struct.pack("<4sIQI", b"SLOD", 2, len(text), zlib.crc32(text)) + text + data[20 + size :]
     )
-    with pytest.raises(InputError, match="is no direction"):
+
+
+def test_diagnostics_of_the_mesh_come_back_in_the_file(tmp_path: Path) -> None:
+    mesh = sheet(20)
+    hierarchy = lod.build(mesh.with_(normals=np.tile((0.0, 0.0, 1.0), (len(mesh.vertices), 1))))
+    assert [str(one) for one in hierarchy.diagnostics] == ["lod left out: normals."]
+    lod.write_slod(tmp_path / "m.slod", hierarchy)
+    with collecting() as found:
+        read = lod.read_slod(tmp_path / "m.slod")
+    assert read.diagnostics == tuple(found) == hierarchy.diagnostics
+
+
+@pytest.mark.parametrize(
+    "diagnostics",
+    [
+        None,
+        ["text"],
+        [{"code": "a.b", "message": "text"}],
+        [{"code": "a.b", "severity": "odd", "message": "text"}],
+        [{"code": "a.b", "severity": "info", "message": 5}],
+        [{"code": "a.b", "severity": "info", "message": "text", "values": []}],
+        [{"code": "a.b", "severity": "info", "message": "text", "where": {"row": "1"}}],
+    ],
+)
+def test_a_diagnostic_that_is_none_is_damage(file: Path, diagnostics: object) -> None:
+    _replace_in_tree(file, diagnostics=diagnostics)
+    with pytest.raises(InputError, match="is damaged"):
         lod.read_slod(file)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import turned_thing
 
+from stages.diagnostics.collector import collecting
 from stages.inspecting.inspect import inspect
 from stages.registration.across import across, joined
 from stages.registration.bridges import confirmed
@@ -18,6 +19,7 @@ from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion
 from stages.registration.register import register
+from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
 from stages.scans.read import read_scan
 from stages.scans.reading.stated import found_camera
 from stages.scans.scan import Camera, Frame, Scan
@@ -108,9 +110,11 @@ def test_inspect_says_that_it_cannot_be_told() -> None:
 
 @pytest.mark.parametrize(("size", "focal"), [((256, 192), 187), ((192, 256), 187), ((640, 480), 525)])
 def test_the_guess_is_a_phone_s_or_a_kinect_s(tmp_path: Path, size: tuple[int, int], focal: float) -> None:
-    camera, _, said = found_camera(tmp_path, *size)
+    with collecting() as diagnostics:
+        camera, _ = found_camera(tmp_path, *size)
     assert (camera.fx, camera.fy, camera.is_guess) == (focal, focal, True)
-    assert ("LiDAR" in said[0]) == (focal == 187)
+    assert [one.code for one in diagnostics] == [CAMERA_INTRINSICS_GUESSED.name]
+    assert ("LiDAR" in str(diagnostics[0])) == (focal == 187)
 
 
 # -- pieces ----------------------------------------------------------------------------------------------

@@ -61,7 +61,7 @@ def test_nearly_black_of_jpeg_is_black(scan_folder):
 def test_a_frame_without_one_is_told(scan_folder):
     put(scan_folder, "2.png", 5)
     scan = read_scan(scan_folder, ScanParams(masks="masks"))
-    assert "1 frames have no mask in masks/: frame-000010" in scan.warnings
+    assert "1 frames have no mask in masks/: frame-000010" in map(str, scan.diagnostics)
     assert [frame.mask is None for frame in scan.frames] == [False, True]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tagged_wall
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.images import read_depth
 from stages.scans.params import ScanParams
@@ -41,7 +42,9 @@ def everything(**more) -> Scan:
 
 
 def scaled(scan: Scan, **options) -> Scan:
-    return with_scale(scan, ScanParams(**options), Path("scan"))
+    with collecting() as found:
+        scaled = with_scale(scan, ScanParams(**options), Path("scan"))
+    return replace(scaled, diagnostics=tuple(found))
 
 
 def test_all_lengths_are_multiplied() -> None:
@@ -54,23 +57,23 @@ def test_all_lengths_are_multiplied() -> None:
     assert read_depth(frame)[0, 0] == 0.5
     np.testing.assert_allclose(scan.box, [[0, 0, 0], [0.25, 0.5, 0.75]])
     assert scan.rig.right_from_left[0, 3] == pytest.approx(-0.025)
-    assert (scan.is_metric, scan.warnings) == (True, ())
+    assert (scan.is_metric, scan.diagnostics) == (True, ())
     assert scan.scale.figures() == {"metres_per_unit": 0.25, "source": "given", "spread_share": None}
-    assert scaled(scan).warnings == ()
+    assert scaled(scan).diagnostics == ()
 
 
 def test_without_a_scale_it_says_which_options_give_one() -> None:
     scan = scaled(everything(is_metric=False))
     assert not scan.is_metric
-    (said,) = scan.warnings
+    (said,) = map(str, scan.diagnostics)
     assert "no metric scale" in said
     assert all(f"scan.{name}=" in said for name in ("scale", "known_distance", "tag_size"))
-    assert scaled(everything()).warnings == ()
+    assert scaled(everything()).diagnostics == ()
 
 
 def test_metres_that_are_multiplied_by_more_than_a_correction_are_told() -> None:
-    assert scaled(everything(), scale=1.04).warnings == ()
-    (said,) = scaled(everything(), scale=3.2).warnings
+    assert scaled(everything(), scale=1.04).diagnostics == ()
+    (said,) = map(str, scaled(everything(), scale=3.2).diagnostics)
     assert said == "lengths of layout made are metres, and are multiplied by 3.2"
 
 
@@ -80,7 +83,7 @@ def test_of_poses_from_a_file_beside_measured_depth_these_alone_are_multiplied()
     np.testing.assert_allclose(frame.world_from_camera[:3, 3], (0.25, 0.5, -0.75))
     assert read_depth(frame)[0, 0] == 2.0
     assert scan.rig.baseline == everything().rig.baseline
-    assert scan.warnings == ()
+    assert scan.diagnostics == ()
 
 
 @pytest.mark.parametrize(
@@ -138,7 +141,7 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_tags_are_found_when_a_folder_is_read_whatever_frames_are_chosen(views: Path) -> None:
     whole = read_scan(views, ScanParams(tag_size=0.12))
     assert whole.scale.metres_per_unit == pytest.approx(0.31, rel=0.005)
-    assert (whole.is_metric, whole.warnings) == (True, ())
+    assert (whole.is_metric, whole.diagnostics) == (True, ())
     few = read_scan(views, ScanParams(tag_size=0.12, first=1, last=4, hold_out=4))
     assert few.scale == whole.scale
     # Those that are kept apart stand in the same world.

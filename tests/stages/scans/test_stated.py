@@ -65,5 +65,5 @@ def test_what_is_used_is_not_refused(scan_folder, tiny):
     stated = ScanParams(calibration="camera-intrinsics.txt", poses="mine.txt", poses_by_order=True)
     # Poses that are all the same are none, but the file was read.
     scan = read_scan(scan_folder, stated, complete=False)
-    assert "all 2 frames have the same one" in scan.missing[0]
+    assert "all 2 frames have the same one" in str(scan.missing[0])
     np.testing.assert_allclose(scan.frames[0].camera.fx, tiny.intrinsics[0])

@@ -62,23 +62,19 @@ def test_what_frames_measured_is_their_median_in_whatever_world(seed):
         pose[:3, :3] = turn.as_matrix()
         seen = turn.inv().apply(up + shake)
         frames.append(replace(FRAME, world_from_camera=pose, up=seen / np.linalg.norm(seen)))
-    known, warnings = known_up(Scan("made", frames))
-    assert warnings == []
+    known = known_up(Scan("made", frames))
     assert known.source == "gravity of the IMU"
     assert np.degrees(np.arccos(np.clip(known.direction @ up, -1, 1))) < 8
 
 
 def test_what_the_layout_says_counts_more():
     told = WorldUp(Z_UP, "layout euroc: z up")
-    assert known_up(Scan("euroc", [replace(FRAME, up=np.array((0, -1.0, 0)))], up=told)) == (told, [])
+    assert known_up(Scan("euroc", [replace(FRAME, up=np.array((0, -1.0, 0)))], up=told)) == told
 
 
 def test_nothing_tells():
-    assert known_up(Scan("made", [FRAME])) == (None, [])
-    assert known_up(Scan("made", [replace(FRAME, up=np.array((0, -1.0, 0)), world_from_camera=None)])) == (
-        None,
-        [],
-    )
+    assert known_up(Scan("made", [FRAME])) is None
+    assert known_up(Scan("made", [replace(FRAME, up=np.array((0, -1.0, 0)), world_from_camera=None)])) is None
 
 
 def test_a_level_world_tells_each_camera_what_is_up_for_it():
@@ -92,7 +88,7 @@ def test_a_level_world_tells_each_camera_what_is_up_for_it():
     known = with_up(Scan("level", [frame]), level, ScanParams())
     np.testing.assert_allclose(known.frames[0].up, (0, -1, 0), atol=1e-12)
     elsewhere = replace(known.frames[0], world_from_camera=np.eye(4))
-    found, _ = known_up(replace(known, frames=[elsewhere], up=None))
+    found = known_up(replace(known, frames=[elsewhere], up=None))
     np.testing.assert_allclose(found.direction, (0, -1, 0), atol=1e-12)
     # A world that is defined so, and not measured, says nothing of the camera.
     assert with_up(Scan("made", [frame]), replace(level, is_level=False), ScanParams()).frames[0].up is None

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
+from stages.diagnostics.collector import collecting
+from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import MeshError, UsageError
+from stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
 from stages.simplification.simplify import Simplified, SimplifyParams, simplify
 from stages.surface.codes import MESH_LEFT_OUT
 from stages.surface.mesh import Mesh, Texture
@@ -231,6 +234,23 @@ def test_sources_lead_back_to_the_input() -> None:
     now = result.mesh.vertices[result.mesh.triangles].mean(axis=1)
     then = mesh.vertices[mesh.triangles[result.triangle_source]].mean(axis=1)
     assert np.linalg.norm(now - then, axis=1).max() < 2 * length
+
+
+def test_a_number_that_is_not_reached_is_reported_where_no_bound_is_given() -> None:
+    tetrahedron = Mesh(
+        np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float),
+        np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.int32),
+    )
+    with collecting() as emitted:
+        found = simplify(tetrahedron, triangles=2)
+    unmet = [one for one in found.diagnostics if one.severity is Severity.UNMET]
+    assert [one.code for one in unmet] == [SIMPLIFY_COUNT_NOT_REACHED.name]
+    assert str(unmet[0]).startswith("4 triangles are left, not 2 as asked: no other edge may collapse")
+    assert unmet[0].values["wanted"] == 2
+    assert tuple(emitted) == found.diagnostics
+    assert "diagnostics" not in found.figures()
+    within = simplify(tetrahedron, triangles=2, max_shape=1e-3)
+    assert not any(one.severity is Severity.UNMET for one in within.diagnostics)
 
 
 def test_attributes_that_follow_and_that_do_not() -> None:

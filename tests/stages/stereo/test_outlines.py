@@ -12,7 +12,7 @@ from stages import views_depth
 from stages.diagnostics.collector import collecting
 from stages.scans.scan import Frame, Scan
 from stages.stereo.background import before_backdrop, common_backdrop
-from stages.stereo.codes import DEPTH_COVERAGE_LOW
+from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE
 from stages.stereo.coverage import Counts, report_coverage
 from stages.stereo.depth import DepthMap, DepthParams
 from stages.stereo.hull_fill import on_hull, unmeasured
@@ -127,7 +127,10 @@ def test_a_thing_with_hardly_any_texture_keeps_its_shape() -> None:
     """Less texture than noise: what looks alike everywhere lay anywhere, 4 % off in the median."""
     scan, truths = pale_thing.scan(views=18, step=20.0, texture=0.5)
     off = []
-    for (_, result), true in zip(measured(masked(scan, truths)), truths, strict=True):
+    with collecting() as diagnostics:
+        results = measured(masked(scan, truths))
+    assert [one.code for one in diagnostics] == [DEPTH_OBJECT_INCOMPLETE.name]
+    for (_, result), true in zip(results, truths, strict=True):
         both = (result.depth > 0) & (true > 0)
         off.append(np.abs(result.depth - true)[both] / true[both])
     assert np.median(np.concatenate(off)) < 0.02

@@ -23,7 +23,7 @@ from stages.scans.images import read_depth
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
 from stages.stereo.agreement import agreeing_views, merged
 from stages.stereo.background import measurable
-from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_POSES_MOVED
+from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_IMAGES_TURNED, DEPTH_POSES_MOVED
 from stages.stereo.depth import DepthMap, DepthParams
 from stages.stereo.partners import affinity, partners
 from stages.stereo.posed_views import PosedView, posed_views
@@ -160,7 +160,10 @@ def test_results_do_not_depend_on_threads() -> None:
 def test_nothing_is_kept_outside_a_stated_box() -> None:
     scan, truth = posed_scene.scan()
     ball = np.array([[-0.23, -0.23, -0.23], [0.23, 0.23, 0.0]])
-    (_, result) = list(views_depth(replace(scan, box=ball)))[3]
+    with collecting() as diagnostics:
+        (_, result) = list(views_depth(replace(scan, box=ball)))[3]
+    # Much of what the views show is outside.
+    assert [one.code for one in diagnostics] == [DEPTH_COVERAGE_LOW.name]
     at = np.array(scan.frames[3].world_from_camera)
     assert np.mean(result.depth[(truth[3] > 0) & (truth[3] < 1.15)] > 0) > 0.7
     rows, columns = np.nonzero(result.depth)
@@ -253,7 +256,9 @@ def test_nothing_is_kept_where_a_mask_says_so() -> None:
     frames[2] = upside_down(replace(frames[2], mask=mask))
     frames[3] = replace(frames[3], mask=mask)
     sound = [result.depth > 0 for result in measured()]
-    found = [result.depth > 0 for _, result in views_depth(replace(scan, frames=frames))]
+    with collecting() as diagnostics:
+        found = [result.depth > 0 for _, result in views_depth(replace(scan, frames=frames))]
+    assert [one.code for one in diagnostics] == [DEPTH_IMAGES_TURNED.name]
     for at in (2, 3):
         assert not found[at][:, 130:].any()
         # A few pixels miss the agreement of what was masked in the other, and are less sure without it.
@@ -420,7 +425,7 @@ def test_views_without_poses_or_images_are_told() -> None:
     with pytest.raises(InputError, match="0000 has no pose"):
         list(views_depth(replace(scan, frames=frames)))
     frames = [replace(frame, color=None) for frame in scan.frames]
-    with pytest.raises(InputError, match="frame 0000: there is no image"):
+    with pytest.raises(InputError, match="0003: there is no image"):
         list(views_depth(replace(scan, frames=frames)))
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from varied_meshes import varied_meshes
 
-from stages.diagnostics.collector import collecting
+from stages.diagnostics.collector import DiagnosticWarning, collecting
 from stages.diagnostics.errors import MeshError
 from stages.surface import convert
 from stages.surface.codes import MESH_CONVERSION_LOSS
@@ -197,6 +197,14 @@ def converted(way, mesh: Mesh) -> tuple[Mesh, str]:
     losses = [str(one) for one in found if one.code == MESH_CONVERSION_LOSS.name]
     assert len(losses) <= 1
     return back, "".join(losses)
+
+
+def test_a_loss_that_nobody_collects_is_a_python_warning():
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32), up=(0.0, 0.0, 1.0))
+    with pytest.warns(
+        DiagnosticWarning, match="cannot hold the up direction of this mesh: left out. Pass the Mesh"
+    ):
+        convert.to_open3d_legacy(mesh)
 
 
 def assert_same_texture(back: Texture | None, given: Texture | None, *, exact: bool) -> None:

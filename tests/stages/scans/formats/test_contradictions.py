@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from stages.files.telling import in_sentences, telling
+from stages.diagnostics.collector import collecting
 from stages.scans.formats.calibration import read_camera
 from stages.scans.formats.rig_calibration import read_rig
 from stages.scans.params import ScanParams
@@ -18,9 +18,10 @@ P2 = [[100, 0, 16, -50], [0, 100, 12, 0], [0, 0, 1, 0]]
 
 def told(read, tmp_path, table, **options):
     (tmp_path / "rig.json").write_text(json.dumps(table))
-    with telling() as found:
+    with collecting() as found:
         read(tmp_path / "rig.json", 32, 24, **options)
-    return in_sentences(found)
+    assert all(one.code == "camera.calibration-contradictory" for one in found)
+    return [str(one) for one in found]
 
 
 def turned(degrees):
@@ -87,11 +88,12 @@ def test_a_camera(tmp_path):
 
 
 def test_the_two_baselines_of_a_real_file(shared_data):
-    with telling() as found:
-        rig, _ = read_rig(shared_data / "real" / "calibrations" / "far_stereo.yaml", 1280, 524)
+    file = shared_data / "real" / "calibrations" / "far_stereo.yaml"
+    with collecting() as found:
+        rig = read_rig(file, 1280, 524)
     assert rig.baseline == pytest.approx(0.6011, abs=1e-4)
-    assert in_sentences(found) == [
-        "far_stereo.yaml states more than one baseline, 0.6011 (RIGHT.P) and 0.3116 (Camera.bf): the first "
+    assert [str(one) for one in found if one.code == "camera.calibration-contradictory"] == [
+        f"{file}: it states more than one baseline, 0.6011 (RIGHT.P) and 0.3116 (Camera.bf): the first "
         "is taken; scan.baseline=METRES states another"
     ]
 
@@ -103,4 +105,4 @@ def test_an_angle_of_view_that_is_not_that_of_the_focal_length(tmp_path, tiny):
     (tmp_path / "transforms.json").write_text(json.dumps(table | {"frames": [frame, frame]}))
     said = "states a focal length of 100 px (fl_x) and one of 78.93 px (camera_angle_x, for 32 px)"
     scan = read_scan(tmp_path, ScanParams(), complete=False)
-    assert sum(said in text for text in scan.warnings) == 1
+    assert sum(said in text for text in map(str, scan.diagnostics)) == 1

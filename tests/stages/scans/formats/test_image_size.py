@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
-from stages.files.telling import in_sentences, telling
 from stages.scans.formats.calibration import read_camera
 from stages.scans.formats.rig_calibration import read_rig
 from stages.scans.params import ScanParams
@@ -37,10 +37,11 @@ SIZES = {
 @pytest.mark.parametrize("name", SIZES)
 def test_a_camera_for_larger_images_is_scaled_and_that_is_told(tmp_path, name):
     (tmp_path / name).write_text(json.dumps(SIZES[name]))
-    with telling() as told:
+    with collecting() as told:
         camera = read_camera(tmp_path / name, 32, 24)
     np.testing.assert_allclose(camera.matrix, SMALL)
-    assert in_sentences(told) == [f"{name} is for images of 64×48: its camera is scaled to these of 32×24"]
+    said = f"{tmp_path / name}: it is for images of 64×48: its camera is scaled to these of 32×24"
+    assert [str(one) for one in told] == [said]
 
 
 RIGS = {
@@ -69,11 +70,11 @@ RIGS = {
 @pytest.mark.parametrize("name", RIGS)
 def test_so_is_a_rig(tmp_path, name):
     (tmp_path / name).write_text(json.dumps(RIGS[name]))
-    with telling() as told:
-        rig, _ = read_rig(tmp_path / name, 32, 24)
+    with collecting() as told:
+        rig = read_rig(tmp_path / name, 32, 24)
     np.testing.assert_allclose([rig.left.matrix, rig.right.matrix], [SMALL, SMALL])
     assert rig.baseline == pytest.approx(0.5)
-    assert len(in_sentences(told)) == 1
+    assert [one.code for one in told] == ["camera.calibration-scaled"]
 
 
 def test_another_shape_is_refused_in_a_sentence(tmp_path):
@@ -103,9 +104,9 @@ def test_rows_first_is_understood_where_the_centre_says_so(tmp_path):
 
 def test_a_centre_that_is_of_another_size_is_told(tmp_path):
     (tmp_path / "K.txt").write_text("200 0 32.5 0 200 24.5 0 0 1")
-    with telling() as told:
+    with collecting() as told:
         read_camera(tmp_path / "K.txt", 32, 24)
-    (said,) = in_sentences(told)
+    (said,) = map(str, told)
     assert "its principal point at (32.5, 24.5), far from the centre of images of 32×24" in said
     assert "such as 66×50" in said
 
@@ -126,7 +127,8 @@ def test_a_scan_is_read_with_the_scaled_camera(scan_folder, tiny, name):
     (scan_folder / name).write_text(json.dumps(SIZES["plain.json"]))
     scan = read_scan(scan_folder)
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-6)
-    assert f"{name} is for images of 64×48: its camera is scaled to these of 32×24" in scan.warnings
+    said = f"{scan_folder / name}: it is for images of 64×48: its camera is scaled to these of 32×24"
+    assert said in map(str, scan.diagnostics)
 
 
 def test_a_file_for_this_size_is_preferred(scan_folder):
@@ -136,7 +138,9 @@ def test_a_file_for_this_size_is_preferred(scan_folder):
     (scan_folder / "b.json").write_text(json.dumps({"K": SMALL, "width": 32, "height": 24}))
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.fx == 100
-    assert scan.warnings == ("the camera is read from b.json, which lies beside the images",)
+    assert [str(one) for one in scan.diagnostics] == [
+        "the camera is read from b.json, which lies beside the images"
+    ]
 
 
 def test_what_the_person_names_is_scaled_too(scan_folder, tiny, tmp_path_factory):
@@ -144,7 +148,7 @@ def test_what_the_person_names_is_scaled_too(scan_folder, tiny, tmp_path_factory
     named.write_text(json.dumps(SIZES["plain.json"]))
     scan = read_scan(scan_folder, ScanParams(calibration=str(named)))
     np.testing.assert_allclose(tiny.seen(scan.frames[0]), tiny.points[0], atol=1e-6)
-    assert any("mine.json is for images of 64×48" in text for text in scan.warnings)
+    assert any("mine.json: it is for images of 64×48" in text for text in map(str, scan.diagnostics))
 
 
 def test_the_real_box_made_smaller_has_the_scaled_camera(shared_data, tmp_path):
@@ -190,4 +194,4 @@ def test_a_real_street_made_smaller_beside_its_calibration(shared_data, tmp_path
     large, small = (read_scan(folder, chosen, complete=False) for folder in (real, tmp_path))
     assert small.rig.left.fx == pytest.approx(large.rig.left.fx / 2, rel=2e-3)
     assert small.rig.baseline == large.rig.baseline
-    assert any("000002.txt is for images of 1242×375" in text for text in small.warnings)
+    assert any("000002.txt: it is for images of 1242×375" in text for text in map(str, small.diagnostics))

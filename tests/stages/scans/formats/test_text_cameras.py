@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.files.documents import read_document
-from stages.files.telling import telling
 from stages.scans.formats.calibration import read_camera, read_depth_scale
 from stages.scans.formats.rig_calibration import read_rig
 
@@ -62,13 +62,15 @@ RS_ENUMERATE = """
 )
 def test_a_text_of_names_and_numbers(tmp_path, name, text):
     (tmp_path / name).write_text(text)
-    camera = read_camera(tmp_path / name, 64, 48)
+    with collecting() as told:
+        camera = read_camera(tmp_path / name, 64, 48)
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (90.5, 91, 30.5, 22.5)
+    assert [one.code for one in told] == ["camera.calibration-scaled"] * ("width: 128" in text)
 
 
 def test_a_text_may_state_a_baseline_and_a_unit_of_depth(tmp_path):
     (tmp_path / "pair.txt").write_text("fx: 90.5\nfy: 90.5\ncx: 30.5\ncy: 22.5\nbaseline: 0.12\n")
-    assert read_rig(tmp_path / "pair.txt", 64, 48)[0].baseline == 0.12
+    assert read_rig(tmp_path / "pair.txt", 64, 48).baseline == 0.12
     (tmp_path / "depth.txt").write_text("fx: 90.5\nfy: 91\ncx: 30.5\ncy: 22.5\ndepth_scale: 5000\n")
     assert read_depth_scale(tmp_path / "depth.txt") == 5000
 
@@ -76,11 +78,12 @@ def test_a_text_may_state_a_baseline_and_a_unit_of_depth(tmp_path):
 def test_what_the_tool_of_realsense_prints(tmp_path):
     file = tmp_path / "rs-enumerate-devices.txt"
     file.write_text(RS_ENUMERATE)
-    with telling() as heard:
+    with collecting() as heard:
         color = read_camera(file, 64, 48)
     assert (color.fx, color.cx, color.distortion[:2]) == (100.5, 30.5, (0.1, -0.2))
-    assert any("is taken" in text for text, _ in heard)
-    large = read_camera(file, 128, 72)
+    assert any("is taken" in text for text in map(str, heard))
+    with collecting():
+        large = read_camera(file, 128, 72)
     assert (large.fx, large.distortion) == (200, ())
 
 
@@ -106,8 +109,10 @@ def test_a_text_without_a_camera_is_told(tmp_path, text):
 def test_what_the_calibrator_of_ros_prints_is_what_it_writes_as_yaml(shared_data):
     files = shared_data / "real" / "calibrations"
     sides = {side: read_document(files / f"ros_{side}.yaml") for side in ("left", "right")}
-    written, _ = read_rig(files / "ros_right.yaml", 1280, 1024, document=sides)
-    printed, _ = read_rig(files / "ros_ost.txt", 1280, 1024)
+    with collecting() as found:
+        written = read_rig(files / "ros_right.yaml", 1280, 1024, document=sides)
+        printed = read_rig(files / "ros_ost.txt", 1280, 1024)
+    assert all("image_raw" in str(one) for one in found)
     assert (printed.left, printed.right) == (written.left, written.right)
     assert (printed.right_from_left == written.right_from_left).all()
 
@@ -131,7 +136,7 @@ def test_a_matrix_as_an_array(tmp_path, matrix):
     np.save(tmp_path / "K.npy", matrix)
     camera = read_camera(tmp_path / "K.npy", 32, 24)
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (100, 110, 16, 12)
-    rig, _ = read_rig(tmp_path / "K.npy", 32, 24, baseline=0.2)
+    rig = read_rig(tmp_path / "K.npy", 32, 24, baseline=0.2)
     assert (rig.left.fx, rig.baseline) == (100, 0.2)
 
 

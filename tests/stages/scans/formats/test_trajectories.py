@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
-from stages.files.telling import in_sentences, telling
 from stages.scans.formats.trajectories import (
     Trajectory,
     by_number,
@@ -207,10 +207,10 @@ def test_inverse_undoes():
 
 
 def test_more_values_than_frames_go_by_number(tmp_path):
-    with telling() as told:
+    with collecting() as told:
         assert by_number("abcd", ["f1", "f3"], tmp_path / "a.txt", "poses") == ["b", "d"]
     # A line too many shifts them, so that it is told.
-    assert "a.txt holds 4 poses for 2 frames" in in_sentences(told)[0]
+    assert "a.txt: it holds 4 poses for 2 frames" in str(told[0])
     with pytest.raises(InputError, match="4 poses, but the scan has 2 frames"):
         by_number("abcd", ["f1", "f9"], tmp_path, "poses")
     with pytest.raises(InputError, match="4 poses"):

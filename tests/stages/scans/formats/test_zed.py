@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.scans.formats.calibration import read_camera
 from stages.scans.formats.rig_calibration import read_rig
@@ -63,7 +64,7 @@ def conf(tmp_path):
 
 
 def test_the_rig_of_a_size_of_images(conf):
-    rig, warnings = read_rig(conf, 1280, 720)
+    rig = read_rig(conf, 1280, 720)
     assert (rig.left.fx, rig.left.cy, rig.right.fx, rig.rectified) == (700.5, 361.8, 701.0, False)
     assert rig.left.distortion == (-0.171, 0.0273, 0.0001, -0.0002, 0)
     assert rig.right.distortion == (-0.169, 0.0261, 0, 0, 0)
@@ -71,12 +72,13 @@ def test_the_rig_of_a_size_of_images(conf):
     turn = cv2.Rodrigues(rig.right_from_left[:3, :3])[0].ravel()
     np.testing.assert_allclose(turn, (-0.0009, 0.0021, 0.0004), atol=1e-12)
     assert rig.right_from_left[0, 3] == pytest.approx(-0.11987)
-    assert warnings == []
 
 
 def test_each_size_has_its_own_and_a_smaller_one_that_of_its_shape(conf):
-    assert read_rig(conf, 2208, 1242)[0].left.fx == 1400.2
-    smaller = read_rig(conf, 640, 360)[0].left
+    assert read_rig(conf, 2208, 1242).left.fx == 1400.2
+    with collecting() as told:
+        smaller = read_rig(conf, 640, 360).left
+    assert {one.code for one in told} == {"camera.calibration-scaled"}
     assert smaller.fx in (pytest.approx(700.5 / 2), pytest.approx(1400.2 * 640 / 2208))
     assert read_camera(conf, 1280, 720).fx == 700.5
     with pytest.raises(InputError, match=r"it is for images of 2208×1242, 1280×720, but these are 640×480"):

@@ -62,7 +62,7 @@ def test_depth_of_low_confidence_is_left_out(scan_folder):
         assert cv2.imwrite(str(scan_folder / "confidence" / f"{name}.png"), confidence)
     scan = read_scan(scan_folder)
     assert read_depth(scan.frames[0])[[5, 9, 15], 5].tolist() == [0, 2, 2]
-    assert any("confidence" in text for text in scan.warnings)
+    assert any("confidence" in text for text in map(str, scan.diagnostics))
 
 
 def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
@@ -127,7 +127,7 @@ def test_without_any_pincam_the_camera_is_guessed(scan_folder):
         path.unlink()
     scan = read_scan(scan_folder)
     assert [frame.camera.fx for frame in scan.frames] == [26.25, 26.25]
-    assert any("is guessed" in text and "scan.intrinsics" in text for text in scan.warnings)
+    assert any("is guessed" in text and "scan.intrinsics" in text for text in map(str, scan.diagnostics))
 
 
 def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):

@@ -55,7 +55,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     )
     np.testing.assert_allclose([seen(frame) for frame in scan.frames], tiny.points, atol=1e-6)
     # What the file states and nothing uses is told.
-    assert any("Bin-to-world transformation matrix" in text for text in scan.warnings)
+    assert any("Bin-to-world transformation matrix" in text for text in map(str, scan.diagnostics))
 
 
 def test_depth_of_another_size_is_of_its_own_camera(scan_folder, tiny, matrix_text):
@@ -75,7 +75,7 @@ def test_depth_of_another_size_is_of_its_own_camera(scan_folder, tiny, matrix_te
     shift = np.array([[0.1, 0, 0], tiny.second[:3, 0] * 0.1])
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points + shift, atol=1e-6)
     assert scan.frames[0].color_camera.fx == 400
-    assert any("are not rotated" in text for text in scan.warnings)
+    assert any("are not rotated" in text for text in map(str, scan.diagnostics))
 
 
 @pytest.mark.parametrize("name", ["cam.info.txt", "cameras of the day.txt"])

@@ -101,7 +101,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny, place, write):
         (scan_folder / place / f"{name}.bin").write_bytes(b"of no use here")
     scan = assert_known_points(scan_folder, tiny)
     assert not scan.is_metric
-    assert any("no metric scale" in text for text in scan.warnings)
+    assert any("no metric scale" in text for text in map(str, scan.diagnostics))
     depth = read_depth(scan.frames[0])
     assert (depth[0, 5], depth[-1, 5]) == (0, 3)
 
@@ -141,7 +141,7 @@ def test_a_scale_holds_for_depth_and_poses(scan_folder, tiny):
     for frame, point in zip(scan.frames, tiny.points, strict=True):
         np.testing.assert_allclose(tiny.seen(frame), np.array(point) / 4, atol=1e-6)
     assert scan.is_metric
-    assert not any("no metric scale" in text for text in scan.warnings)
+    assert not any("no metric scale" in text for text in map(str, scan.diagnostics))
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_camera_models(scan_folder, number, values, distortion, write):
     camera = scan.frames[0].camera
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (100, 100, 16, 12)
     assert camera.distortion == distortion
-    assert any("distortion" in text for text in scan.warnings) == bool(distortion)
+    assert any("distortion" in text for text in map(str, scan.diagnostics)) == bool(distortion)
 
 
 @pytest.mark.parametrize("write", [write_text, write_binary])
@@ -246,7 +246,7 @@ def test_of_several_models_the_largest_is_read_and_it_is_told(scan_folder, tiny,
     for number in ("1", "10"):
         write(scan_folder / "sparse" / number)
     scan = assert_known_points(scan_folder, tiny)
-    said = [text for text in scan.warnings if "of 3 models, 1/ is read" in text]
+    said = [text for text in map(str, scan.diagnostics) if "of 3 models, 1/ is read" in text]
     assert ["0/ (1), 1/ (2), 10/ (2)" in text for text in said] == [True]
 
 
@@ -292,8 +292,8 @@ def test_views_without_any_depth_are_single_views_with_a_range_of_depth(workspac
         near, far = frame.depth_range
         assert 0.75 < near < 1.0
         assert 3.0 < far < 6.0
-    assert len(scan.warnings) == 1
-    assert "no metric scale" in scan.warnings[0]
+    assert len(scan.diagnostics) == 1
+    assert "no metric scale" in str(scan.diagnostics[0])
     scaled = read_scan(workspace, ScanParams(depth_scale=2))
     np.testing.assert_allclose(scaled.frames[1].world_from_camera[:3, 3], (0.5, 1, 1.5), atol=1e-9)
     np.testing.assert_allclose(scaled.frames[1].depth_range, (near / 2, far / 2), rtol=1e-9)
@@ -304,7 +304,7 @@ def test_single_views_without_points(workspace, tiny):
     scan = read_scan(workspace)
     tiny.assert_views(scan)
     assert [frame.depth_range for frame in scan.frames] == [None, None]
-    assert any("no points" in text and "depth.min_depth" in text for text in scan.warnings)
+    assert any("no points" in text and "depth.min_depth" in text for text in map(str, scan.diagnostics))
 
 
 def test_single_views_may_be_distorted_and_smaller_than_their_cameras(workspace):
@@ -315,7 +315,7 @@ def test_single_views_may_be_distorted_and_smaller_than_their_cameras(workspace)
     camera = scan.frames[0].camera
     assert (camera.width, camera.fx, camera.cx, camera.cy) == (32, 100, 16, 12)
     assert camera.distortion == (0.1, 0, 0, 0)
-    assert not any("distortion" in text for text in scan.warnings)
+    assert not any("distortion" in text for text in map(str, scan.diagnostics))
 
 
 @pytest.mark.parametrize("end", [".bin", ".txt"])
@@ -346,7 +346,7 @@ def test_photometric_maps_stand_in_and_are_told(workspace, tiny):
     for name in NAMES:
         write_depth(workspace / "stereo" / "depth_maps" / f"{name}.photometric.bin")
     scan = assert_known_points(workspace, tiny)
-    assert any(text.startswith("2 depth maps are photometric") for text in scan.warnings)
+    assert any(text.startswith("2 depth maps are photometric") for text in map(str, scan.diagnostics))
 
 
 def test_a_view_without_depth_or_with_a_damaged_map_is_skipped(scan_folder):
@@ -456,10 +456,10 @@ def test_where_only_the_dense_workspace_fits_it_is_read_and_told(scan_folder, ti
     scan = read_scan(project)
     tiny.assert_views(scan)
     said = "the images of sparse/0/ are not there, or of another shape: dense/0/ is read, which has its own"
-    assert said in scan.warnings
+    assert said in map(str, scan.diagnostics)
     # Images of the root's own are preferred.
     for name in NAMES:
         tiny.color(project / "images" / name)
     scan = read_scan(project)
     assert scan.frames[0].camera.fx == 90
-    assert said not in scan.warnings
+    assert said not in map(str, scan.diagnostics)

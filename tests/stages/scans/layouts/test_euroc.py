@@ -255,7 +255,7 @@ def test_an_accelerometer_tells_what_is_up_where_poses_are_not_the_folder_s(scan
 def test_readings_that_are_no_gravity_are_told_and_not_used(scan_folder):
     write_readings(scan_folder, (0.01, 0.02, 0.0))
     scan = read_scan(scan_folder)
-    assert any("imu0 reads" in text and "not gravity" in text for text in scan.warnings)
+    assert any("imu0 reads" in text and "not gravity" in text for text in map(str, scan.diagnostics))
 
 
 def test_a_damaged_line_of_readings_is_named(scan_folder):

@@ -84,16 +84,16 @@ def test_what_is_beyond_the_sensor_is_missing_and_told(scan_folder, tiny):
     scan = read_scan(scan_folder)
     depth = read_depth(scan.frames[0])
     assert (depth[0, 1], depth[5, 5]) == (0, 2)
-    assert scan.warnings == (
-        "0.1% of the depth looked at lies beyond the depth_max of frames.json, 2.25 m: it is left out",
-    )
+    assert [str(one) for one in scan.diagnostics] == [
+        "0.1% of the depth looked at lies beyond the depth_max of frames.json, 2.25 m: it is left out"
+    ]
 
 
 def test_a_limit_that_takes_most_of_the_depth_is_asked_about(scan_folder, tiny):
     write(scan_folder, tiny, depth_max=4.5)
     scan = read_scan(scan_folder)
     assert read_depth(scan.frames[0])[5, 5] == 2
-    (said,) = scan.warnings
+    (said,) = map(str, scan.diagnostics)
     assert "100% of the depth" in said
     assert "it is not applied; fuse.max_depth=METRES" in said
 

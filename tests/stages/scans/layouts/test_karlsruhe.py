@@ -37,17 +37,23 @@ def test_without_poses_and_without_a_calibration(scan_folder):
     for name in ("calib.txt", "poses.txt"):
         (scan_folder / name).unlink()
     lacking = read_scan(scan_folder, complete=False).missing
-    assert [text.partition(":")[0] for text in lacking] == ["calibration", "poses"]
+    assert [one.code for one in lacking] == ["camera.pair-uncalibrated", "pose.missing"]
     stated = ScanParams(intrinsics="100,100,16,12", baseline=0.5)
     assert read_scan(scan_folder, stated, complete=False).rig.baseline == 0.5
+    with pytest.raises(InputError, match=r"no calibration: calib\.txt .*; and no poses: poses\.txt") as both:
+        read_scan(scan_folder)
+    assert both.value.diagnostic.code == "camera.pair-uncalibrated"
+    with pytest.raises(InputError, match=r"no poses: poses\.txt is missing; name a traj") as alone:
+        read_scan(scan_folder, stated)
+    assert (alone.value.diagnostic.code, alone.value.diagnostic.severity.value) == ("pose.missing", "error")
 
 
 def test_the_places_of_the_car_are_no_poses_and_that_is_told(scan_folder):
     (scan_folder / "poses.txt").unlink()
     (scan_folder / "insdata.txt").write_text("1.0 49.01 8.43 112 0 0 0 0.01 0.02 1.5\n" * 2)
     (lacking,) = read_scan(scan_folder, complete=False).missing
-    assert "insdata.txt has the places of the car" in lacking
-    assert "scan.poses=FILE" in lacking
+    assert "insdata.txt has the places of the car" in str(lacking)
+    assert "scan.poses=FILE" in str(lacking)
 
 
 def test_a_damaged_projection(scan_folder):

@@ -79,7 +79,7 @@ def test_times_become_nanoseconds(scan_folder):
 
 def test_repeated_and_falling_times_are_warned_of(scan_folder):
     (scan_folder / "times.txt").write_text("0.2\n0.1\n")
-    assert any("earlier" in text for text in read_scan(scan_folder).warnings)
+    assert any("earlier" in text for text in map(str, read_scan(scan_folder).diagnostics))
 
 
 def test_a_trimmed_sequence_finds_its_poses_by_number(scan_folder):

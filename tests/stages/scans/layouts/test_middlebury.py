@@ -40,21 +40,21 @@ def test_the_known_point_falls_on_known_pixels(scan_folder, tiny):
 def test_a_single_pair_without_pose_stands_at_the_origin_and_says_so(scan_folder):
     scan = read_scan(scan_folder)
     np.testing.assert_array_equal(scan.frames[0].world_from_camera, np.eye(4))
-    assert any("without a pose" in text for text in scan.warnings)
+    assert any("without a pose" in text for text in map(str, scan.diagnostics))
 
 
 def test_a_pose_beside_it_is_used(scan_folder, tiny, matrix_text):
     (scan_folder / "pose.txt").write_text(matrix_text(tiny.second))
     scan = read_scan(scan_folder)
     np.testing.assert_allclose(scan.frames[0].world_from_camera, tiny.second)
-    assert not scan.warnings
+    assert not scan.diagnostics
 
 
 def test_a_baseline_in_metres_is_noticed(scan_folder):
     (scan_folder / "calib.txt").write_text(CALIB.replace("baseline=250", "baseline=0.25"))
     scan = read_scan(scan_folder)
     assert scan.rig.baseline == pytest.approx(0.25)
-    assert any("metres" in text for text in scan.warnings)
+    assert any("metres" in text for text in map(str, scan.diagnostics))
 
 
 def test_stated_values_win(scan_folder):

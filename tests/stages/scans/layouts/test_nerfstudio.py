@@ -283,7 +283,7 @@ def test_frames_without_any_depth_are_single_views(scan_folder, tiny):
     scan = read_scan(scan_folder)
     tiny.assert_views(scan)
     assert not scan.is_metric
-    assert any("scan.scale=" in text for text in scan.warnings)
+    assert any("scan.scale=" in text for text in map(str, scan.diagnostics))
 
 
 def test_single_views_in_another_unit(scan_folder, tiny):
@@ -293,7 +293,7 @@ def test_single_views_in_another_unit(scan_folder, tiny):
     write(scan_folder, without_depth(tiny, poses))
     scan = read_scan(scan_folder, ScanParams(depth_scale=1000))
     tiny.assert_views(scan)
-    assert scan.warnings == ()
+    assert scan.diagnostics == ()
     # Stated poses are in metres.
     rows = [" ".join(map(str, pose[:3].ravel())) for pose in (tiny.identity, tiny.second)]
     (scan_folder / "poses.txt").write_text("\n".join(rows))
@@ -391,7 +391,9 @@ def test_paths_of_another_computer_are_found_by_their_names(scan_folder, tiny, m
         entry["depth_file_path"] = f"/home/me/scan/depth/{number}.png"
     write(scan_folder, content)
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
-    (said,) = [text for text in read_scan(scan_folder).warnings if "found by their names" in text]
+    (said,) = [
+        text for text in map(str, read_scan(scan_folder).diagnostics) if "found by their names" in text
+    ]
     assert said.startswith("the paths of 2 images in transforms.json lead elsewhere")
     assert said.endswith("(images/2.png)")
 
@@ -427,7 +429,7 @@ def test_a_real_toy_whose_paths_are_those_of_its_author(shared_data, tmp_path):
     (tmp_path / "images").symlink_to(source / "images", target_is_directory=True)
     scan = read_scan(tmp_path)
     assert len(scan.frames) == 24
-    assert any("such as '/home/someone/" in text for text in scan.warnings)
+    assert any("such as '/home/someone/" in text for text in map(str, scan.diagnostics))
 
 
 def test_photos_of_nearly_the_size_of_their_camera_are_told(scan_folder, tiny):
@@ -436,11 +438,13 @@ def test_photos_of_nearly_the_size_of_their_camera_are_told(scan_folder, tiny):
     for entry in content["frames"]:
         del entry["depth_file_path"]
     write(scan_folder, content)
-    assert not any("straightened" in text for text in read_scan(scan_folder).warnings)
+    assert not any("straightened" in text for text in map(str, read_scan(scan_folder).diagnostics))
     write(scan_folder, content | {"w": 124.0, "h": 93.0})
-    (told,) = [text for text in read_scan(scan_folder).warnings if "straightened" in text]
-    assert told.startswith(
-        "2.png (and 1 more files) is 128×96 and its camera 124×93: such cameras are of images"
+    (told,) = [text for text in map(str, read_scan(scan_folder).diagnostics) if "straightened" in text]
+    said = (
+        f"{scan_folder / 'images' / '2.png'}: it is 128×96 and its camera 124×93: such cameras are of images"
     )
+    assert told.startswith(said)
+    assert told.endswith("it is scaled (and 1 more files)")
     write(scan_folder, content | {"w": 64 * FACTOR, "h": 48 * FACTOR})
-    assert not any("straightened" in text for text in read_scan(scan_folder).warnings)
+    assert not any("straightened" in text for text in map(str, read_scan(scan_folder).diagnostics))

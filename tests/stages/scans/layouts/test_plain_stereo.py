@@ -181,7 +181,7 @@ def test_a_file_of_ros_for_each_camera(scan_folder, tiny):
         )
     scan = read_scan(scan_folder)
     assert_known_pixels(scan, tiny)
-    assert any("image_raw" in text for text in scan.warnings)
+    assert any("image_raw" in text for text in map(str, scan.diagnostics))
 
 
 def test_sides_that_share_no_numbers_are_told(scan_folder):
@@ -189,7 +189,7 @@ def test_sides_that_share_no_numbers_are_told(scan_folder):
         (scan_folder / "right" / f"right{old}.png").rename(scan_folder / "right" / f"{new}.png")
     scan = read_scan(scan_folder)
     assert [frame.right.name for frame in scan.frames] == ["dawn.png", "noon.png"]
-    assert any("left/ and right/ share no numbers" in text for text in scan.warnings)
+    assert any("left/ and right/ share no numbers" in text for text in map(str, scan.diagnostics))
 
 
 def test_a_rig_of_any_name_beside_the_images(scan_folder, tiny):
@@ -197,7 +197,7 @@ def test_a_rig_of_any_name_beside_the_images(scan_folder, tiny):
     scan = read_scan(scan_folder)
     assert_known_pixels(scan, tiny)
     said = "the calibration is read from our_cameras.json, which lies beside the images"
-    assert said in scan.warnings
+    assert said in map(str, scan.diagnostics)
     other = {**CAMERA, "baseline": 0.7}
     (scan_folder / "other.json").write_text(json.dumps(other))
     with pytest.raises(InputError, match=r"other\.json, our_cameras\.json all state one; name the right one"):
@@ -224,10 +224,9 @@ def test_a_rig_beside_that_is_not_taken_is_told(scan_folder):
         path.unlink()
     (scan_folder / "of the rig.yaml").write_text("K1: [100, 0, 16, 0, 100, 12, 0, 0, 1]\nK2: [100, 0")
     scan = read_scan(scan_folder, complete=False)
-    assert scan.missing[0].startswith("calibration:")
-    assert (
-        "of the rig.yaml seems to state a camera and is not taken: the file does not parse"
-        in scan.warnings[0]
+    assert str(scan.missing[0]).startswith("no calibration:")
+    assert "of the rig.yaml: it seems to state a camera and is not taken: the file does not parse" in str(
+        scan.diagnostics[0]
     )
 
 
@@ -261,7 +260,7 @@ def test_arrays_of_a_calibration_in_one_archive(scan_folder, matrices, lenses, p
     assert (scan.rig.baseline, scan.rig.rectified) == (0.5, False)
     assert scan.rig.left.distortion == (0.1, -0.02, 0, 0, 0.003)
     named = (Path(place) / "stereo.npz").as_posix()
-    assert f"the calibration is read from {named}, which lies beside the images" in scan.warnings
+    assert f"the calibration is read from {named}, which lies beside the images" in map(str, scan.diagnostics)
 
 
 @pytest.mark.parametrize("suffix", [".txt", ".npy"])
@@ -274,7 +273,7 @@ def test_a_calibration_in_a_file_for_each_matrix(scan_folder, suffix, place):
         save(scan_folder / place / f"{name}{suffix}", array)
     scan = read_scan(scan_folder)
     assert (scan.rig.baseline, scan.rig.left.fx, scan.rig.right.distortion[1]) == (0.5, 100, -0.02)
-    (said,) = [text for text in scan.warnings if "a matrix each" in text]
+    (said,) = [text for text in map(str, scan.diagnostics) if "a matrix each" in text]
     assert all(f"{name}{suffix}" in said for name in ("mtx_l", "dist_r", "R", "T"))
     assert not unused(scan)
     (scan_folder / place / f"mtx_r{suffix}").unlink()
@@ -297,7 +296,7 @@ def test_files_of_both_cameras_in_a_folder_of_calibrations(scan_folder):
         (scan_folder / "calib" / f"{side}.yaml").write_text(json.dumps(info))
     scan = read_scan(scan_folder)
     assert scan.rig.baseline == 0.5
-    assert "the calibration is read from the files in calib/" in scan.warnings
+    assert "the calibration is read from the files in calib/" in map(str, scan.diagnostics)
 
 
 def test_a_damaged_archive_of_arrays_is_told(scan_folder):
@@ -342,10 +341,11 @@ def test_a_baseline_whose_unit_nothing_tells(scan_folder, baseline, metres, said
     (scan_folder / "calibration.json").write_text(json.dumps({**CAMERA, "baseline": baseline}))
     scan = read_scan(scan_folder)
     assert scan.rig.baseline == pytest.approx(metres)
-    told = [text for text in scan.warnings if "without a unit" in text]
+    told = [text for text in map(str, scan.diagnostics) if "without a unit" in text]
     assert (said is None and not told) or re.search(said, told[0])
     assert not any(
-        "without a unit" in text for text in read_scan(scan_folder, ScanParams(baseline=0.1)).warnings
+        "without a unit" in text
+        for text in map(str, read_scan(scan_folder, ScanParams(baseline=0.1)).diagnostics)
     )
 
 

@@ -44,8 +44,8 @@ def test_poses_in_the_order_of_the_photos(photos):
     assert scan.is_metric
     assert places(scan) == [1, 2, 3]
     assert scan.frames[0].camera.fx == 40
-    assert any("poses are read from where.txt" in said for said in scan.warnings)
-    assert any("camera is read from lens.json" in said for said in scan.warnings)
+    assert any("poses are read from where.txt" in said for said in map(str, scan.diagnostics))
+    assert any("camera is read from lens.json" in said for said in map(str, scan.diagnostics))
 
 
 def test_poses_by_the_numbers_of_frames_of_which_the_photos_are_a_few(photos):
@@ -100,8 +100,10 @@ def test_of_two_trajectories_none_is_taken(photos):
     (photos / "one.txt").write_text(rows((1, 2, 3)))
     (photos / "two.txt").write_text(rows((4, 5, 6)))
     scan = read_scan(photos, complete=False)
-    assert any("one.txt, two.txt all have poses for the images" in said for said in scan.warnings)
-    assert scan.missing[0].startswith("poses: ")
+    assert any(
+        "one.txt, two.txt all have poses for the images" in said for said in map(str, scan.diagnostics)
+    )
+    assert scan.missing[0].code == "pose.missing"
     assert places(read_scan(photos, ScanParams(poses="two.txt"))) == [4, 5, 6]
 
 

@@ -62,14 +62,17 @@ def test_colour_is_looked_up_in_its_own_size(scan_folder, tiny):
 def test_depth_of_little_confidence_is_left_out(scan_folder, least, kept):
     scan = read_scan(scan_folder, ScanParams(least_confidence=least))
     assert read_depth(scan.frames[0])[3, 4:7].tolist() == kept
-    assert any(f"confidence {127 if least is None else least} and more" in text for text in scan.warnings)
+    assert any(
+        f"confidence {127 if least is None else least} and more" in text
+        for text in map(str, scan.diagnostics)
+    )
 
 
 def test_without_corrected_cameras_the_tracked_ones_are_used_and_said(scan_folder, tiny):
     for file in (scan_folder / "keyframes" / "corrected_cameras").iterdir():
         file.unlink()
     scan = read_scan(scan_folder)
-    assert any("they drift" in text for text in scan.warnings)
+    assert any("they drift" in text for text in map(str, scan.diagnostics))
     np.testing.assert_allclose(
         [tiny.seen(frame) for frame in scan.frames], np.add(tiny.points, (0.5, 0, 0)), atol=1e-6
     )
@@ -120,7 +123,7 @@ def test_without_depth_the_frames_are_single_views(scan_folder, tiny):
         file.unlink()
     scan = read_scan(scan_folder)
     tiny.assert_views(scan)
-    assert scan.warnings == ()
+    assert scan.diagnostics == ()
     (scan_folder / "keyframes" / "corrected_images" / f"{STEMS[1]}.png").unlink()
     assert [(one.name, one.reason) for one in read_scan(scan_folder).skipped] == [
         (STEMS[1], "its image is missing")

@@ -107,7 +107,9 @@ def test_depth_of_little_confidence_is_left_out(tmp_path, tiny, packed, least, k
             cv2.imwrite(str(tmp_path / "confidence" / f"{number}.png"), trust())
     scan = read_scan(tmp_path, ScanParams(least_confidence=least))
     assert read_depth(scan.frames[1])[3, 4:7].tolist() == kept
-    assert any(f"confidence {1 if least is None else least} and more" in text for text in scan.warnings)
+    assert any(
+        f"confidence {1 if least is None else least} and more" in text for text in map(str, scan.diagnostics)
+    )
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".png"])

@@ -65,9 +65,11 @@ def test_depth_in_fifths_of_millimetres_is_told(scan_folder):
         cv2.imwrite(str(image), ramp)
     scan = read_scan(scan_folder)
     assert scan.frames[0].depth_scale == 5000
-    assert any("multiples of five" in text and "scan.depth_scale=1000" in text for text in scan.warnings)
+    assert any(
+        "multiples of five" in text and "scan.depth_scale=1000" in text for text in map(str, scan.diagnostics)
+    )
     stated = read_scan(scan_folder, ScanParams(depth_scale=1000))
-    assert (stated.frames[0].depth_scale, stated.warnings) == (1000, ())
+    assert (stated.frames[0].depth_scale, stated.diagnostics) == (1000, ())
 
 
 def test_camera_of_another_size_is_refused(scan_folder):
@@ -83,7 +85,9 @@ def test_without_intrinsics_the_default_is_used_and_said(scan_folder):
     camera = scan.frames[0].camera
     # 525 pixels at a width of 640.
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (26.25, 26.25, 15.5, 11.5)
-    assert any("26.25,26.25,15.5,11.5 is guessed" in t and "scan.intrinsics" in t for t in scan.warnings)
+    assert any(
+        "26.25,26.25,15.5,11.5 is guessed" in t and "scan.intrinsics" in t for t in map(str, scan.diagnostics)
+    )
 
 
 def test_fewer_poses_than_frames_stops(scan_folder, matrix_text):
@@ -134,7 +138,7 @@ def test_open3d_test_data(shared_data):
     np.testing.assert_allclose(
         scan.frames[0].world_from_camera[:3, 3], (-0.31057997, 0.57301224, 2.12648002), atol=1e-7
     )
-    assert any("camera_primesense.json" in text for text in scan.warnings)
+    assert any("camera_primesense.json" in text for text in map(str, scan.diagnostics))
 
 
 def test_grey_images_may_lie_in_a_folder_of_their_own_name(scan_folder, tiny):
@@ -190,14 +194,14 @@ def test_images_that_share_no_numbers_are_paired_in_order_and_told(scan_folder, 
         (scan_folder / "color" / f"{old}.jpg").rename(scan_folder / "color" / f"{new}.jpg")
     scan = read_scan(scan_folder)
     assert [(f.color.name, f.depth.name) for f in scan.frames] == [("a.jpg", "2.png"), ("b.jpg", "10.png")]
-    assert any("depth/ and color/ share no numbers" in text for text in scan.warnings)
+    assert any("depth/ and color/ share no numbers" in text for text in map(str, scan.diagnostics))
     tiny.color(scan_folder / "color" / "c.jpg")
     with pytest.raises(InputError, match="2 images and color/ 3"):
         read_scan(scan_folder)
 
 
 def test_images_of_one_number_are_not_told_of(scan_folder):
-    assert not any("share no numbers" in text for text in read_scan(scan_folder).warnings)
+    assert not any("share no numbers" in text for text in map(str, read_scan(scan_folder).diagnostics))
 
 
 def test_a_camera_file_of_any_name_beside_the_images(scan_folder, tiny):
@@ -206,7 +210,7 @@ def test_a_camera_file_of_any_name_beside_the_images(scan_folder, tiny):
     (scan_folder / "world.txt").write_text("0 0 1 1\n0 1 0 2\n-1 0 0 3\n0 0 0 1\n")
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
     said = "the camera is read from cam_params_mine.json, which lies beside the images"
-    assert said in read_scan(scan_folder).warnings
+    assert said in map(str, read_scan(scan_folder).diagnostics)
 
 
 def test_what_adjust_left_beside_the_images_is_no_calibration(scan_folder):
@@ -225,7 +229,9 @@ def test_of_two_different_camera_files_none_is_taken(scan_folder):
     (scan_folder / "b.json").write_text(json.dumps(document))
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.fx == 26.25
-    assert any(text.startswith("a.json, b.json state different cameras") for text in scan.warnings)
+    assert any(
+        text.startswith("a.json, b.json state different cameras") for text in map(str, scan.diagnostics)
+    )
 
 
 def test_a_real_camera_file_of_another_name(shared_data):
@@ -262,7 +268,7 @@ def test_a_camera_beside_that_is_not_taken_is_told(scan_folder, text, reason):
     (scan_folder / "mine.json").write_text(text)
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.is_guess
-    (said,) = (one for one in scan.warnings if one.startswith("mine.json"))
+    (said,) = (one for one in map(str, scan.diagnostics) if one.startswith(f"{scan_folder / 'mine.json'}: "))
     assert "seems to state a camera and is not taken" in said
     assert reason in said
 
@@ -271,7 +277,7 @@ def test_a_camera_beside_that_is_not_taken_is_told(scan_folder, text, reason):
 def test_texts_of_programs_state_no_camera(scan_folder, name):
     (scan_folder / "intrinsic.json").unlink()
     (scan_folder / name).write_text("# Focal + PCL 1.10\nif(PCL_VERSION VERSION_EQUAL 1.10)\n")
-    said = " ".join(read_scan(scan_folder, complete=False).warnings)
+    said = " ".join(map(str, read_scan(scan_folder, complete=False).diagnostics))
     assert "has no intrinsics" in said
     assert name not in said
 
@@ -288,7 +294,7 @@ def test_confidence_beside_depth_leaves_out_the_lowest(scan_folder, levels, leas
     assert [frame.least_confidence for frame in scan.frames] == [least] * len(names)
     depth = read_depth(scan.frames[0])
     assert (depth[5, 5] == 0, depth[5, 6] > 0) == (True, True)
-    assert any(f"depth of confidence {least} and more" in text for text in scan.warnings)
+    assert any(f"depth of confidence {least} and more" in text for text in map(str, scan.diagnostics))
     best = read_depth(read_scan(scan_folder, ScanParams(least_confidence=levels[2])).frames[0])
     assert best[5, 6] == 0
 
@@ -301,7 +307,7 @@ def test_confidence_without_levels_is_asked_about(scan_folder):
         assert cv2.imwrite(str(scan_folder / "confidence" / name), trust)
     scan = read_scan(scan_folder)
     assert scan.frames[0].confidence is None
-    assert any("0 to 255: scan.least_confidence=VALUE" in text for text in scan.warnings)
+    assert any("0 to 255: scan.least_confidence=VALUE" in text for text in map(str, scan.diagnostics))
     asked = read_scan(scan_folder, ScanParams(least_confidence=200))
     assert read_depth(asked.frames[0])[0, 10] == 0
 
@@ -309,7 +315,7 @@ def test_confidence_without_levels_is_asked_about(scan_folder):
 def test_a_real_phone_states_its_confidence(shared_data):
     scan = read_scan(shared_data / "real" / "phone_desk_no_calibration", complete=False)
     assert {frame.least_confidence for frame in scan.frames} == {50}
-    assert any("of 0, 50, 100" in text for text in scan.warnings)
+    assert any("of 0, 50, 100" in text for text in map(str, scan.diagnostics))
 
 
 @pytest.mark.parametrize("name", ["pose.txt", "of the camera.txt", "way.tum"])
@@ -321,8 +327,8 @@ def test_poses_beside_the_images_are_found_under_any_name(scan_folder, tiny, nam
     (scan_folder / name).write_text(f"{times[0]}0 0 0 0 0 0 1\n{times[1]}1 2 3 {turned}\n")
     (scan_folder / "notes.txt").write_text("we walked around\n")
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
-    warnings = read_scan(scan_folder).warnings
-    assert warnings == (f"the poses are read from {name}, which lies beside the images",)
+    warnings = [str(one) for one in read_scan(scan_folder).diagnostics]
+    assert warnings == [f"the poses are read from {name}, which lies beside the images"]
     # Two files, or one of another count: nobody knows which is meant.
     (scan_folder / "other.txt").write_text("0 0 0 0 0 0 1\n" * 2)
     assert read_scan(scan_folder, complete=False).missing
@@ -337,13 +343,13 @@ def test_camera_and_poses_as_arrays_beside_the_images(scan_folder, tiny):
     np.save(scan_folder / "K.npy", np.array([[100.0, 0, 16], [0, 100, 12], [0, 0, 1]]))
     np.save(scan_folder / "poses.npy", np.stack([tiny.identity, tiny.second]))
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
-    assert read_scan(scan_folder).warnings == (
-        "the camera is read from K.npy, which lies beside the images",
+    assert [str(one) for one in read_scan(scan_folder).diagnostics] == [
         "the poses are read from poses.npy, which lies beside the images",
-    )
+        "the camera is read from K.npy, which lies beside the images",
+    ]
     # An array of something else is no camera, and nothing is said of it.
     np.save(scan_folder / "other.npy", np.zeros((7, 2)))
-    assert len(read_scan(scan_folder).warnings) == 2
+    assert len(read_scan(scan_folder).diagnostics) == 2
 
 
 @pytest.mark.parametrize(
@@ -362,4 +368,4 @@ def test_without_intrinsics_the_size_of_depth_maps_tells_the_device(tmp_path, ti
         cv2.imwrite(str(tmp_path / "depth" / f"{i}.png"), np.full(size[::-1], 1500, np.uint16))
     scan = read_scan(tmp_path, complete=False)
     assert (scan.frames[0].camera.fx, scan.frames[0].camera.is_guess) == (focal, True)
-    assert any(f"is guessed, that of {device}" in text for text in scan.warnings)
+    assert any(f"is guessed, that of {device}" in text for text in map(str, scan.diagnostics))

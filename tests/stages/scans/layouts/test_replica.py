@@ -35,9 +35,9 @@ def assert_known_points(folder, tiny, **options):
 
 def test_known_points_come_out_in_the_world(scan_folder, tiny):
     # Two of the three poses are used, which is told, and nothing else is odd.
-    assert assert_known_points(scan_folder, tiny).warnings == (
-        "traj.txt holds 3 poses for 2 frames: each has that of its name's number",
-    )
+    found = assert_known_points(scan_folder, tiny).diagnostics
+    said = "it holds 3 poses for 2 frames: each has that of its name's number"
+    assert [str(one) for one in found] == [f"{scan_folder / 'traj.txt'}: {said}"]
 
 
 def test_the_camera_file_of_all_rooms_is_found(scan_folder, tiny):
@@ -62,7 +62,7 @@ def test_without_a_camera_file_the_data_sets_own_is_used_and_said(scan_folder, t
     # 1200×680 made 32×24: 37.5 times smaller across, 28.33 times down.
     expected = (16, 600 * 24 / 680, 15.5, 11.5)
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected)
-    assert any("cam_params.json" in text for text in scan.warnings)
+    assert any("cam_params.json" in text for text in map(str, scan.diagnostics))
 
 
 def test_a_camera_of_another_size_is_refused(scan_folder):

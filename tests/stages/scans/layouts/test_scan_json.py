@@ -90,7 +90,7 @@ def test_what_is_up_may_be_stated_by_hand(scan_folder):
     change(scan_folder, up=[0, 0, 2])
     scan = read_scan(scan_folder)
     assert (scan.up, scan.is_metric) == (WorldUp((0.0, 0.0, 1.0), "scan.json"), True)
-    assert scan.warnings == ()
+    assert scan.diagnostics == ()
 
 
 def test_a_frame_without_pose_is_kept_as_lost(tmp_path, tiny):

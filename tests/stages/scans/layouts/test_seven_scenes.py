@@ -43,8 +43,8 @@ def test_without_intrinsics_the_default_is_used_and_said(scan_folder):
     (scan_folder / "camera-intrinsics.txt").unlink()
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.matrix.tolist() == [[585, 0, 320], [0, 585, 240], [0, 0, 1]]
-    assert any("585" in text and "scan.intrinsics" in text for text in scan.warnings)
-    assert any("not registered" in text for text in scan.warnings)
+    assert any("585" in text and "scan.intrinsics" in text for text in map(str, scan.diagnostics))
+    assert any("not registered" in text for text in map(str, scan.diagnostics))
 
 
 def test_intrinsics_of_the_whole_scene_are_found(scan_folder, tmp_path):
@@ -63,7 +63,7 @@ def test_intrinsics_named_by_the_camera_they_are_of(scan_folder, kinds, focal):
         (scan_folder / f"camera-intrinsics.{kind}.txt").write_text(f"{f} 0 16\n0 {f} 12\n0 0 1\n")
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.fx == focal
-    assert scan.warnings == ()
+    assert scan.diagnostics == ()
 
 
 def test_stated_intrinsics_and_scale_win(scan_folder):

@@ -95,7 +95,9 @@ def test_depth_as_arrays_is_in_millimetres_too(scan_folder, tiny):
 def test_depth_of_little_confidence_is_left_out(scan_folder, least, kept):
     scan = read_scan(scan_folder, ScanParams(least_confidence=least))
     assert read_depth(scan.frames[0])[3, 4:7].tolist() == kept
-    assert any(f"confidence {1 if least is None else least} and more" in text for text in scan.warnings)
+    assert any(
+        f"confidence {1 if least is None else least} and more" in text for text in map(str, scan.diagnostics)
+    )
 
 
 def test_more_confidence_than_there_is_would_leave_nothing(scan_folder):
@@ -107,7 +109,7 @@ def test_rows_beyond_the_video_are_left_out(scan_folder, tiny):
     write_video(scan_folder / "rgb.mp4", [tiny.dotted(FACTOR)])
     scan = read_scan(scan_folder)
     assert [(one.name, one.reason) for one in scan.skipped] == [("000001", "the video has only 1 frames")]
-    assert any("1 frames and odometry.csv 2 rows" in text for text in scan.warnings)
+    assert any("1 frames and odometry.csv 2 rows" in text for text in map(str, scan.diagnostics))
 
 
 def test_a_row_without_depth_is_left_out(scan_folder):
@@ -196,7 +198,7 @@ def test_the_accelerometer_tells_what_is_up_with_other_poses(scan_folder, readin
 def test_the_poses_of_the_phone_tell_it_better(scan_folder):
     (scan_folder / "imu.csv").write_text(readings(0, 0, -1))
     scan = read_scan(scan_folder)
-    assert not any("imu.csv" in warning for warning in scan.warnings)
+    assert not any("imu.csv" in warning for warning in map(str, scan.diagnostics))
     for frame in scan.frames:
         np.testing.assert_allclose(frame.up, frame.world_from_camera[1, :3], atol=1e-12)
 
@@ -213,4 +215,4 @@ def test_what_is_wrong_with_the_accelerometer_is_said_and_the_scan_goes_on(scan_
     (scan_folder / "imu.csv").write_text(text)
     scan = read_scan(scan_folder, other_poses(scan_folder))
     assert len(scan.frames) == 2
-    assert any(said in warning for warning in scan.warnings)
+    assert any(said in warning for warning in map(str, scan.diagnostics))

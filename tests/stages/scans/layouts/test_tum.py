@@ -76,7 +76,7 @@ def test_a_folder_of_another_name_is_found_and_told(scan_folder, tiny):
     (scan_folder / "depth").rename(scan_folder / "depths")
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
-    assert any("no folder depth/, but depths/ has" in text for text in scan.warnings)
+    assert any("no folder depth/, but depths/ has" in text for text in map(str, scan.diagnostics))
 
 
 def test_two_folders_that_could_be_meant_are_not_guessed_at(scan_folder, tiny):
@@ -104,7 +104,7 @@ def test_the_camera_follows_the_folder_name(scan_folder):
     expected = (535.4 / 20, 539.2 / 20, (320.1 + 0.5) / 20 - 0.5, (247.6 + 0.5) / 20 - 0.5)
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected)
     assert camera.distortion == ()
-    assert any("freiburg3" in text for text in scan.warnings)
+    assert any("freiburg3" in text for text in map(str, scan.diagnostics))
 
 
 FREIBURG_1 = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
@@ -121,7 +121,9 @@ def test_what_the_lists_say_counts_and_not_the_folders_name(scan_folder):
     rgb.write_text("# color images\n# file: 'rgbd_dataset_freiburg1_xyz.bag'\n" + listed)
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.distortion == FREIBURG_1
-    assert "the camera is freiburg1's, by the name of the recording in its lists" in scan.warnings
+    assert "the camera is freiburg1's, by the name of the recording in its lists" in map(
+        str, scan.diagnostics
+    )
     rgb.write_text("# color images\n# file: 'lab.bag'\n" + listed)
     assert read_scan(scan_folder).frames[0].camera.fx == 26.25
 
@@ -131,7 +133,7 @@ def test_a_stranger_in_a_folder_of_the_data_sets_name(scan_folder, name):
     scan = read_scan(scan_folder.rename(scan_folder.with_name(name)))
     assert scan.frames[0].camera.fx == 26.25
     assert scan.up is None
-    assert any("its lens is not taken from the name" in text for text in scan.warnings)
+    assert any("its lens is not taken from the name" in text for text in map(str, scan.diagnostics))
 
 
 def test_settings_of_orb_slam_beside_the_images(scan_folder, tiny):
@@ -145,7 +147,8 @@ def test_settings_of_orb_slam_beside_the_images(scan_folder, tiny):
     )
     scan = read_scan(moved)
     assert (scan.frames[0].camera.fx, scan.frames[0].depth_scale) == (100, 4000)
-    assert scan.warnings == ("the camera is read from mine.yaml, which lies beside the images",)
+    said = "the camera is read from mine.yaml, which lies beside the images"
+    assert [str(one) for one in scan.diagnostics] == [said]
 
 
 def test_real_recordings_are_known_by_their_lists(shared_data, tmp_path):
@@ -154,17 +157,19 @@ def test_real_recordings_are_known_by_their_lists(shared_data, tmp_path):
     assert read_scan(source).frames[0].camera.distortion == FREIBURG_1
     keyframes = read_scan(shared_data / "real" / "freiburg3_cabinet_keyframes", complete=False)
     assert keyframes.frames[0].camera.fx == 535.4
-    assert "the camera is read from TUM3.yaml, which lies beside the images" in keyframes.warnings
+    assert "the camera is read from TUM3.yaml, which lies beside the images" in map(
+        str, keyframes.diagnostics
+    )
 
 
 def test_an_unknown_camera_is_said(scan_folder):
     moved = scan_folder.rename(scan_folder.with_name("desk"))
     scan = read_scan(moved)
     assert scan.frames[0].camera.fx == 26.25
-    assert any("scan.intrinsics" in text for text in scan.warnings)
-    assert any("scan.depth_scale=1000" in text for text in scan.warnings)
+    assert any("scan.intrinsics" in text for text in map(str, scan.diagnostics))
+    assert any("scan.depth_scale=1000" in text for text in map(str, scan.diagnostics))
     stated = read_scan(moved, ScanParams(depth_scale=1000, intrinsics="100,100,16,12"))
-    assert not stated.warnings
+    assert not stated.diagnostics
 
 
 def test_depth_that_nothing_sees_so_near_is_in_millimetres(scan_folder):
@@ -175,10 +180,10 @@ def test_depth_that_nothing_sees_so_near_is_in_millimetres(scan_folder):
         cv2.imwrite(str(image), ramp)
     scan = read_scan(moved, ScanParams(intrinsics="100,100,16,12"))
     assert scan.frames[0].depth_scale == 1000
-    (said,) = scan.warnings
+    (said,) = map(str, scan.diagnostics)
     assert "scan.depth_scale=5000" in said
     stated = read_scan(moved, ScanParams(depth_scale=5000, intrinsics="100,100,16,12"))
-    assert (stated.frames[0].depth_scale, stated.warnings) == (5000, ())
+    assert (stated.frames[0].depth_scale, stated.diagnostics) == (5000, ())
 
 
 def test_whole_millimetres_times_five_are_known(scan_folder):
@@ -187,7 +192,7 @@ def test_whole_millimetres_times_five_are_known(scan_folder):
     for image in (moved / "depth").iterdir():
         cv2.imwrite(str(image), ramp)
     scan = read_scan(moved, ScanParams(intrinsics="100,100,16,12"))
-    assert (scan.frames[0].depth_scale, scan.warnings) == (5000, ())
+    assert (scan.frames[0].depth_scale, scan.diagnostics) == (5000, ())
 
 
 def test_poses_beside_images_that_are_only_counted(scan_folder, tiny):
@@ -203,7 +208,7 @@ def test_poses_beside_images_that_are_only_counted(scan_folder, tiny):
         (scan_folder / f"{name}.txt").write_text(listed)
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
-    (said,) = (text for text in scan.warnings if "truth_cam_poses.txt" in text)
+    (said,) = (text for text in map(str, scan.diagnostics) if "truth_cam_poses.txt" in text)
     assert "which lies beside the images; the images' times only count them" in said
     assert scan.missing == ()
 
@@ -214,7 +219,7 @@ def test_poses_beside_images_of_another_time_are_left(scan_folder):
     (scan_folder / "other.txt").write_text("\n".join(line.replace("10.", "500.") for line in text[1:3]))
     scan = read_scan(scan_folder, complete=False)
     assert [frame.world_from_camera for frame in scan.frames] == [None, None]
-    assert any("groundtruth.txt is missing" in lacking for lacking in scan.missing)
+    assert any("groundtruth.txt is missing" in lacking for lacking in map(str, scan.missing))
 
 
 def test_real_depth_tells_its_unit(shared_data):
@@ -238,7 +243,7 @@ def test_without_lists_the_names_are_the_times(scan_folder, tiny):
     assert scan.layout == "tum"
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
     assert [one.name for one in scan.skipped] == ["11.000000"]
-    assert any("times in their names" in text for text in scan.warnings)
+    assert any("times in their names" in text for text in map(str, scan.diagnostics))
 
 
 def test_associations_stand_in_for_the_lists(scan_folder, tiny):
@@ -259,7 +264,7 @@ def test_times_that_fall_or_repeat_are_told_and_the_order_kept(scan_folder):
     (scan_folder / "rgb.txt").write_text("\n".join((lines[2], lines[1])))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10.500000", "10.000000"]
-    assert any("stay in the order of their files" in text for text in scan.warnings)
+    assert any("stay in the order of their files" in text for text in map(str, scan.diagnostics))
 
 
 @pytest.mark.parametrize("text", ["now rgb/1.png\n", "1e99 rgb/1.png\n", "1\n", "1 ../../1.png\n", "\n"])
@@ -342,7 +347,7 @@ def test_a_recording_without_depth_is_views_of_its_own_camera(scan_folder):
     assert [(one.name, one.reason) for one in scan.skipped] == [("11.000000", "no pose within 0.02 s")]
     # Of 640x480 pixels to the 32x24 of the images.
     assert scan.frames[0].camera.fx == pytest.approx(535.4 / 20)
-    assert "the camera is freiburg3's, by the folder's name" in scan.warnings
+    assert "the camera is freiburg3's, by the folder's name" in map(str, scan.diagnostics)
     np.testing.assert_allclose(scan.frames[1].world_from_camera[:3, 3], (1, 2, 2), atol=1e-9)
     assert scan.up is not None
     (scan_folder / "groundtruth.txt").unlink()
@@ -369,4 +374,6 @@ def test_real_photos_of_a_recording_without_their_depth(shared_data, tmp_path):
         (tmp_path / name).symlink_to(real / name)
     scan = read_scan(tmp_path)
     assert (len(scan.frames), scan.frames[0].camera.fx) == (24, 517.3)
-    assert "the camera is freiburg1's, by the name of the recording in its lists" in scan.warnings
+    assert "the camera is freiburg1's, by the name of the recording in its lists" in map(
+        str, scan.diagnostics
+    )

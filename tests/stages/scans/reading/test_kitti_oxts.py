@@ -49,7 +49,7 @@ def drive(tmp_path, tiny):
 def test_where_the_cameras_stand(drive):
     """Camera 2 stands 0.06 m to the left of camera 0, since P_rect_02 has +6 / 100."""
     scan = read_scan(drive)
-    assert not scan.warnings
+    assert not scan.diagnostics
     assert scan.up.source == "layout kitti: z up"
     first, second, _ = (frame.world_from_camera for frame in scan.frames)
     # Facing east the left is north: 1 + 0.3 m before the unit, 0.5 m above it.

@@ -53,7 +53,7 @@ def test_a_scan_is_turned_back_and_told(tmp_path):
     depth = write_scan(tmp_path, 900, 12000)
     scan = read_scan(tmp_path, complete=False)
     np.testing.assert_allclose(read_depth(scan.frames[2]), depth / 1000, atol=1e-6)
-    assert any("set scan.depth_scale=10000" in text for text in scan.warnings)
+    assert any("set scan.depth_scale=10000" in text for text in map(str, scan.diagnostics))
     tenths = read_scan(tmp_path, ScanParams(depth_scale=10000), complete=False)
     np.testing.assert_allclose(read_depth(tenths.frames[2]), depth / 10000, atol=1e-6)
 
@@ -65,7 +65,7 @@ def test_tenths_of_millimetres_are_of_values_turned_back(tmp_path, stated, is_tu
     scan = read_scan(tmp_path, ScanParams(depth_scale=stated), complete=False)
     values = depth if is_turned else rotated(depth)
     np.testing.assert_allclose(read_depth(scan.frames[2]), values / stated, atol=1e-6)
-    told = [text for text in scan.warnings if "are turned back" in text]
+    told = [text for text in map(str, scan.diagnostics) if "are turned back" in text]
     assert len(told) == is_turned
     assert all(text.endswith("10000 units are then a metre") for text in told)
 

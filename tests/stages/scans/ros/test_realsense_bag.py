@@ -42,7 +42,7 @@ def test_known_points_and_colours_come_out(tmp_path, tiny, trajectory, compressi
 def test_the_folder_of_a_recording_is_the_scan_too(tmp_path, tiny):
     recording().write(tmp_path / "take.bag")
     scan = read_scan(tmp_path, complete=False)
-    assert [text.split(":")[0] for text in scan.missing] == ["poses"]
+    assert [one.code for one in scan.missing] == ["pose.missing"]
     assert not scan.has_poses
     assert tiny.green_is_at_the_pixel(scan.frames[0])
     assert read_scan(tmp_path / "take.bag", ScanParams(layout="ros-bag"), complete=False).frames

@@ -28,6 +28,7 @@ from stages import _kernels
 from stages.cleaning.clean import clean
 from stages.diagnostics.diagnostic import Severity
 from stages.diagnostics.errors import UsageError
+from stages.simplification.codes import SIMPLIFY_IMAGES_KEPT
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
 from stages.simplification.seams.similar import equal_sets, joinable_sets
@@ -563,12 +564,13 @@ def test_doubled_faces_stay_and_a_warning_says_what_helps() -> None:
     # What nothing has happened to is as it was.
     np.testing.assert_array_equal(result.mesh.vertices[result.mesh.triangles], both.vertices[both.triangles])
     assert len(result.mesh.vertices) <= len(both.vertices)
-    warning, unmet = result.diagnostics
+    kept, warning, unmet = result.diagnostics
+    assert kept.code == SIMPLIFY_IMAGES_KEPT.name
     assert "doubled faces" in str(warning)
     assert unmet.severity == Severity.UNMET
     light = simplify(clean(both).mesh, ratio=0.2)
     assert light.stopped_by == "triangles"
-    assert not light.diagnostics
+    assert light.diagnostics == (kept,)
 
 
 def test_a_vertex_far_away_does_not_make_all_others_one() -> None:
