@@ -123,7 +123,7 @@ def build(cls: type, values: dict[str, Any]) -> Any:
 
 def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
     """Return the fields whose options were given, checked."""
-    return Changes(_picked(build(cls, values), _given(cls, values)))
+    return Changes(_pick(build(cls, values), _given(cls, values)))
 
 
 def _given(cls: type, values: dict[str, Any]) -> dict[str, Any]:
@@ -133,10 +133,10 @@ def _given(cls: type, values: dict[str, Any]) -> dict[str, Any]:
     return {**found, **{name: own for name, own in below.items() if own}}
 
 
-def _picked(params: Any, names: dict[str, Any]) -> dict[str, Any]:
+def _pick(params: Any, names: dict[str, Any]) -> dict[str, Any]:
     """Return the values of these fields, those of nested classes as mappings."""
     return {
-        name: _picked(getattr(params, name), below) if isinstance(below, dict) else getattr(params, name)
+        name: _pick(getattr(params, name), below) if isinstance(below, dict) else getattr(params, name)
         for name, below in names.items()
     }
 

@@ -147,7 +147,7 @@ class Sections:
                 )
             where = f"--set {assignment}"
             config._require_section(section, where)
-            values = _nested_value(section, key, self.types()[section], text, where)
+            values = _nest_value(section, key, self.types()[section], text, where)
             config = config._with(section, values, where)
         return config
 
@@ -167,7 +167,7 @@ class Sections:
         UsageError
             For a value that JSON cannot express, infinity.
         """
-        return _canonical(getattr(self, section), section)
+        return _canonicalise(getattr(self, section), section)
 
     def _require_section(self, section: str, where: str) -> None:
         if section not in self.types():
@@ -181,7 +181,7 @@ class Sections:
             )
 
     def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
-        changes = _typed_section(values, section, self.types()[section], where)
+        changes = _convert_section(values, section, self.types()[section], where)
         try:
             changed = apply_changes(getattr(self, section), changes)
         except UsageError as error:
@@ -192,7 +192,7 @@ class Sections:
 def _kind(section: str, key: str, cls: type, where: str) -> Any:
     """Return the type of a parameter of a section."""
     if key in find_nested(cls):
-        raise _not_a_value(f"{section}.{key}", where)
+        raise _section_error(f"{section}.{key}", where)
     if key not in described(cls):
         raise UsageError(
             CONFIG_PARAMETER_UNKNOWN,
@@ -205,7 +205,7 @@ def _kind(section: str, key: str, cls: type, where: str) -> Any:
     return hints_of(cls)[key]
 
 
-def _not_a_value(section: str, where: str) -> UsageError:
+def _section_error(section: str, where: str) -> UsageError:
     return UsageError(
         CONFIG_UNREADABLE,
         "{section} is a section",
@@ -215,7 +215,7 @@ def _not_a_value(section: str, where: str) -> UsageError:
     )
 
 
-def _typed_section(values: Mapping[str, Any], section: str, cls: type, where: str) -> dict[str, Any]:
+def _convert_section(values: Mapping[str, Any], section: str, cls: type, where: str) -> dict[str, Any]:
     """Return values of a section with the types of its parameters, and nested sections as mappings."""
     typed = {}
     for key, value in values.items():
@@ -223,18 +223,18 @@ def _typed_section(values: Mapping[str, Any], section: str, cls: type, where: st
         if nested is None:
             typed[key] = _typed(value, _kind(section, key, cls, where))
         elif isinstance(value, Mapping):
-            typed[key] = _typed_section(value, f"{section}.{key}", nested, where)
+            typed[key] = _convert_section(value, f"{section}.{key}", nested, where)
         else:
-            raise _not_a_value(f"{section}.{key}", where)
+            raise _section_error(f"{section}.{key}", where)
     return typed
 
 
-def _nested_value(section: str, key: str, cls: type, text: str, where: str) -> dict[str, Any]:
+def _nest_value(section: str, key: str, cls: type, text: str, where: str) -> dict[str, Any]:
     """Return the word for a parameter as a value, in mappings for the sections that its key names."""
     first, dot, rest = key.partition(".")
     nested = find_nested(cls).get(first)
     if dot and nested is not None:
-        return {first: _nested_value(f"{section}.{first}", rest, nested, text, where)}
+        return {first: _nest_value(f"{section}.{first}", rest, nested, text, where)}
     return {key: _from_word(text, _kind(section, key, cls, where), f"{where}: {section}.{key}")}
 
 
@@ -297,7 +297,7 @@ def _number(word: str) -> Any:
         return word
 
 
-def _canonical(params: Any, section: str) -> dict[str, Any]:
+def _canonicalise(params: Any, section: str) -> dict[str, Any]:
     """Return the parameters that decide a result as JSON values, those of nested sections as objects."""
     cls = type(params)
     hints = hints_of(cls)
@@ -307,7 +307,7 @@ def _canonical(params: Any, section: str) -> dict[str, Any]:
         if about.invalidates
     }
     for name in find_nested(cls):
-        values[name] = _canonical(getattr(params, name), f"{section}.{name}")
+        values[name] = _canonicalise(getattr(params, name), f"{section}.{name}")
     return values
 
 

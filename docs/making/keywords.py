@@ -76,17 +76,17 @@ def write_keywords() -> str:
     written = []
     for cls in classes:
         lines = [
-            f"class {keywords_name(cls)}(TypedDict, total=False):",
+            f"class {get_keywords_name(cls)}(TypedDict, total=False):",
             f'    """Fields of `{cls.__name__}`."""',
             "",
         ]
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]
-            annotation, module = _annotation(cls, field.name)
-            for name in _names(annotation):
+            annotation, module = _get_annotation(cls, field.name)
+            for name in _find_names(annotation):
                 source, imported = _find_import(module, name)
                 imports.setdefault(source, set()).add(imported)
             if field.name in find_nested(cls):
-                annotation += f" | {keywords_name(find_nested(cls)[field.name])}"
+                annotation += f" | {get_keywords_name(find_nested(cls)[field.name])}"
             lines.append(f"    {field.name}: {annotation}")
         written.append("\n".join(lines))
     imported = [
@@ -94,7 +94,7 @@ def write_keywords() -> str:
         for module, names in sorted(imports.items())
         for name in sorted(names)
     ]
-    return _formatted(_HEAD + "\n".join(imported) + "\n\n\n" + "\n\n\n".join(written) + "\n", KEYWORDS)
+    return _format(_HEAD + "\n".join(imported) + "\n\n\n" + "\n\n\n".join(written) + "\n", KEYWORDS)
 
 
 def write_package() -> str:
@@ -107,10 +107,10 @@ def write_package() -> str:
     listed = sorted({*stages._MODULE_OF, "__version__"})
     text = _IMPORTS.sub(lambda _: "".join(imports), text)
     text = _ALL.sub(lambda _: "".join(f'    "{name}",\n' for name in listed), text)
-    return _formatted(text, PACKAGE)
+    return _format(text, PACKAGE)
 
 
-def keywords_name(cls: type) -> str:
+def get_keywords_name(cls: type) -> str:
     """Return the name of the class of keywords of a parameter class."""
     return f"{cls.__name__.removesuffix('Params')}Keywords"
 
@@ -124,7 +124,7 @@ def _is_declared_in(cls: Any, module: str) -> bool:
     )
 
 
-def _annotation(cls: type, name: str) -> tuple[str, str]:
+def _get_annotation(cls: type, name: str) -> tuple[str, str]:
     """Return the annotation of a field as its source has it, and the module that declares the field."""
     owner = next(base for base in cls.__mro__ if name in vars(base).get("__annotations__", {}))
     annotation = owner.__annotations__[name]
@@ -132,7 +132,7 @@ def _annotation(cls: type, name: str) -> tuple[str, str]:
     return annotation, owner.__module__
 
 
-def _names(annotation: str) -> Iterator[str]:
+def _find_names(annotation: str) -> Iterator[str]:
     """Yield the names in an annotation that a module has to import."""
     for node in ast.walk(ast.parse(annotation, mode="eval")):
         if isinstance(node, ast.Name) and node.id not in _BUILTIN:
@@ -141,11 +141,11 @@ def _names(annotation: str) -> Iterator[str]:
 
 def _find_import(module: str, name: str) -> tuple[str, str]:
     """Return the module from which another module has a name, and the name, or "as NAME" of a module."""
-    return _imports_of(module).get(name, (module, name))
+    return _find_imports(module).get(name, (module, name))
 
 
 @cache
-def _imports_of(module: str) -> dict[str, tuple[str, str]]:
+def _find_imports(module: str) -> dict[str, tuple[str, str]]:
     source = inspect.getsource(importlib.import_module(module))
     found = {}
     for node in ast.walk(ast.parse(source)):
@@ -157,7 +157,7 @@ def _imports_of(module: str) -> dict[str, tuple[str, str]]:
     return found
 
 
-def _formatted(text: str, path: Path) -> str:
+def _format(text: str, path: Path) -> str:
     """Return a source with sorted imports in the format of the repository."""
     for words in (["check", "--quiet", "--select=I", "--fix"], ["format", "--quiet"]):
         command = [sys.executable, "-m", "ruff", *words, f"--stdin-filename={path}", "-"]

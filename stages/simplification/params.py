@@ -31,7 +31,7 @@ def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class SimplifyParams(SharedParams):
-    """How, and how far, `simplify` goes.
+    """Parameters of `simplify`.
 
     Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first ends the work.
     The parameters that only one method has are in the field of its name; a change there asks for the method.

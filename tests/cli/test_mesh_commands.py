@@ -304,6 +304,12 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
             "needs max_shape or max_co",
         ),
         (
+            ("simplify", "ball.ply", "out.ply", "--method", "jia01", "--crease-angle", "30"),
+            2,
+            "--crease-angle has no meaning for method jia01; leave one of them out.",
+        ),
+        (("simplify", "ball.ply", "out.ply", "--crease-angle", "95"), 2, "--crease-angle is 95 degrees"),
+        (
             ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--save-bounds", "b.ply"),
             2,
             "give --max-shape",

@@ -31,7 +31,7 @@ def test_every_field_of_a_parameter_class_is_a_keyword():
     classes = keywords.find_classes()
 
     assert {"FuseParams", "SimplifyParams", "Mesh"} <= {cls.__name__ for cls in classes}
-    assert list(written) == [keywords.keywords_name(cls) for cls in classes]
+    assert list(written) == [keywords.get_keywords_name(cls) for cls in classes]
     for cls in classes:
-        names = [node.target.id for node in written[keywords.keywords_name(cls)]]
+        names = [node.target.id for node in written[keywords.get_keywords_name(cls)]]
         assert names == list(cls.__dataclass_fields__)
