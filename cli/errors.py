@@ -12,7 +12,7 @@ from cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
 from cli.interrupts import SENTENCE
 from cli.rendering import render
 from stages.diagnostics.codes import MACHINE_BUG, MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
-from stages.diagnostics.diagnostic import Code, Diagnostic, Severity
+from stages.diagnostics.diagnostic import Code, Diagnostic
 from stages.diagnostics.errors import InputError, ScanloomError, UsageError, bug_explained, is_lack_of_memory
 from stages.files.codes import FILE_PATH_INVALID
 
@@ -90,5 +90,5 @@ def _system_failure(error: OSError) -> Failure:
 
 
 def _failure(code: Code, exit_code: int, message: str, file: str | None = None) -> Failure:
-    diagnostic = code.create(Severity.ERROR, message, file, "", {})
+    diagnostic = code.error(message, file)
     return Failure(render(diagnostic), exit_code, diagnostic)

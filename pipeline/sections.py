@@ -114,7 +114,7 @@ class Sections:
         try:
             config = cls() if named is None else cls.of(named)
         except UsageError as error:
-            raise error.at(where) from error
+            raise UsageError.of(error.diagnostic.within(file=where)) from error
         if quality is not None:
             config = cls.of(quality)
         for section, values in data.items():

@@ -52,6 +52,7 @@ def info(source: Slod, out: Output) -> None:
     Example: scanloom lod info clean.slod
     """
     hierarchy = lod.read_slod(require_file(source))
+    emit(*hierarchy.diagnostics)
     _tell(hierarchy, source, out)
 
 
@@ -131,6 +132,7 @@ def cut(
     # A region of simplify has an effect; here it only says where.
     place = None if region is None else parse_region(f"{region} lock")
     hierarchy = lod.read_slod(require_file(source))
+    emit(*hierarchy.diagnostics)
     model = None if texture is None else read_file(texture)
     found = hierarchy.cut(view, triangles=triangles, error_px=error_px, max_shape=max_shape, region=place)
     figures = found.figures()

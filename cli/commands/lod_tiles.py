@@ -14,6 +14,7 @@ from cli.output import Output, size_of
 from cli.paths import require_file, require_writable
 from stages import UsageError, lod
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.collector import emit
 from stages.files.replacing_folder import require_replaceable_folder
 from stages.lod import TileImageParams, TilesParams
 from stages.lod.tiles import TILESET, WHAT, is_tileset
@@ -63,6 +64,7 @@ def tiles(
     if texture is not None and not image:
         raise UsageError(USAGE_VALUE_INVALID, "--texture asks for images and --no-image for none.")
     hierarchy = lod.read_slod(require_file(source))
+    emit(*hierarchy.diagnostics)
     model = None if texture is None else read_file(texture)
     if not image:
         hierarchy = replace(hierarchy, model_glb=None)

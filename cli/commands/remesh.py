@@ -17,6 +17,7 @@ from cli.output import Output, size_of
 from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from stages import InputError, RemeshParams
 from stages.diagnostics.collector import collecting, emit
+from stages.simplification.codes import SIMPLIFY_TEXTURE_LEFT_OUT
 from stages.surface.codes import MESH_CONFIDENCE_LEFT_OUT, MESH_NO_SURFACE
 from stages.surface.formats.ply import read_vertex_values
 
@@ -69,9 +70,15 @@ def remesh(
         mesh = read_file(source)
     # The confidence is used below.
     emit(*(one for one in diagnostics if one.code != MESH_CONFIDENCE_LEFT_OUT.name))
-    with about_file(source), out.progress("remesh", "levels") as progress:
+    with (
+        about_file(source),
+        collecting(forward=False) as diagnostics,
+        out.progress("remesh", "levels") as progress,
+    ):
         found = stages.remesh(mesh, params, confidence=_confidence(source), progress=progress)
     baked = baked_by_default(target, found.mesh, mesh, out) if bake else None
+    with about_file(source):
+        emit(*(one for one in diagnostics if baked is None or one.code != SIMPLIFY_TEXTURE_LEFT_OUT.name))
     write_normal_mesh(target if baked is None else None, found, save_levels, out)
     if save is not None:
         save.parent.mkdir(parents=True, exist_ok=True)

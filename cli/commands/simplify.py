@@ -20,12 +20,13 @@ from cli.rendering import option_name
 from cli.written_bounds import SaveBounds, write_bounds
 from stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
 from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.collector import emit
+from stages.diagnostics.collector import collecting, emit
 from stages.exporting.export import GLTF
 from stages.exporting.same_packing import same_packing, stored_bytes
 from stages.params import resolve
 from stages.printing import at_most
 from stages.simplification.auto import chosen
+from stages.simplification.codes import SIMPLIFY_TEXTURE_LEFT_OUT
 from stages.simplification.methods import METHODS
 from stages.simplification.regions import parse_region
 from stages.surface.formats.gltf_packing import lattice_of
@@ -112,7 +113,11 @@ def simplify(
     mesh = read_file(source)
     packing = same_packing(source, mesh) if target.suffix.lower() in GLTF else ExportParams()
     params, packing = _fit_packing(mesh, params, packing)
-    with about_file(source), out.progress("simplify", "triangles") as progress:
+    with (
+        about_file(source),
+        collecting(forward=False) as diagnostics,
+        out.progress("simplify", "triangles") as progress,
+    ):
         simplified = stages.simplify(
             mesh,
             params,
@@ -121,6 +126,9 @@ def simplify(
             partial=partial,
             progress=progress,
         )
+    with about_file(source):
+        # Of a format without textures, the user is told when the file is written.
+        emit(*(one for one in diagnostics if holds_texture or one.code != SIMPLIFY_TEXTURE_LEFT_OUT.name))
     rounding = 0.0
     source_bytes = stored_bytes(source, mesh)
     if packing.compress == "none":

@@ -41,38 +41,40 @@ TABLE = {
     "words": Page(
         ("usage", "config"),
         "Options, configuration, arguments",
-        "Exit code 2: nothing was done yet. `scanloom COMMAND --help` lists every option with its unit and "
-        "range; [one page](../reference/configuration.md) has all parameters.",
+        "Exit code 2: nothing was done yet. `scanloom COMMAND --help` lists every option with its"
+        " unit and range; [one page](../reference/configuration.md) has all parameters.",
     ),
     "machine": Page(
         ("machine",),
         "The machine: memory, disk, cache, libraries",
-        "These concern the computer, not the data. `scanloom doctor` prints memory, disk, processor and "
-        "libraries.",
+        "These concern the computer, not the data. `scanloom doctor` prints memory, disk, "
+        "processor and libraries.",
     ),
     "scan-folders": Page(
-        ("scan",),
+        ("scan", "frame"),
         "Scan folders: layout and frames",
-        "`scanloom inspect SCAN` finds most of these before any work. [The README](../../README.md) lists the "
-        "layouts. Any recording can be brought into one of the two [plain layouts](../formats/scans.md).",
+        "`scanloom inspect SCAN` finds most of these before any work. [The "
+        "README](../../README.md) lists the layouts. Any recording can be brought into one of the"
+        " two [plain layouts](../formats/scans.md).",
     ),
     "cameras-and-poses": Page(
         ("camera", "pose", "scale"),
         "Cameras, poses and scale",
-        "Most scans that come out wrong have a wrong camera, a wrong pose convention or a wrong unit. `scanloom "
-        "inspect` tries the usual pose conventions, and measures whether colour, depth and poses agree.",
+        "Most scans that come out wrong have a wrong camera, a wrong pose convention or a wrong "
+        "unit. `scanloom inspect` tries the usual pose conventions, and measures whether colour, "
+        "depth and poses agree.",
     ),
     "recordings": Page(
         ("recording",),
         "Recordings: bags, .db3, .mcap, .sens, .r3d, videos",
-        "One file holds all frames. Recordings are often cut short when a recorder is killed, so everything in "
-        "them is checked before it is used.",
+        "One file holds all frames. Recordings are often cut short when a recorder is killed, so "
+        "everything in them is checked before it is used.",
     ),
     "files": Page(
         ("file",),
         "Files: images, depth maps, archives, texts, paths",
-        "The message begins with the file. One bad frame is skipped and counted, up to a share of all frames; a "
-        "bad file that the whole scan needs ends the work.",
+        "The message begins with the file. One bad frame is skipped and counted, up to a share of"
+        " all frames; a bad file that the whole scan needs ends the work.",
     ),
     "mesh-files": Page(
         ("mesh",),
@@ -82,14 +84,14 @@ TABLE = {
     "depth": Page(
         ("depth",),
         "Depth from pairs and views",
-        "Diagnostics of [depth](../stages/depth.md). Holes in the depth maps become holes in the mesh, and "
-        "errors become bumps.",
+        "Diagnostics of [depth](../stages/depth.md). Holes in the depth maps become holes in the "
+        "mesh, and errors become bumps.",
     ),
     "register-and-adjust": Page(
         ("register", "adjust"),
         "Registration and adjustment of poses",
-        "Diagnostics of [register](../stages/register.md) and [adjust](../stages/adjust.md). `path.ply` shows "
-        "the path of the camera in the point cloud.",
+        "Diagnostics of [register](../stages/register.md) and [adjust](../stages/adjust.md). "
+        "`path.ply` shows the path of the camera in the point cloud.",
     ),
     "fuse-and-clean": Page(
         ("fuse", "clean"),
@@ -121,8 +123,8 @@ TABLE = {
     "many-scans": Page(
         ("batch",),
         "Many scans",
-        "Diagnostics of `scanloom batch` and `scanloom worker` about the whole [batch](../many-scans.md). Those "
-        "of one scan are on the other pages.",
+        "Diagnostics of `scanloom batch` and `scanloom worker` about the whole "
+        "[batch](../many-scans.md). Those of one scan are on the other pages.",
     ),
 }
 

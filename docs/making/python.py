@@ -33,7 +33,7 @@ ROOMS = {
     "comparing": "Comparing",
     "picturing": "Pictures",
     "surface": "Meshes",
-    "errors": "Errors",
+    "diagnostics": "Diagnostics and errors",
 }
 _WIDTH = 88
 

@@ -105,6 +105,7 @@ def _ended(job: Mapping[str, Any], link: Link) -> dict[str, Any]:
     except ScanloomError as error:
         is_input = isinstance(error, (InputError, UsageError))
         state, reason = (UNUSABLE if is_input else FAILED), str(error)
+        diagnostics.append(error.diagnostic)
     except Exception as error:
         state, reason = FAILED, bug_explained(error)
     seconds = round(time.perf_counter() - started, 3)

@@ -15,9 +15,9 @@ drive answers again,
 or is gone for good (`umount -f`). If the machine is just slow, give a longer `--timeout`.
 """,
     (
-        "it got no further … for … s and was ended; see whether the drive of its "
-        "files answers, or give a longer --timeout, and run the batch again: it goes "
-        "on from what is in the cache."
+        "it got no further in fuse for 600 s and was ended; see whether the drive of its files "
+        "answers, or give a longer --timeout, and run the batch again: it goes on from what is in "
+        "the cache."
     ),
 )
 BATCH_PROCESS_ENDED = Code(
@@ -31,8 +31,8 @@ What was printed
 is in `queue/*/workers/*.log`.
 """,
     (
-        "the process that ran it ……, as it does where memory ends; run this scan "
-        "alone, or with larger voxels. What it printed is in ….log."
+        "the process that ran it was killed in simplify, as it is where memory ends; run this scan "
+        "alone, or with larger voxels. Its output is in kitchen.log."
     ),
 )
 BATCH_WORKER_STOPPED = Code(
@@ -57,7 +57,10 @@ signs of life, and takes the folder only if there are none. Workers of different
 different bytes:
 let all be of one.
 """,
-    "another batch is at work in it (worker …); wait for its end, or name another output folder.",
+    (
+        "out: another batch is at work in it (worker pc7-4021); wait for its end, or name another "
+        "output folder."
+    ),
 )
 BATCH_DASK = Code(
     "batch.dask",
@@ -71,7 +74,7 @@ more memory. A batch that no worker is there for waits, and says so once: on SLU
 jobs are
 pending; workers that ended at once, as where they cannot reach the scheduler, say so in their jobs' logs.
 """,
-    "--executor is …; it must be own or dask.",
+    "--executor is slurm; it must be own or dask.",
 )
 BATCH_QUEUE_DAMAGED = Code(
     "batch.queue-damaged",
@@ -96,5 +99,5 @@ inspect FOLDER`
 says of one folder what it holds and what is missing; what helps `inspect` helps the batch, with the same
 options.
 """,
-    "there is no scan… in it….",
+    "3 of 40 scans are not done: 2 failed, 1 unusable; the table has the reasons.",
 )

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from pipeline.batch.claims import CRASHED, Claim, Claims, Said
+from pipeline.batch.codes import BATCH_PROCESS_ENDED
 from pipeline.batch.heartbeat import Watch
 from pipeline.batch.queue import Queue
 from pipeline.batch.records import FAILED, Record, Records
@@ -145,10 +146,17 @@ class Supply:
         where = f" in {last}" if last else ""
         how = f"crashed {crashes} times" if crashes >= _MOST_CRASHES else f"was killed {alike} times"
         worker = tries[-1].worker if tries else ""
-        why = (
-            f"the process that ran it {how}{where}, as it does where memory ends; run this scan alone, or "
-            f"with larger voxels. What it printed is in {self._logs / worker}.log."
+        why = BATCH_PROCESS_ENDED.error(
+            "the process that ran it {how}{place}, as it does where memory ends; run this scan alone, or "
+            "with larger voxels. Its output is in {log}.",
+            how=how,
+            place=where,
+            log=f"{self._logs / worker}.log",
         )
-        self._given_up.append(Record(claim.number, "", FAILED, why, worker=worker, attempt=claim.attempt))
+        self._given_up.append(
+            Record(
+                claim.number, "", FAILED, str(why), worker=worker, attempt=claim.attempt, diagnostics=(why,)
+            )
+        )
         self._ended.add(claim.number)
         return True

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from pipeline.batch.admission import Admission, Needs
 from pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
-from pipeline.batch.codes import BATCH_WORKER_STOPPED
+from pipeline.batch.codes import BATCH_SCAN_STUCK, BATCH_WORKER_STOPPED
 from pipeline.batch.heartbeat import Heartbeat, Watch, name_of_worker
 from pipeline.batch.process import Message, Process
 from pipeline.batch.queue import Queue
@@ -263,7 +263,9 @@ class Worker:
                 self._free(slot, 0)
                 why = self._why_ended(work)
                 job, attempt = work.job, work.claim.attempt
-                self._end(Record(job.number, job.name, FAILED, why, work.seconds, self.name, attempt))
+                self._end(
+                    Record(job.number, job.name, FAILED, str(why), work.seconds, self.name, attempt, (why,))
+                )
 
     def _lost(self, slot: Slot, work: Work) -> None:
         """Leave a job to who has taken it over: what becomes of it is theirs to say."""
@@ -281,17 +283,21 @@ class Worker:
         with suppress(StageError):
             Cache(self._queue.cache).remove_abandoned()
 
-    def _why_ended(self, work: Work) -> str:
+    def _why_ended(self, work: Work) -> Diagnostic:
         if work.is_waiting:
-            return (
-                f"it waited {self._timeout:g} s for another run that is working into "
-                f"{self._queue.results_of(work.job)}, and was ended; end that one, and run the batch again."
+            return BATCH_SCAN_STUCK.error(
+                "it waited {seconds:g} s for another run that is working into {folder}, and was ended",
+                remedy="end that one, and run the batch again.",
+                seconds=self._timeout,
+                folder=self._queue.results_of(work.job),
             )
         where = f"in {work.stage}" if work.stage else "while its files were read"
-        return (
-            f"it got no further {where} for {self._timeout:g} s and was ended; see whether the drive of its "
-            "files answers, or give a longer --timeout, and run the batch again: it goes on from what is in "
-            "the cache."
+        return BATCH_SCAN_STUCK.error(
+            "it got no further {place} for {seconds:g} s and was ended",
+            remedy="see whether the drive of its files answers, or give a longer --timeout, and run the "
+            "batch again: it goes on from what is in the cache.",
+            place=where,
+            seconds=self._timeout,
         )
 
     def _free(self, slot: Slot, written: int) -> None:

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 from stages.diagnostics.codes import USAGE_VALUE_INVALID
+from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import check, param
 
@@ -50,8 +51,8 @@ def bytes_of(text: str, name: str) -> int:
     if found is None or (not found[2] and float(found[1]) >= _BYTES_MEANT):
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "{name} is {text!r}; it must be a size such as 500 MB, 20 GB or 1.5 TB.",
-            name=name,
+            "is {text!r}; it must be a size such as 500 MB, 20 GB or 1.5 TB.",
+            Where(parameter=name),
             text=text[:40],
         )
     return round(float(found[1]) * _UNITS[(found[2] or "mb").lower()])

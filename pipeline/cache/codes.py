@@ -13,8 +13,5 @@ which speaks of a
 bad disk. A cache that may only be read is used as it is. `scanloom cache verify` looks at all entries,
 `scanloom cache prune` removes old ones; deleting the whole folder only costs time.
 """,
-    (
-        "…: a folder of the cache is expected here, and this is a link or a file; "
-        "remove it, or keep the whole cache elsewhere (SCANLOOM_CACHE)."
-    ),
+    ("the cached result of fuse is damaged (fused.ply has 10 bytes instead of 2,045); it is made anew."),
 )

@@ -13,7 +13,10 @@ from stages.printing import at_most, place_in_words
 def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return what report.json says, warnings first, as `one_file` takes it."""
     scan, ran = report.get("scan", {}), report.get("stages", {})
-    figures = [*scan.get("diagnostics", []), *(one for about in ran.values() for one in about["diagnostics"])]
+    figures = [
+        *scan.get("diagnostics", []),
+        *(one for about in ran.values() for one in about.get("diagnostics", [])),
+    ]
     warnings = [str(Diagnostic.from_figures(one)) for one in figures if one["severity"] != Severity.INFO]
     tables = []
     if ran:

@@ -11,10 +11,10 @@ from pipeline.cache.store import Cache
 from pipeline.graph import STAGES
 from pipeline.report.file_names import REPORT
 from pipeline.run.asked import Asked
+from pipeline.run.codes import REPORT_NO_RUN
 from pipeline.run.events import Events, unwatched
 from pipeline.run.run import RunResult, cache_folder, run
 from stages.diagnostics.errors import InputError
-from stages.inspecting.codes import COVERAGE_LIMITED
 
 
 def run_again(
@@ -47,7 +47,7 @@ def run_again(
     folder = asked.scan if scan is None else scan
     if not folder.exists():
         raise InputError(
-            COVERAGE_LIMITED,
+            REPORT_NO_RUN,
             (
                 "the scan that these results were made from is not there any more; say with "
                 "--scan where it is."
@@ -63,22 +63,22 @@ def run_again(
 
 def _asked(out: Path, cache_dir: Path | None) -> Asked:
     if not out.exists():
-        raise InputError(COVERAGE_LIMITED, "there is no such folder", out, remedy="give the OUT of a run.")
+        raise InputError(REPORT_NO_RUN, "there is no such folder", out, remedy="give the OUT of a run.")
     if not out.is_dir():
-        raise InputError(COVERAGE_LIMITED, "this is a file", out, remedy="give the OUT of a run, a folder.")
+        raise InputError(REPORT_NO_RUN, "this is a file", out, remedy="give the OUT of a run, a folder.")
     cache = cache_folder(out.resolve(), cache_dir)
     record = Cache(cache).latest_run(out.resolve()) if cache.is_dir() else {}
     asked = Asked.of(record.get("asked"))
     if asked is None and not (out / REPORT).is_file():
         raise InputError(
-            COVERAGE_LIMITED,
+            REPORT_NO_RUN,
             "no run has left its results here",
             out,
             remedy="give the OUT of `scanloom run`.",
         )
     if asked is None:
         raise InputError(
-            COVERAGE_LIMITED,
+            REPORT_NO_RUN,
             "the cache {cache} does not tell how this was made",
             out,
             remedy="name that of the run with --cache, or run `scanloom run` once more.",
@@ -86,7 +86,7 @@ def _asked(out: Path, cache_dir: Path | None) -> Asked:
         )
     if not (out / "clean.ply").is_file():
         raise InputError(
-            COVERAGE_LIMITED,
+            REPORT_NO_RUN,
             "there is no clean.ply: the run has not come so far; finish it with `scanloom run`.",
             out,
         )

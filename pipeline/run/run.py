@@ -228,11 +228,14 @@ def _photos(config: Config, scan: Scan) -> Scan | None:
     """Return the photos that the texture is made from in place of the frames', in the world of the scan."""
     if config.texture.images is None:
         return None
-    photos = read_scan(config.texture.images, config.photos, complete=False)
+    with collecting(forward=False) as diagnostics:
+        photos = read_scan(config.texture.images, config.photos, complete=False)
     if not photos.is_metric and scan.scale is not None:
-        # Their world is the scan's: what a unit of it is, is known.
+        # Their world is the scan's, whose unit is known.
         known = replace(config.photos, scale=scan.scale.metres_per_unit)
         photos = read_scan(config.texture.images, known, complete=False)
+    else:
+        emit(*diagnostics)
     require_complete(photos, Path(config.texture.images), posed=True)
     return photos
 

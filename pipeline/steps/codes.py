@@ -11,8 +11,8 @@ LEVELS_NOISE_UNKNOWN = Code(
 A warning: no two frames show the same, or there are none. `lod.base_error` states it.
 """,
     (
-        "the frames do not tell how exact their depth is; the finest level is the "
-        "clean mesh itself, and lod.base_error gives another."
+        "the noise of the frames' depth cannot be estimated; the finest level is the clean mesh "
+        "itself; lod.base_error gives another."
     ),
 )
 LEVELS_MESH_LARGE = Code(
@@ -25,9 +25,8 @@ the simplified one in the second; how far that is off as measured stands in repo
 `to_clean`.
 """,
     (
-        "the clean mesh is too large for levels of its own: they begin with the "
-        "simplified mesh, proven to be within … m of it, which counts in what is "
-        "proven of each."
+        "the clean mesh is too large for levels of its own: they begin with the simplified mesh, "
+        "proven to be within 0.002 m of it, which is part of the bound of each level."
     ),
 )
 USAGE_STAGE_SKIPPED = Code(

@@ -13,7 +13,10 @@ Run the same command with `--debug`, which shows where it happened, and report t
 input that
 ends so is a bug, too.
 """,
-    "This is a bug in scanloom (…). Please report it with what --debug adds to the same command.",
+    (
+        "This is a bug in scanloom (IndexError: list index out of range). Please report it with "
+        "what --debug adds to the same command."
+    ),
 )
 MACHINE_LIBRARY_MISSING = Code(
     "machine.library-missing",
@@ -21,7 +24,10 @@ MACHINE_LIBRARY_MISSING = Code(
     """
 The sentence names the library, and on Debian and Ubuntu its package. `scanloom doctor` tells what is there.
 """,
-    "Open3D cannot be imported: the system library … is missing.…",
+    (
+        "Open3D cannot be imported: the system library libGL.so.1 is missing. On Debian and Ubuntu:"
+        " apt-get install libgl1."
+    ),
 )
 MACHINE_BUSY = Code(
     "machine.busy",
@@ -31,7 +37,7 @@ Two runs into one folder take turns: the second waits. A file that changes while
 scan that is
 still being copied or recorded: run again when it is complete.
 """,
-    "… changed while it was being read; run again when it is complete.",
+    "kitchen/depth/000123.png changed while it was being read; run again when it is complete.",
 )
 MACHINE_OUT_OF_MEMORY = Code(
     "machine.out-of-memory",
@@ -47,7 +53,7 @@ at the same time (`depth.threads=1`), and large textures (`texture.max_size`). `
 tells how much
 to expect.
 """,
-    "There is not enough memory; ….",
+    "fuse failed: the memory is used up.",
 )
 MACHINE_DISK_FAILED = Code(
     "machine.disk-failed",
@@ -69,7 +75,7 @@ CONFIG_UNREADABLE = Code(
 run.toml` writes one
 to begin with.
 """,
-    "…: the file is too large for a configuration.",
+    ("scan.toml: this is not TOML (Expected '=' after a key in a key/value pair (at line 3, column 8))."),
 )
 CONFIG_PARAMETER_UNKNOWN = Code(
     "config.parameter-unknown",
@@ -78,7 +84,7 @@ CONFIG_PARAMETER_UNKNOWN = Code(
 `scanloom config` prints every section and parameter as TOML. What comes nearest to the word that was
 given is named.
 """,
-    "…: there is no stage …; …",
+    "scan.toml: fuse has no parameter 'voxelsize'; did you mean voxel_size?",
 )
 USAGE_VALUE_INVALID = Code(
     "usage.value-invalid",
@@ -89,7 +95,7 @@ are metres. In a
 shell, quote what has spaces or stars. `none` gives a parameter that is derived from the data back to
 being derived.
 """,
-    "… is …; it must be of type ….",
+    "--voxel-size is 0 m; it must be more than 0 m.",
 )
 USAGE_ARGUMENT_INVALID = Code(
     "usage.argument-invalid",
@@ -99,7 +105,7 @@ Raised where arrays do not fit each other. Meshes have `vertices` (n, 3) in metr
 whole numbers,
 and `colors` (n, 3) of uint8; [the reference](../reference/python.md) has the shape of everything else.
 """,
-    "left and right are of different sizes: … and ….",
+    "left and right are of different sizes: 640×480 and 320×240.",
 )
 USAGE_OPTIONS_CONFLICT = Code(
     "usage.options-conflict",
@@ -108,5 +114,5 @@ USAGE_OPTIONS_CONFLICT = Code(
 One of the two options has no meaning without, or beside, the other. The help of the command says what
 each is for.
 """,
-    "… has no effect with …; leave it out.",
+    "--save-change needs --change.",
 )

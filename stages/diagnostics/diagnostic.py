@@ -97,7 +97,8 @@ class Diagnostic:
 
     def within(self, **parts: str | None) -> Diagnostic:
         """Return the diagnostic with some fields of its location replaced, such as `stage` or `section`."""
-        return replace(self, where=replace(self.where or Where(), **parts))
+        where = replace(self.where or Where(), **parts)
+        return replace(self, where=None if where == Where() else where)
 
     def figures(self) -> dict[str, Any]:
         """Return the diagnostic ready for JSON."""
@@ -173,6 +174,12 @@ class Code:
     ) -> Diagnostic:
         """Create a diagnostic of a requirement that is not reached; see `create`."""
         return self.create(Severity.UNMET, message, where, remedy, values)
+
+    def error(
+        self, message: str, /, where: Location = None, *, remedy: str = "", **values: Any
+    ) -> Diagnostic:
+        """Create an error that is kept and not raised; see `create`."""
+        return self.create(Severity.ERROR, message, where, remedy, values)
 
     def create(
         self, severity: Severity, message: str, where: Location, remedy: str, values: Mapping[str, Any]

@@ -107,7 +107,8 @@ def _block(h: Hierarchy, node: int, coordinates: np.dtype[Any]) -> bytes:
 def read_slod(path: Path | str) -> Hierarchy:
     """Read a hierarchy. Of a file that ends early, or is damaged on the way, the nodes before that are read.
 
-    Diagnostics of the mesh that the levels were built of are in the file, and are emitted again.
+    `Hierarchy.diagnostics` also has those of the mesh that the levels were built of, which the file holds.
+    Only those of the file itself are emitted.
 
     Raises
     ------
@@ -138,7 +139,7 @@ def read_slod(path: Path | str) -> Hierarchy:
     try:
         with collecting() as diagnostics:
             hierarchy = _read(data, _HEADER.size + size, json.loads(text), path)
-        return replace(hierarchy, diagnostics=tuple(diagnostics))
+        return replace(hierarchy, diagnostics=(*hierarchy.diagnostics, *diagnostics))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(
             LEVELS_FILE_DAMAGED,
@@ -187,7 +188,6 @@ def _read(data: bytes, at: int, tree: dict[str, Any], path: Path) -> Hierarchy:
         raise ValueError("its root is not whole")
     hierarchy = _joined(tree, columns, sizes, roots, parts)
     _require_sound(hierarchy)
-    emit(*map(_diagnostic, tree["diagnostics"]))
     if len(parts) < count:
         emit(
             LEVELS_CUT_OFF.warning(
@@ -256,6 +256,7 @@ def _joined(
         base_shape_bound=float(tree["base_shape_bound"]),
         base_color_bound=float(tree["base_color_bound"]),
         input_triangles=_natural(tree["input_triangles"]),
+        diagnostics=tuple(map(_diagnostic, tree["diagnostics"])),
         dropped_islands=_natural(tree["dropped_islands"]),
         dropped_triangles=_natural(tree["dropped_triangles"]),
         up=_direction(tree["up"]) if "up" in tree else None,

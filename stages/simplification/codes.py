@@ -168,7 +168,16 @@ SIMPLIFY_ATTRIBUTES_LOST = Code(
 Warnings. Images are baked anew, unless `--no-bake` is given or the format holds none. `--keep-uv` keeps
 them. Normals and colours of corners are carried by `seams`.
 """,
-    ("simplify left out: texture; method seams carries it, and bake makes a new image from the old one."),
+    "model.obj: simplify left out: parts; method seams carries them.",
+)
+SIMPLIFY_TEXTURE_LEFT_OUT = Code(
+    "simplify.texture-left-out",
+    "A texture that is left out",
+    """
+A warning. The method works on the shape alone, and no new image was asked for. `--bake` bakes the images of
+the input anew, and `--keep-uv` keeps them with their texture coordinates.
+""",
+    "model.glb: simplify left out: texture; method seams carries it, and bake makes a new image.",
 )
 SIMPLIFY_IMAGES_KEPT = Code(
     "simplify.images-kept",

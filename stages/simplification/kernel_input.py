@@ -12,7 +12,11 @@ from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import UsageError
 from stages.progress import Progress
-from stages.simplification.codes import SIMPLIFY_ATTRIBUTES_LOST, USAGE_METHOD_MISMATCH
+from stages.simplification.codes import (
+    SIMPLIFY_ATTRIBUTES_LOST,
+    SIMPLIFY_TEXTURE_LEFT_OUT,
+    USAGE_METHOD_MISMATCH,
+)
 from stages.surface.color import attributes_of
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
@@ -24,7 +28,7 @@ Levels = NDArray[np.uint8]
 
 def texture_left_out(who: str) -> Diagnostic:
     """Return the warning of a function that leaves out the texture."""
-    return SIMPLIFY_ATTRIBUTES_LOST.warning(
+    return SIMPLIFY_TEXTURE_LEFT_OUT.warning(
         "{who} left out: texture",
         remedy="method seams carries it, and bake makes a new image from the old one.",
         who=who,

@@ -83,7 +83,7 @@ def _remeshed(mesh: Mesh, closed: bool, draw: random.Random) -> str:
     assert len(read.levels) == len(found.levels), "the file holds other levels"
     for made, held in zip(found.levels, read.levels, strict=True):
         assert_sound(made)
-        assert_same_bytes(made.with_(notes=()), held.with_(notes=()))
+        assert_same_bytes(made.with_(diagnostics=()), held.with_(diagnostics=()))
         if closed:
             assert border_edges(made) == 0, "a closed mesh got a border"
     return repr(found)

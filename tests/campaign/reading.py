@@ -53,8 +53,8 @@ def _scan(path: Path) -> str:
 
 
 def _calibration(path: Path) -> str:
-    rig, odd = read_rig(path, 32, 24)
-    return f"{rig}{odd}"
+    rig = read_rig(path, 32, 24)
+    return f"{rig}"
 
 
 def _trajectory(path: Path) -> str:

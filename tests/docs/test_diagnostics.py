@@ -45,10 +45,10 @@ def test_each_code_is_used():
 def test_messages_are_found_by_the_code_beside_them():
     found = list(diagnostics.find_messages())
     assert len(found) > 800
-    (empty,) = [
-        one for one in found if one.text == "the folder is empty." or one.text == "this is no folder."
-    ][:1] or [None]
-    assert empty is None or empty.constant in diagnostics.find_constants()
+    constants = {one.constant for one in found if one.text == "the folder is empty."}
+    constants |= {one.constant for one in found if one.text == "this is a folder"}
+    assert "FILE_PATH_INVALID" in constants
+    assert all("{" not in one.text for one in found if one.text.count("…") == 1)
 
 
 @pytest.mark.parametrize("page", diagnostics.TABLE)

@@ -67,7 +67,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             views = stages.compare_views(before, other, views=1, view_width=64)
         figures = figures_of(before, other, found, moved, views)
         names = ("before.ply", "<i>after</i>.ply")
-        page = page_of_comparison(names, (before, other), found, moved, figures, 5_000_000, silent)
+        page = page_of_comparison(names, (before, other), found, moved, figures, 5_000_000)
         written[name] = folder / f"{name}.html"
         written[name].write_bytes(page)
     return written

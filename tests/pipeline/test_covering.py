@@ -158,7 +158,7 @@ def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> Non
     for wrong in ('{"places": 3}', '{"places": [{"why": "x"}]}', "[]"):
         (out / "coverage.json").write_text(wrong)
         with pytest.raises(InputError, match="not as a run writes it"):
-            page_of_run(out, 5_000_000, lambda text: None)  # noqa: ARG005
+            page_of_run(out, 5_000_000)
 
 
 def test_other_parameters_work_anew_and_the_next_run_without_takes_it_away(here: Path, ran: Path) -> None:

@@ -29,11 +29,9 @@ def guard(
     assignments: tuple[str, ...] = (),
     peak: int = 0,
     basis: str = "scaled",
-    warned: list[str] | None = None,
 ) -> LimitGuard:
     expected = {name: Expectation(1.0, need, basis, disk) for name, need in zip(STAGES, needs, strict=False)}
-    warn = [].append if warned is None else warned.append
-    return LimitGuard(limits, Config().set(assignments), expected, ("fuse", "clean"), warn, lambda: peak)
+    return LimitGuard(limits, Config().set(assignments), expected, ("fuse", "clean"), lambda: peak)
 
 
 def entry(size: int) -> Any:
@@ -82,19 +80,17 @@ def test_a_stage_that_takes_more_is_stopped(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("peak", "is_told"), [(400 * MB, False), (500 * MB, True)])
-def test_a_stage_that_took_more_as_it_ended_is_told(peak: int, is_told: bool):
-    warned: list[str] = []
-    guard(Limits(memory=400 * MB), 0, 0, 0, peak=peak, warned=warned).kept("fuse", entry(1))
+def test_a_stage_that_took_more_as_it_ended_is_told(peak: int, is_told: bool, warnings: list[str]):
+    guard(Limits(memory=400 * MB), 0, 0, 0, peak=peak).kept("fuse", entry(1))
     expected = "fuse has taken 500 MB of memory as it ended, more than the limit of 400 MB."
-    assert warned == ([expected] if is_told else [])
+    assert warnings == ([expected] if is_told else [])
 
 
-def test_what_the_page_took_is_told_once() -> None:
-    warned: list[str] = []
-    taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB, warned=warned)
+def test_what_the_page_took_is_told_once(warnings: list[str]) -> None:
+    taken = guard(Limits(memory=400 * MB), 0, 0, 0, peak=500 * MB)
     taken.ended("the page")
     taken.ended("the page")
-    assert warned == ["the page has taken 500 MB of memory as it ended, more than the limit of 400 MB."]
+    assert warnings == ["the page has taken 500 MB of memory as it ended, more than the limit of 400 MB."]
 
 
 @pytest.mark.parametrize(("share", "times"), [(1.0, "1.5"), (0.5, "2"), (0.25, "2.9"), (0.01, "2.9")])
@@ -104,18 +100,15 @@ def test_what_would_fit_is_told_by_the_share_that_was_done(tmp_path: Path, share
         taken.during("fuse", tmp_path, share)
 
 
-def test_what_only_the_size_of_the_scan_tells_is_a_warning():
-    warned: list[str] = []
+def test_what_only_the_size_of_the_scan_tells_is_a_warning(warnings: list[str]):
     needs = (0, 900 * MB, 0)
-    guard(Limits(memory=600 * MB, disk=MB), *needs, disk=MB, basis="estimated", warned=warned).before(
-        "adjust"
-    )
-    assert len(warned) == 2
-    assert warned[0].startswith(
+    guard(Limits(memory=600 * MB, disk=MB), *needs, disk=MB, basis="estimated").before("adjust")
+    assert len(warnings) == 2
+    assert warnings[0].startswith(
         "fuse is expected to take (by the scan's size) 900 MB of memory, more than the"
     )
-    assert "fuse.voxel_factor=1.5 would fit. This is an estimate; the stage is stopped" in warned[0]
-    assert warned[1].startswith("the run is expected to write 3 MB, and the limit leaves 1 MB of 1 MB")
+    assert "fuse.voxel_factor=1.5 would fit. This is an estimate; the stage is stopped" in warnings[0]
+    assert warnings[1].startswith("the run is expected to write 3 MB, and the limit leaves 1 MB of 1 MB")
     with pytest.raises(StageError, match="no voxel size fits"):
         guard(Limits(memory=200 * MB), *needs, basis="estimated").before("adjust")
 

@@ -87,7 +87,7 @@ from stages.area.area import area as measure
 
 def area(source: MeshFile, params: AreaParams, out: Output) -> None:
     """Measure the area of a mesh."""
-    out.result({"area_m2": measure(read_file(source, out), params)})
+    out.result({"area_m2": measure(read_file(source), params)})
 '''
 LINES = (
     ("pipeline/graph.py", "    clean,\n", "    area,\n    clean,\n"),

@@ -15,6 +15,7 @@ from page_content import shown
 
 from pipeline.evaluation.photos import write_photos
 from pipeline.report.page import page_of_mesh, page_of_run
+from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.scans.scan import Camera, Frame
 from stages.surface.formats.ply import write_ply
@@ -39,10 +40,6 @@ def out(tmp_path: Path) -> Path:
     return folder
 
 
-def silent(text: str) -> None:
-    raise AssertionError(text)
-
-
 def rewrite(path: Path, change: Any) -> None:
     document = json.loads(path.read_text())
     changed = change(document)
@@ -50,7 +47,7 @@ def rewrite(path: Path, change: Any) -> None:
 
 
 def test_cameras_and_photos_are_those_of_the_run(out: Path) -> None:
-    cameras = shown(page_of_run(out, 5_000_000, silent))["cameras"]
+    cameras = shown(page_of_run(out, 5_000_000))["cameras"]
     assert [one["frame"] for one in cameras] == [f"f{k}" for k in range(8)]
     photos = [one["photo"] for one in cameras if one["photo"]]
     assert len(photos) == 4
@@ -59,12 +56,13 @@ def test_cameras_and_photos_are_those_of_the_run(out: Path) -> None:
 
 
 def test_photos_leave_room_for_the_model(out: Path) -> None:
-    said: list[str] = []
     sizes = [path.stat().st_size for path in (out / "pictures" / "photos").iterdir()]
-    cameras = shown(page_of_run(out, 4 * (sum(sizes) - 1), said.append))["cameras"]
+    with collecting() as diagnostics:
+        cameras = shown(page_of_run(out, 4 * (sum(sizes) - 1)))["cameras"]
     assert sum(one["photo"] is not None for one in cameras) == 2
-    assert said[0].startswith("2 of the photos are left out of the page")
-    assert shown(page_of_run(out, 8, said.append))["cameras"][0]["photo"] is None
+    assert str(diagnostics[0]).startswith("2 of the photos are left out of the page")
+    with collecting():
+        assert shown(page_of_run(out, 8))["cameras"][0]["photo"] is None
 
 
 @pytest.mark.parametrize(
@@ -85,7 +83,7 @@ def test_nothing_else_gets_into_a_page_that_is_passed_on(out: Path, name: object
     (out / "pictures" / "photos" / "link.jpg").symlink_to(secret)
     rewrite(out / "pictures" / "cameras.json", lambda told: told["cameras"][0].update(photo=name))
     with pytest.raises(InputError, match=said):
-        page_of_run(out, 5_000_000, silent)
+        page_of_run(out, 5_000_000)
 
 
 @pytest.mark.parametrize("key", ["frame", "world_from_camera", "size", "fy", "photo"])
@@ -99,10 +97,10 @@ def test_damaged_cameras_are_one_sentence(out: Path, key: str, value: object) ->
 
     rewrite(out / "pictures" / "cameras.json", damaged)
     if key == "frame" and value is not ...:
-        assert shown(page_of_run(out, 5_000_000, silent))["cameras"][1]["frame"] == str(value)
+        assert shown(page_of_run(out, 5_000_000))["cameras"][1]["frame"] == str(value)
         return
     with pytest.raises(InputError, match=r"cameras\.json|pictures"):
-        page_of_run(out, 5_000_000, silent)
+        page_of_run(out, 5_000_000)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "7", '{"cameras": 7}', '{"cameras": [7]}', "[[[[]]]]"])
@@ -110,10 +108,10 @@ def test_damaged_cameras_are_one_sentence(out: Path, key: str, value: object) ->
 def test_damaged_documents_are_one_sentence(out: Path, name: str, text: str) -> None:
     (out / name).write_text(text)
     if name == "report.json" and text.startswith(('{"', "[]")):
-        page_of_run(out, 5_000_000, silent)  # nothing of a run is told in it
+        page_of_run(out, 5_000_000)  # nothing of a run is told in it
         return
     with pytest.raises(InputError, match=name):
-        page_of_run(out, 5_000_000, silent)
+        page_of_run(out, 5_000_000)
 
 
 @pytest.mark.parametrize(
@@ -122,10 +120,10 @@ def test_damaged_documents_are_one_sentence(out: Path, name: str, text: str) -> 
 def test_a_report_that_no_run_has_written_is_one_sentence(out: Path, report: object) -> None:
     (out / "report.json").write_text(json.dumps(report))
     with pytest.raises(InputError, match=r"report\.json"):
-        page_of_run(out, 5_000_000, silent)
+        page_of_run(out, 5_000_000)
 
 
 def test_a_mesh_has_a_page_of_its_own() -> None:
-    content = shown(page_of_mesh("thing", sheet(4), 5_000_000, silent))
+    content = shown(page_of_mesh("thing", sheet(4), 5_000_000))
     assert (content["title"], [one["name"] for one in content["models"]]) == ("thing", ["thing"])
     assert content["cameras"] == []

@@ -84,7 +84,7 @@ def silent(text: str) -> None:
 
 
 def test_without_a_report_the_page_measures_itself(out: Path) -> None:
-    page = page_of_run(out, 5_000_000, silent)
+    page = page_of_run(out, 5_000_000)
     looks = looks_of(page)
     assert list(looks) == ["result", "clean mesh", "deviation", "confidence", "vertex colours"]
     scale = looks["deviation"]["scale"]
@@ -99,7 +99,7 @@ def test_without_a_report_the_page_measures_itself(out: Path) -> None:
 
 
 def test_confidence_is_how_many_photos_show_a_place(out: Path) -> None:
-    page = page_of_run(out, 5_000_000, silent)
+    page = page_of_run(out, 5_000_000)
     look = looks_of(page)["confidence"]
     assert look["scale"]["marks"][-1] == 6
     assert (look["scale"]["low"], look["scale"]["high"]) == (-0.5, 6.5)
@@ -110,15 +110,15 @@ def test_confidence_is_how_many_photos_show_a_place(out: Path) -> None:
     # Half of the surface, by its area.
     assert look["scale"]["shares"][0] == pytest.approx(0.5, abs=0.05)
     (out / "texture_maps" / "count-1.png").unlink()
-    assert "confidence" not in looks_of(page_of_run(out, 5_000_000, silent))
+    assert "confidence" not in looks_of(page_of_run(out, 5_000_000))
 
 
 def test_what_the_report_measured_is_not_measured_again(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = deviations(sheet(N), light(), signed_samples=2000)
     write_deviations(out / "pictures", found)
-    again = looks_of(page_of_run(out, 5_000_000, silent))
+    again = looks_of(page_of_run(out, 5_000_000))
     monkeypatch.setattr(pipeline.report.page.stages, "deviations", silent)
-    assert looks_of(page_of_run(out, 5_000_000, silent))["deviation"] == again["deviation"]
+    assert looks_of(page_of_run(out, 5_000_000))["deviation"] == again["deviation"]
     kept, read = kept_of(found), read_deviations(out / "pictures")
     assert read is not None
     np.testing.assert_array_equal(read.quantiles, kept.quantiles)
@@ -130,7 +130,7 @@ def test_what_the_report_measured_is_not_measured_again(out: Path, monkeypatch: 
 
 def test_what_is_kept_of_another_result_is_not_shown(out: Path) -> None:
     write_deviations(out / "pictures", deviations(sheet(4), sheet(4), signed_samples=100))
-    assert looks_of(page_of_run(out, 5_000_000, silent))["deviation"]["scale"]["high"] > 1.5
+    assert looks_of(page_of_run(out, 5_000_000))["deviation"]["scale"]["high"] > 1.5
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_damaged_figures_are_one_sentence(out: Path, text: str) -> None:
     write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
     (out / "pictures" / FIGURES).write_text(text)
     with pytest.raises(InputError, match="pictures"):
-        page_of_run(out, 5_000_000, silent)
+        page_of_run(out, 5_000_000)
 
 
 CHANGES: dict[str, Callable[[Any], Any]] = {
@@ -158,14 +158,14 @@ def test_changed_figures_are_one_sentence(out: Path, change: Any) -> None:
     change(told)
     path.write_text(json.dumps(told))
     with pytest.raises(InputError, match="pictures"):
-        page_of_run(out, 5_000_000, silent)
+        page_of_run(out, 5_000_000)
 
 
 def test_a_mesh_without_its_deviations_is_one_sentence(out: Path) -> None:
     write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
     write_ply(out / "pictures" / MESH, light().with_(texture=None))
     with pytest.raises(InputError, match="no property `deviation`"):
-        page_of_run(out, 5_000_000, silent)
+        page_of_run(out, 5_000_000)
 
 
 def test_frames_are_marked_by_what_became_of_them(out: Path) -> None:
@@ -182,7 +182,7 @@ def test_frames_are_marked_by_what_became_of_them(out: Path) -> None:
         "placed": {"fuse": {"fused.ply": "c0ffee"}}, "scanloom": "9.9", "libraries": {"numpy": "2"},
     }  # fmt: skip
     (out / "report.json").write_text(json.dumps(report))
-    content = shown(page_of_run(out, 5_000_000, silent))
+    content = shown(page_of_run(out, 5_000_000))
     marks = {one["frame"]: one["mark"] for one in content["cameras"]}
     assert marks == {"f0": "", "f1": "fuse: its depth is damaged", "f2": "", "f3": "held out"}
     assert content["frames"] == "3 frames were read; 1 were held out, and compared; 2 were skipped."

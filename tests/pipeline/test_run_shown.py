@@ -6,22 +6,29 @@ import pytest
 
 from pipeline.run.engine import Outcome
 from pipeline.run.run import RunResult
+from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import UsageError
+from stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
 
 
-def outcome(stage: str, *, cached: bool, unmet: tuple[str, ...] = ()) -> Outcome:
+def outcome(stage: str, *, cached: bool, diagnostics: tuple[Diagnostic, ...] = ()) -> Outcome:
     made = {"seconds": 2.5}
-    return Outcome(stage, cached, "", 0.25, {}, {}, made, Path(), (), unmet)
+    return Outcome(stage, cached, "", 0.25, {}, {}, made, Path(), (), diagnostics)
 
 
 @pytest.fixture
 def result(tmp_path: Path) -> RunResult:
-    stages = (outcome("fuse", cached=True), outcome("<simplify>", cached=False, unmet=("no",)))
-    return RunResult(tmp_path / "o<u>t", tmp_path, stages, {"mesh": {"triangles": 1234}})
+    told = (SIMPLIFY_COUNT_NOT_REACHED.unmet("no"), SIMPLIFY_COUNT_NOT_REACHED.warning("odd"))
+    stages = (outcome("fuse", cached=True), outcome("<simplify>", cached=False, diagnostics=told))
+    report = {"mesh": {"triangles": 1234}}
+    return RunResult(tmp_path / "o<u>t", tmp_path, stages, report, diagnostics=told)
 
 
 def test_it_prints_as_a_line(result):
-    assert repr(result) == f"RunResult({result.out}, 2 stages, 1 cached, 1,234 triangles, 1 unmet wish)"
+    assert (
+        repr(result)
+        == f"RunResult({result.out}, 2 stages, 1 cached, 1,234 triangles, 1 requirement not reached)"
+    )
     early = RunResult(result.out, result.cache, result.stages[:1], {"mesh": None})
     assert repr(early) == f"RunResult({result.out}, 1 stage, 1 cached)"
 

@@ -25,10 +25,10 @@ CAMERA = Camera(8, 6, 5.0, 5.0, 3.5, 2.5)
 
 def test_a_report_says_whether_metres_are_metres(tmp_path: Path) -> None:
     scan = Scan("colmap", [], is_metric=False)
-    said = compose(scan, (), {}, tmp_path)["scan"]
+    said = compose(scan, (), (), {}, tmp_path)["scan"]
     assert (said["metric"], said["scale"]) == (False, None)
     metric = replace(scan, is_metric=True, scale=Scale(0.3, "given"))
-    said = json.loads(json.dumps(compose(metric, (), {}, tmp_path)["scan"]))
+    said = json.loads(json.dumps(compose(metric, (), (), {}, tmp_path)["scan"]))
     assert said["metric"]
     assert said["scale"] == {"metres_per_unit": 0.3, "source": "given", "spread_share": None}
 
@@ -47,7 +47,7 @@ def test_a_page_has_its_lengths_in_that_unit(tmp_path: Path) -> None:
     for name in ("simplified", "clean"):
         write_ply(tmp_path / f"{name}.ply", sheet(4))
     (tmp_path / "report.json").write_text(json.dumps({"scan": {"metric": False}}))
-    page = page_of_run(tmp_path, 5_000_000, lambda text: None)  # noqa: ARG005
+    page = page_of_run(tmp_path, 5_000_000)
     assert b'"unit": "units"' in page
     assert b'"unit": "mm"' not in page
 

@@ -29,6 +29,6 @@ for name, control in controls.items():
         print(f"{name}: {error}")
         continue
     print(f"{name}: {len(light.mesh.triangles)} triangles, stopped by {light.stopped_by}")
-    print(*light.mesh.notes, sep="\n")
+    print(*light.diagnostics, sep="\n")
     write_mesh(f"{name}.ply", light.mesh)
     np.savez(f"{name}.npz", vertex_source=light.vertex_source, triangle_source=light.triangle_source)

@@ -6,7 +6,7 @@ from pathlib import Path
 from stages import MeshError, StageError, UsageError, read_mesh, write_mesh
 
 mesh = read_mesh(sys.argv[1])
-print(*mesh.notes, sep="\n")
+print(*mesh.diagnostics, sep="\n")
 for ending in ("ply", "obj", "off", "stl", "glb", "gltf"):
     folder = Path(ending)
     folder.mkdir()
@@ -16,5 +16,5 @@ for ending in ("ply", "obj", "off", "stl", "glb", "gltf"):
     except (MeshError, StageError, UsageError) as error:
         print(f"{ending}: {error}")
         continue
-    print(ending, *back.notes, sep="\n")
+    print(ending, *back.diagnostics, sep="\n")
     write_mesh(folder / "back.ply", back)

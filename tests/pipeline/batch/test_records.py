@@ -8,11 +8,14 @@ import pytest
 
 from pipeline.batch.claims import Claim
 from pipeline.batch.records import DONE, FAILED, Record, Records
+from stages.diagnostics.codes import MACHINE_BUG
+
+ODD = MACHINE_BUG.warning("odd: {count}", "a.png", remedy="look", count=3).within(stage="fuse")
 
 
 def test_a_record_is_read_as_it_was_written(tmp_path: Path):
     records = Records(tmp_path)
-    record = Record(3, "späße", DONE, "", 1.5, "w", 1, ("odd",), {"frames": 3, "voxel_size_m": None})
+    record = Record(3, "späße", DONE, "", 1.5, "w", 1, (ODD,), {"frames": 3, "voxel_size_m": None})
     records.write(record)
     assert records.ended() == {3: Claim(3, 1)}
     assert records.read(records.ended().values()) == [record]
