@@ -127,14 +127,14 @@ def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
 
 
 def _given(cls: type, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of a class whose options were given, those of nested classes as mappings."""
+    """Return the values whose options were given; a nested class is a mapping."""
     found = {name: values[name] for name in described(cls) if values.get(name) is not None}
     below = {name: _given(own, values) for name, own in find_nested(cls).items()}
     return {**found, **{name: own for name, own in below.items() if own}}
 
 
 def _pick(params: Any, names: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of these fields, those of nested classes as mappings."""
+    """Return the values of these fields; a nested class is a mapping."""
     return {
         name: _pick(getattr(params, name), below) if isinstance(below, dict) else getattr(params, name)
         for name, below in names.items()
@@ -175,7 +175,7 @@ def _bounds(about: Described) -> str:
 
 
 def _options(cls: type) -> list[inspect.Parameter]:
-    """Return an option for each parameter; those of nested classes go by their own names.
+    """Return an option for each parameter, named after the last part of its name.
 
     Raises
     ------

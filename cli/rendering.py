@@ -9,7 +9,7 @@ from stages.diagnostics.diagnostic import Diagnostic
 
 
 def option_name(field_name: str) -> str:
-    """Return how a field, such as `ratio` or `planar.crease_angle`, is called on the command line."""
+    """Return the option of a field, such as `ratio` or `planar.crease_angle`."""
     return "--" + field_name.rpartition(".")[2].replace("_", "-")
 
 

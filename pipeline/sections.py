@@ -298,7 +298,7 @@ def _number(word: str) -> Any:
 
 
 def _canonicalise(params: Any, section: str) -> dict[str, Any]:
-    """Return the parameters that decide a result as JSON values, those of nested sections as objects."""
+    """Return the parameters that decide a result as JSON values; a nested section is an object."""
     cls = type(params)
     hints = hints_of(cls)
     values: dict[str, Any] = {

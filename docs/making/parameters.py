@@ -51,7 +51,7 @@ def entries_of(params: Any) -> Iterator[tuple[str, Described, str]]:
     """Return name, description and facts (kind, unit, range, default) of each parameter of an object."""
     cls = type(params)
     for name, about in describe_all(cls).items():
-        # A default is what stands in the object: a section may have another than the class it is of.
+        # The default is the value of the object: a section may have another default than its class.
         yield name, about, facts_of(about, get_value(params, name), get_hint(cls, name))
 
 

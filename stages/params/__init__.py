@@ -2,7 +2,7 @@
 
 A stage's frozen parameter class is the one source for its Python signature, the command's options and
 help, the keys of the config file and the reference page. Every field carries its text, unit and range.
-Parameters that one of several methods has are a class of their own, nested as a field of the stage's class.
+Parameters of one of several methods are a separate class, nested as a field of the stage's class.
 """
 
 from __future__ import annotations

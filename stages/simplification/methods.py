@@ -1,8 +1,8 @@
 """The table of methods: what each needs and takes, its parameters, its call, and what it has to tell.
 
-A new method is a folder beside this file, a row below, and a field of SimplifyParams if it has parameters
-of its own. The help of `method` and what `auto` refuses are made from the rows. Type checkers read no tables:
-for them `keywords.py` lists what `simplify` takes for each method.
+A new method is a folder next to this file and a row below. If it has parameters that no other method has,
+they are a field of SimplifyParams. The help of `method` and the choice of `auto` follow from the rows. Type
+checkers read no tables: for them `keywords.py` lists the keywords of `simplify` for each method.
 """
 
 from __future__ import annotations
@@ -103,11 +103,11 @@ class Method(Generic[P, D]):
         return version
 
     def knows(self, name: str) -> bool:
-        """Return whether it has a parameter, such as `max_shape` or `planar.crease_angle`."""
+        """Tell if the method has a parameter, such as `max_shape` or `planar.crease_angle`."""
         return name in self.shared or name.startswith(f"{self.name}.")
 
     def own(self, params: Any) -> Any:
-        """Return from SimplifyParams those that it alone has."""
+        """Return the parameters that only this method has."""
         return None if self.params is None else getattr(params, self.name)
 
 

@@ -1,4 +1,4 @@
-"""Parameters of `simplify`: those that methods share, and those of each method in a class of its own."""
+"""Parameters of `simplify`: shared ones, and one nested class for each method."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SimplifyParams(SharedParams):
     """Parameters of `simplify`.
 
     Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first ends the work.
-    The parameters that only one method has are in the field of its name; a change there asks for the method.
+    The field of a method has the parameters that no other method has; a change there asks for the method.
     """
 
     method: str = param(

@@ -141,8 +141,8 @@ def simplify(
         are one; where that is no oriented manifold, the surface is split into sheets, which stay as they are
         where they touch, and a warning says so. Vertices without triangles and triangles that name a vertex
         twice are left out.
-    params : SimplifyParams; single fields can be given by name instead, those of one method as an object or a
-        dict: `planar={"crease_angle": 30}`. `triangles` or `ratio`, and bounds,
+    params : SimplifyParams; single fields can be given by name instead, and fields of one method as a dict:
+        `planar={"crease_angle": 30}`. `triangles` or `ratio`, and bounds,
         `max_shape` (metres) and `max_color` (8-bit levels), say how far: whichever comes first. `drop_below`
         (metres) removes small components and holes first, and `dropped` of the result says which; a record
         begins with the mesh after that.

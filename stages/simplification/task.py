@@ -22,7 +22,7 @@ class Task(Generic[P]):
     Attributes
     ----------
     mesh : what is to be made light; checked, as it was given.
-    params : those that only this method has; None if there are none.
+    params : parameters that no other method has; None without any.
     triangles : stop when at most this many are left; None if no number is wanted.
     max_shape, max_color, attribute_scale, fit : see SharedParams.
     lock : (n,) bool, vertices that stay.

@@ -307,7 +307,7 @@ class DepthParams:
         return pairs < SEVERAL and volume <= _LARGEST_VOLUME and not self.find_idle(_OF_OTHERS)
 
     def find_idle(self, names: Collection[str]) -> list[str]:
-        """Return which of these parameters, or of those of these sections, were set."""
+        """Return the parameters with these names, or in sections of these names, that were set."""
         return [name for name in find_changed(self) if name.partition(".")[0] in names]
 
     def require_default(self, names: Collection[str], place: str) -> None:
