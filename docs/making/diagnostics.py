@@ -150,7 +150,9 @@ def find_codes() -> list[Code]:
     for path in _sources():
         if path.name == "codes.py":
             importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
-    return list(declared_codes().values())
+    # Not in the order in which modules happened to be imported.
+    codes = declared_codes()
+    return [codes[name] for name in find_constants().values()]
 
 
 def find_constants() -> dict[str, str]:
@@ -207,7 +209,7 @@ def write_page(name: str) -> str:
     page = TABLE[name]
     codes = [one for topic in page.topics for one in find_codes() if one.name.partition(".")[0] == topic]
     sections = [
-        f"## {one.title}\n\n`{one.name}`\n\n```text\n{one.example}\n```\n\n{one.explanation.strip()}\n"
+        f"## {one.title}\n\n**{one.name}**\n\n```text\n{one.example}\n```\n\n{one.explanation.strip()}\n"
         for one in codes
     ]
     return "\n".join([f"# {page.title}\n\n{page.text}\n", *sections])
