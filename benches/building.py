@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame, Pose
+from stages.scans.model.scan import Camera, Frame, Pose
 
 Floats = NDArray[np.float64]
 

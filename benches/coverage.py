@@ -40,9 +40,9 @@ from stages.inspecting.coverage.coverage import coverage
 from stages.inspecting.coverage.evidence import measured_by
 from stages.inspecting.coverage.kinds import THIN
 from stages.inspecting.coverage.views import read_view
-from stages.scans.images import read_depth
+from stages.scans.model.images import read_depth
+from stages.scans.model.scan import Frame, Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Frame, Scan
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.pieces import Pieces, table_of
 from stages.surface.piecewise import Piecewise

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.fusion.fuse import fuse
+from stages.scans.model.scan import Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.raycasting import Surface
 

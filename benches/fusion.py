@@ -29,9 +29,9 @@ import numpy as np
 from stages._open3d import open3d
 from stages.comparing.compare import compare
 from stages.fusion.fuse import fuse
-from stages.scans.images import read_color, read_depth
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.scan import Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh

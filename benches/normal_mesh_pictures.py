@@ -14,7 +14,7 @@ from stages.comparing.distance_map import distance_map
 from stages.normal_meshes.normal_mesh import NormalMesh
 from stages.picturing.render import Model, write_png
 from stages.picturing.viewpoints import Viewpoint
-from stages.scans.scan import ColorImage
+from stages.scans.model.scan import ColorImage
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
 

@@ -31,8 +31,8 @@ from open3d_images import legacy_camera, legacy_image, read_images
 
 from stages._open3d import open3d
 from stages.registration.odometry import one_thread_each
-from stages.scans.poses import inverted
-from stages.scans.scan import Camera, Frame, Pose
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Camera, Frame, Pose
 
 _FRAGMENT_FRAMES = 100
 _KEY_FRAMES_EVERY = 5

@@ -13,7 +13,7 @@ from open3d_images import read_images
 
 from stages._open3d import open3d
 from stages.registration.odometry import one_thread_each
-from stages.scans.scan import Frame, Pose
+from stages.scans.model.scan import Frame, Pose
 
 # Metres.
 _VOXEL, _NEAREST, _FARTHEST, _REACH = 0.0058, 0.1, 3.0, 0.07

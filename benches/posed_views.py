@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
 from stages.fusion.fuse import fuse
-from stages.scans.images import read_color, read_depth, read_seen
-from stages.scans.poses import inverted
+from stages.scans.model.images import read_color, read_depth, read_seen
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Frame, Scan, pinhole
 from stages.scans.read import read_scan
-from stages.scans.scan import Frame, Scan, pinhole
 from stages.stereo.agreement import agreeing_views
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.posed_views import posed_views

@@ -47,10 +47,10 @@ from stages.fusion.fuse import fuse
 from stages.registration.motion import angle
 from stages.registration.register import register
 from stages.registration.registered import Registration
-from stages.scans.formats.trajectories import read_tum
-from stages.scans.poses import inverted
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Frame, Pose
 from stages.scans.read import read_scan
-from stages.scans.scan import Frame, Pose
+from stages.scans.trajectory.files import read_tum
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.surface.mesh import Mesh
 

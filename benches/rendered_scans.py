@@ -26,9 +26,9 @@ from markdown_tables import print_head, print_row
 from pipeline.config import Config
 from pipeline.run.run import run
 from stages.comparing.seen import seen_from
-from stages.scans.images import read_photo
+from stages.scans.model.images import read_photo
+from stages.scans.model.scan import ColorImage
 from stages.scans.read import read_scan
-from stages.scans.scan import ColorImage
 from stages.surface.color import color_at
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh_files import read_mesh

@@ -19,8 +19,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stages.scans.model.scan import Camera, StereoRig
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, StereoRig
 from stages.stereo.depth import depth, depth_scan
 from stages.stereo.disparity import stereo_disparity
 

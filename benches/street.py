@@ -21,9 +21,9 @@ from stages._open3d import open3d
 from stages.fusion.fuse import fuse
 from stages.picturing.render import render, write_png
 from stages.picturing.viewpoints import Viewpoint
-from stages.scans.images import read_color, read_right
+from stages.scans.model.images import read_color, read_right
+from stages.scans.model.scan import Camera, Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.surface.mesh import Mesh
 from stages.surface.topology import topology

@@ -31,9 +31,9 @@ from pipeline.run.run import RunResult, run
 from stages._open3d import open3d
 from stages.comparing.left_out import left_out
 from stages.progress import silent
+from stages.scans.model.scan import Frame, Scan
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
-from stages.scans.scan import Frame, Scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Image, Material, Mesh, Texture
 from stages.surface.mesh_files import read_mesh

@@ -23,9 +23,9 @@ from markdown_tables import print_head, print_row
 
 from stages.fusion.fuse import fuse
 from stages.fusion.upsampling import upsampled
-from stages.scans.images import read_color, read_depth
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.scan import Camera, Frame, Scan, scaled
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Scan, scaled
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 

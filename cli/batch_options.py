@@ -85,7 +85,7 @@ def worker_of(
     """Return the worker that options come to."""
     from pipeline.batch.sizing import expected_needs, jobs_at_once, memory_to_use
     from pipeline.batch.worker import Worker
-    from stages.scans.threads import threads_to_use
+    from stages.scans.model.threads import threads_to_use
 
     cores = threads_to_use()
     there = memory if memory is not None else memory_to_use()

@@ -36,7 +36,7 @@ from pipeline.steps import (
     tiles,
     upright,
 )
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 from stages.stereo.depth import DepthParams
 
 STAGES: tuple[AnyStage, ...] = (

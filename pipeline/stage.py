@@ -11,7 +11,7 @@ from pipeline.cache.entry import Entry, Recipe
 from pipeline.expectation import Cost
 from pipeline.sections import Sections
 from stages.progress import Progress
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 
 Inputs = TypeVar("Inputs")
 Params = TypeVar("Params")

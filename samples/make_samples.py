@@ -25,7 +25,7 @@ from scene import Scene
 from sensors import measure_depth, photograph
 
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame, Pose, StereoRig
+from stages.scans.model.scan import Camera, Frame, Pose, StereoRig
 from stages.surface.formats.ply import write_ply
 
 SEED = 7

@@ -49,9 +49,9 @@ if TYPE_CHECKING:
     from stages.registration.params import RegisterParams
     from stages.registration.register import register
     from stages.registration.registered import Registration
+    from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
     from stages.scans.params import ScanParams
     from stages.scans.read import read_scan
-    from stages.scans.scan import Camera, Frame, Scan, StereoRig
     from stages.simplification.certified.params import CertifiedParams
     from stages.simplification.jia01.params import Jia01Params
     from stages.simplification.planar.params import PatchParams, PlanarParams
@@ -118,7 +118,7 @@ _NAMES_OF = {
     "registration.registered": ("Registration",),
     "scans.params": ("ScanParams",),
     "scans.read": ("read_scan",),
-    "scans.scan": ("Camera", "Frame", "Scan", "StereoRig"),
+    "scans.model.scan": ("Camera", "Frame", "Scan", "StereoRig"),
     "simplification.certified.params": ("CertifiedParams",),
     "simplification.jia01.params": ("Jia01Params",),
     "simplification.planar.params": ("PatchParams", "PlanarParams"),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.scans.poses import inverted
+from stages.scans.model.poses import inverted
 from stages.surface.mesh import Mesh
 from stages.surface.topology import topology
 

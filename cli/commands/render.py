@@ -27,8 +27,8 @@ from stages.picturing.turntable import turntable
 from stages.picturing.video import CODECS, write_video
 from stages.picturing.viewpoints import looking_at, up_or_own
 from stages.progress import Progress
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import ColorImage
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import ColorImage
 from stages.surface.upright import direction_of
 
 _PICTURE, _VIDEO = ".png", ".mp4"

@@ -21,8 +21,8 @@ import numpy as np
 from pipeline.stage import Artifact
 from stages.adjusting.adjusted import Adjusted
 from stages.frames.rigid_pose import require_rigid_pose
-from stages.scans.formats.trajectories import write_tum
-from stages.scans.scan import Camera, Frame, Scan
+from stages.scans.model.scan import Camera, Frame, Scan
+from stages.scans.trajectory.files import write_tum
 
 _FILE = "cameras.json"
 

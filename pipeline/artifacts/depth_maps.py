@@ -25,10 +25,10 @@ from pipeline.stage import Artifact
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.prefetch import read_ahead
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.scans.model.threads import threads_to_use
 from stages.scans.read import read_scan
-from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
-from stages.scans.threads import threads_to_use
 from stages.stereo.completed_scan import completed_scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.stereo.views_depth import views_depth

@@ -10,7 +10,7 @@ from pipeline.cache.digest import ScanDigest, digest, scan_digest
 from pipeline.cache.entry import Recipe
 from pipeline.stage import Context
 from stages.fusion.bricks import Cube
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 
 
 class KeptBricks:

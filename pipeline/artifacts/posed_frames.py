@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pipeline.artifacts.adjusted_cameras import AdjustedCameras
 from pipeline.artifacts.depth_maps import DepthMaps
 from pipeline.artifacts.poses import Poses
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 
 
 def load_frames(frames: Scan | DepthMaps) -> Scan:

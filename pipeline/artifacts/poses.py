@@ -27,9 +27,9 @@ from stages.files.image_bytes import encoded_gray_png
 from stages.frames.matching_color import read_matching_color
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.registration.registered import Registration
-from stages.scans.formats.trajectories import write_tum
-from stages.scans.images import read_depth
-from stages.scans.scan import ColorImage, Frame, Scan
+from stages.scans.model.images import read_depth
+from stages.scans.model.scan import ColorImage, Frame, Scan
+from stages.scans.trajectory.files import write_tum
 from stages.surface.formats.ply import write_ply_cloud
 
 # Points in the cloud: enough to judge the poses by.

@@ -25,7 +25,7 @@ from pipeline.batch.records import FAILED, Record, Records
 from pipeline.batch.told import Counted, JobEnded, Noted, Tell, untold
 from pipeline.failures import explained
 from stages.diagnostics.errors import InputError, StageError, UsageError
-from stages.scans.threads import environment_of
+from stages.scans.model.threads import environment_of
 
 # Systems that dask-jobqueue starts workers by, and its classes.
 SYSTEMS = {

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from stages.scans.threads import environment_of
+from stages.scans.model.threads import environment_of
 
 # Where the packages lie that are imported, installed or not: what is there goes before all else.
 _ROOT = Path(__file__).parents[2]

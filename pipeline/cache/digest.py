@@ -23,9 +23,9 @@ from stages.diagnostics.codes import MACHINE_BUSY
 from stages.diagnostics.errors import StageError
 from stages.files.opening import opened
 from stages.progress import Progress, silent
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import Frame, Packed, Scan
-from stages.scans.threads import threads_to_use
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import Frame, Packed, Scan
+from stages.scans.model.threads import threads_to_use
 
 # Few stages look at these, or none: names and times are shown to people. See `label_digests`.
 _DIGESTED_APART = frozenset({"name", "timestamp", "up"})

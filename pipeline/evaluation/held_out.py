@@ -12,8 +12,8 @@ import numpy as np
 from stages.comparing.left_out import left_out
 from stages.picturing.render import write_png
 from stages.progress import Progress, silent
-from stages.scans.poses import inverted
-from stages.scans.scan import Frame
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Frame
 from stages.surface.mesh import Mesh
 
 

@@ -25,8 +25,8 @@ from stages.picturing.in_pieces import draw_in_pieces
 from stages.picturing.render import Model, Viewpoint, viewpoints, write_png
 from stages.picturing.viewpoints import ENOUGH, viewpoints_around
 from stages.progress import Progress, silent
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Frame
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.piecewise import Piecewise

@@ -13,11 +13,11 @@ from stages._opencv import require_opencv
 from stages.diagnostics.errors import InputError
 from stages.files.image_bytes import encoded_image
 from stages.frames.sampling import sample_evenly
-from stages.scans.images import read_photo
-from stages.scans.poses import inverted
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import Frame, pinhole
-from stages.scans.threads import threads_to_use
+from stages.scans.model.images import read_photo
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import Frame, pinhole
+from stages.scans.model.threads import threads_to_use
 
 FILE, PHOTOS = "cameras.json", "photos"
 

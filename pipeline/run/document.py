@@ -13,7 +13,7 @@ from pipeline.run.schema import SCHEMA
 from stages import __version__
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.inspecting.libraries import installed
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 
 _LIBRARIES = ("numpy", "open3d", "opencv", "scipy", "scikit-image")
 

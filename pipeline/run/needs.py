@@ -15,7 +15,7 @@ from pipeline.config import Config
 from pipeline.expectation import BASE_BYTES, Expectation, as_before, expected, megapixels
 from pipeline.graph import plan_for
 from stages.fusion.params import FuseParams
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 
 # Results of each stage that are looked at: a large cache has thousands.
 _MOST = 32

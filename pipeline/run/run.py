@@ -42,8 +42,8 @@ from stages.files.opening import content_of
 from stages.picturing.codes import REPORT_INCOMPLETE
 from stages.picturing.show import Page
 from stages.printing import counted, line, rows_table
+from stages.scans.model.scan import Scan
 from stages.scans.read import read_scan, require_complete
-from stages.scans.scan import Scan
 from stages.surface.memory import give_back
 
 CACHE_VARIABLE = "SCANLOOM_CACHE"

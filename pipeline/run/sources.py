@@ -13,7 +13,7 @@ from stages.diagnostics.codes import MACHINE_BUSY
 from stages.diagnostics.errors import StageError
 from stages.inspecting.libraries import installed
 from stages.progress import Progress, silent
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 from stages.stereo.networks.sidecar import sidecar_of
 
 

@@ -17,8 +17,8 @@ from pipeline.stage import Context, Stage
 from stages.adjusting.adjust import AdjustParams, adjust
 from stages.inspecting.libraries import installed
 from stages.inspecting.sanity import pose_doubts, require_poses
+from stages.scans.model.scan import Scan
 from stages.scans.params import ScanParams
-from stages.scans.scan import Scan
 
 
 @dataclass(frozen=True, kw_only=True)

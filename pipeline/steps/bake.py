@@ -18,7 +18,7 @@ from stages.comparing.compare import compare_surfaces
 from stages.inspecting.libraries import installed
 from stages.params import param
 from stages.progress import Progress
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.mesh import Mesh
 from stages.texturing.bake import BakeParams, bake

@@ -34,7 +34,7 @@ from stages.inspecting.coverage.params import CoverageParams
 from stages.inspecting.libraries import installed
 from stages.params import param
 from stages.progress import Progress
-from stages.scans.scan import Frame, Scan
+from stages.scans.model.scan import Frame, Scan
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import write_mesh

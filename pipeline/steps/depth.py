@@ -15,8 +15,8 @@ from pipeline.skipped import emit_skipped
 from pipeline.stage import Context, Stage
 from stages.inspecting.libraries import installed
 from stages.inspecting.view_poses import require_view_poses
+from stages.scans.model.scan import Scan
 from stages.scans.params import ScanParams
-from stages.scans.scan import Scan
 from stages.stereo.by_network import network_of
 from stages.stereo.depth import DepthParams, depth_scan
 from stages.stereo.networks.network import Network

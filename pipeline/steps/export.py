@@ -19,7 +19,7 @@ from stages.exporting.export import ExportParams, export
 from stages.exporting.presets import preset
 from stages.inspecting.libraries import installed
 from stages.params import check, param
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 from stages.surface.mesh import Mesh
 from stages.surface.vertex_normals import vertex_normals
 

@@ -34,8 +34,8 @@ from stages.inspecting.libraries import installed
 from stages.inspecting.sanity import require_poses
 from stages.progress import Progress, silent
 from stages.registration.codes import REGISTER_NOT_CONNECTED
+from stages.scans.model.scan import Scan
 from stages.scans.params import ScanParams
-from stages.scans.scan import Scan
 from stages.surface.formats.ply import write_ply
 
 _PLANE = "plane.json"

@@ -25,7 +25,7 @@ from stages.lod.slod import read_slod, write_slod
 from stages.params import param
 from stages.printing import at_most
 from stages.progress import Progress
-from stages.scans.scan import Frame, Scan
+from stages.scans.model.scan import Frame, Scan
 from stages.surface.mesh import Mesh
 
 FILE = "lod.slod"

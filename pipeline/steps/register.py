@@ -18,7 +18,7 @@ from pipeline.steps.adjust import is_adjusted
 from stages.inspecting.libraries import installed
 from stages.registration.params import RegisterParams
 from stages.registration.register import register
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ from stages.inspecting.libraries import installed
 from stages.normal_meshes.remesh import RemeshParams, remesh
 from stages.params import param
 from stages.progress import Progress
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 

@@ -20,8 +20,8 @@ from pipeline.steps.simplify import SimplifiedMesh
 from pipeline.steps.texture import TexturedMesh
 from stages.comparing.compare import CompareParams
 from stages.inspecting.libraries import installed
+from stages.scans.model.scan import Frame, Scan
 from stages.scans.params import ScanParams
-from stages.scans.scan import Frame, Scan
 
 # Folder of the pictures.
 PICTURES = "pictures"

@@ -22,7 +22,7 @@ from stages.files.images import read_stored
 from stages.inspecting.libraries import installed
 from stages.params import param
 from stages.progress import Progress
-from stages.scans.scan import Frame, Scan
+from stages.scans.model.scan import Frame, Scan
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh, write_mesh
 from stages.surface.texture import Image

@@ -20,7 +20,7 @@ from stages.lod.tile_texture import TileImageParams
 from stages.lod.tiles import COMPRESSIONS, write_tiles
 from stages.params import param
 from stages.progress import Progress
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 from stages.surface.mesh import Mesh
 
 FOLDER = "tiles"

@@ -17,8 +17,8 @@ from pipeline.stage import Context, Stage
 from pipeline.steps.clean import CleanMesh
 from pipeline.steps.fuse import FusedMesh
 from stages.params import check, param
-from stages.scans.scan import Scan
-from stages.scans.up import known_up
+from stages.scans.model.scan import Scan
+from stages.scans.transforms.up import known_up
 from stages.surface.mesh import Mesh
 from stages.surface.upright import PlaceUp, direction_of, up_of_place
 

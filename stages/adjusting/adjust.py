@@ -36,8 +36,8 @@ from stages.diagnostics.collector import collecting, emit
 from stages.params import check, param, resolve
 from stages.printing import counted
 from stages.progress import Progress, silent
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame, Scan, SkippedFrame
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Frame, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

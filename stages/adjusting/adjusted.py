@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.adjusting.offset import Offset
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.printing import by_figures, table
-from stages.scans.scan import Camera, Frame, SkippedFrame
+from stages.scans.model.scan import Camera, Frame, SkippedFrame
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from stages.adjusting.matching import GAP_SHARE, errors, gaps, match
 from stages.adjusting.partners import overlap_of
 from stages.adjusting.view import View, view_or_none
 from stages.frames.sampling import sample_evenly
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame, Pose, SkippedFrame
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Frame, Pose, SkippedFrame
 
 # Frames that are looked at, each with the middle one of those that have so much of it before them.
 _LOOKS, _OVERLAP = 8, 0.8

@@ -15,7 +15,7 @@ from stages.adjusting.shutter import late_of
 from stages.adjusting.view import View
 from stages.frames.features import find_epipolar_inliers, match_descriptors
 from stages.progress import Progress, silent
-from stages.scans.prefetch import read_ahead, workers
+from stages.scans.model.prefetch import read_ahead, workers
 
 # How far apart two views may measure a match, a share of its distance, for it to be of one thing.
 GAP_SHARE = 0.13

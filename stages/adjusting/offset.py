@@ -24,9 +24,9 @@ from stages.adjusting.outlines import outlines
 from stages.adjusting.view import as_taken
 from stages.diagnostics.errors import InputError
 from stages.frames.sampling import sample_evenly
-from stages.scans.images import read_depth
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, ColorImage, Frame, Pose
+from stages.scans.model.images import read_depth
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Camera, ColorImage, Frame, Pose
 
 # Frames that are looked at, and points of each at most; wider photos are made smaller.
 _FRAMES, _POINTS, _WIDE = 24, 4000, 640

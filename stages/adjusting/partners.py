@@ -11,7 +11,7 @@ from stages.adjusting.cameras import Cameras, inverted_all
 from stages.adjusting.surfaces import points_of
 from stages.adjusting.view import View
 from stages.frames.sampling import sample_evenly
-from stages.scans.scan import Pose
+from stages.scans.model.scan import Pose
 
 # Partners of a view: some that overlap most, and as many spread among those that overlap enough.
 _NEAREST, _SPREAD = 5, 5

@@ -16,8 +16,8 @@ from stages.adjusting.problem import Frees, Problem, State
 from stages.adjusting.shutter import late_of
 from stages.adjusting.tracks import Tracks
 from stages.adjusting.view import View, view_or_none
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame, SkippedFrame
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Frame, SkippedFrame
 
 # Fewer points do not place a frame; steps; pixels that a point may be off in the end.
 _LEAST, _STEPS, _OFF_PX = 30, 12, 4.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import carried, motion
 from stages.adjusting.view import View
-from stages.scans.shutter import late_at
+from stages.scans.model.rolling_shutter import late_at
 
 
 def late_of(

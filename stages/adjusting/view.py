@@ -15,8 +15,8 @@ from stages.diagnostics.errors import InputError
 from stages.frames.features import detect_keypoints
 from stages.registration.codes import REGISTER_FRAMES_UNUSABLE
 from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.images import read_color, read_depth
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
 # Wider images are made smaller; transfer errors are in pixels of what is looked at.
 WIDEST = 960

@@ -22,9 +22,9 @@ from stages.diagnostics.errors import InputError
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.codes import SCAN_FRAMES_SKIPPED
-from stages.scans.images import read_depth, read_photo
-from stages.scans.poses import inverted
-from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame, scaled
+from stages.scans.model.images import read_depth, read_photo
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Camera, ColorImage, Frame, Pose, SkippedFrame, scaled
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.comparing.seen import fitted, seen_from
-from stages.scans.poses import inverted
-from stages.scans.scan import Camera, ColorImage, Pose
-from stages.scans.shutter import late_at
+from stages.scans.model.poses import inverted
+from stages.scans.model.rolling_shutter import late_at
+from stages.scans.model.scan import Camera, ColorImage, Pose
 from stages.surface.raycasting import Surface
 
 # Recognised points: how many are looked for, second best over best, pixels that they may be apart at first,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.frames.projection import unproject
-from stages.scans.scan import Camera, Pose
+from stages.scans.model.scan import Camera, Pose
 from stages.surface.color import color_at
 from stages.surface.raycasting import Surface
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.scans.scan import Camera, DepthImage
+from stages.scans.model.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -8,8 +8,8 @@ from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.projection import project
 from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.images import read_color
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, scaled
+from stages.scans.model.images import read_color
+from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, scaled
 
 
 def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:

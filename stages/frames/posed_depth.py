@@ -13,8 +13,8 @@ from stages.diagnostics.errors import InputError
 from stages.frames.depth_filter import OrientedDepth, orient_depth
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FRAMES_SKIPPED
-from stages.scans.images import read_depth
-from stages.scans.scan import Camera, Frame, Pose, pinhole
+from stages.scans.model.images import read_depth
+from stages.scans.model.scan import Camera, Frame, Pose, pinhole
 
 # Largest angle between the line of sight and the surface normal, degrees. At grazing angles other frames see
 # the surface better; a single frame has no others.

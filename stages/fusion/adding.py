@@ -25,8 +25,8 @@ from stages.fusion.upsampling import upsampled_alone, upsampled_frame
 from stages.fusion.voxels import Box, Field, Keys, Volume, touched_blocks
 from stages.progress import Progress
 from stages.scans.codes import POSE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import ColorImage, Frame, Pose, Scan, SkippedFrame
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import ColorImage, Frame, Pose, Scan, SkippedFrame
 
 
 @dataclass(frozen=True, eq=False)

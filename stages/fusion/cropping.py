@@ -18,8 +18,8 @@ from stages.fusion.params import FuseParams, Point
 from stages.fusion.scene import Scene
 from stages.fusion.support import Support, find_support
 from stages.fusion.survey import Noise
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import Frame
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import Frame
 
 # A plane that leaves less than this share of the points is told.
 _NEARLY_NOTHING = 0.01

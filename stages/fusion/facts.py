@@ -12,7 +12,7 @@ from stages.diagnostics.diagnostic import Diagnostic
 from stages.fusion.crop import Crop
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise
-from stages.scans.scan import SkippedFrame
+from stages.scans.model.scan import SkippedFrame
 from stages.surface.mesh import Mesh
 
 

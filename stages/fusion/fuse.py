@@ -36,7 +36,7 @@ from stages.fusion.writing import write_fused
 from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.scans.scan import Frame, Scan
+from stages.scans.model.scan import Frame, Scan
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.mesh import Mesh
 

@@ -44,7 +44,7 @@ from stages.fusion.voxels import Box, Keys, Volume, block_bytes, median_of
 from stages.fusion.writing import piece_level, write_fused, write_joined
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.scans.scan import SkippedFrame
+from stages.scans.model.scan import SkippedFrame
 
 _COUNTS, _SKIPPED = "frame_counts.npy", "skipped.json"
 # Version of these files: bricks of another one are not used.

@@ -8,8 +8,8 @@ from pathlib import Path
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import limits_of, look
 from stages.fusion.survey import measured_noise, survey
-from stages.scans.prefetch import workers
-from stages.scans.scan import Frame
+from stages.scans.model.prefetch import workers
+from stages.scans.model.scan import Frame
 
 RESULT_VERSION = 2
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.frames.posed_depth import PosedDepth
 from stages.fusion.voxels import BLOCK, outgrown
-from stages.scans.scan import ColorImage, Pose
+from stages.scans.model.scan import ColorImage, Pose
 from stages.surface.mesh import Mesh
 
 # Distance, weight and three colour channels in float32, or without the colour.

@@ -23,8 +23,8 @@ from stages.fusion.support import Support
 from stages.fusion.survey import Noise, Survey, measured_noise, survey
 from stages.fusion.voxels import BLOCK, Weighing, touched_blocks
 from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import Frame, Pose
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import Frame, Pose
 
 # How many places of the scan are looked at, two neighbouring frames at each; fewer when frames are large,
 # since all of them are held at once.

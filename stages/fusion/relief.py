@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.frames.depth_filter import Differences, bridge_gaps, inverse_depth_differences
 from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
-from stages.scans.images import read_color, read_depth
-from stages.scans.scan import ColorImage, DepthImage, Frame, pinhole
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.scan import ColorImage, DepthImage, Frame, pinhole
 from stages.surface.mesh import Mesh
 
 Mask = NDArray[np.bool_]

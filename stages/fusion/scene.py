@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.frames.posed_depth import PosedDepth
 from stages.fusion.params import Point
 from stages.printing import by_fields
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stages.frames.posed_depth import PosedDepth
 from stages.frames.projection import project
-from stages.scans.scan import DepthImage
+from stages.scans.model.scan import DepthImage
 
 _STEP = 4  # every fourth pixel of a row and a column is looked at
 _BINS = 8

@@ -19,8 +19,8 @@ from stages.diagnostics.errors import InputError
 from stages.frames.depth_filter import bridge_gaps
 from stages.frames.matching_color import read_matching_color
 from stages.fusion.params import FuseParams
-from stages.scans.images import read_color, read_depth
-from stages.scans.scan import ColorImage, DepthImage, Frame, pinhole, scaled
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.scan import ColorImage, DepthImage, Frame, pinhole, scaled
 
 Image = NDArray[np.float32]
 Indices = NDArray[np.intp]

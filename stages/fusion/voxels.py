@@ -21,7 +21,7 @@ from stages.diagnostics.codes import MACHINE_OUT_OF_MEMORY
 from stages.diagnostics.errors import StageError
 from stages.frames.posed_depth import PosedDepth
 from stages.fusion.codes import FUSE_FRAMES_FAR_APART
-from stages.scans.scan import Camera, ColorImage, Pose
+from stages.scans.model.scan import Camera, ColorImage, Pose
 from stages.surface.mesh import Mesh
 
 # Voxels along the side of a block.

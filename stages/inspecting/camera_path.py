@@ -9,7 +9,7 @@ import numpy as np
 from stages.diagnostics.collector import emit
 from stages.printing import by_fields
 from stages.scans.codes import POSE_JUMPS
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 
 # A person walking with a camera does not move faster between two frames.
 _LARGEST_STEP_M = 0.5

@@ -14,7 +14,7 @@ from stages.inspecting.codes import SCALE_DEPTH_UNIT_SUSPECT, SCAN_DEPTH_MARKER_
 from stages.printing import by_fields
 from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
 from stages.scans.codes import SCAN_DEPTH_MISSING
-from stages.scans.scan import DepthImage, Frame, Scan
+from stages.scans.model.scan import DepthImage, Frame, Scan
 
 _PLAUSIBLE_M = (0.1, 20.0)
 # Units a metre of the layouts in use, for a hint when the depth cannot be right.

@@ -8,7 +8,7 @@ from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.images import image_size
 from stages.inspecting.codes import SCAN_IMAGES_SIZES_DIFFER, SCAN_IMAGES_UNREADABLE
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 
 
 def report_sizes(scan: Scan) -> None:

@@ -30,11 +30,11 @@ from stages.registration.focal import focal_of, is_guess, report_focal
 from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.subject import shows_thing
 from stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_FRAMES_SKIPPED
-from stages.scans.images import read_color, read_depth, read_right
-from stages.scans.prefetch import workers
-from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, StereoRig
-from stages.scans.sharpness import least_sharp
-from stages.scans.up import known_up
+from stages.scans.model.images import read_color, read_depth, read_right
+from stages.scans.model.prefetch import workers
+from stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, StereoRig
+from stages.scans.model.sharpness import least_sharp
+from stages.scans.transforms.up import known_up
 
 _SAMPLED = 8
 # A frame so much less sharp than the usual one shows hardly any of its edges.

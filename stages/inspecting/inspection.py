@@ -15,8 +15,8 @@ from stages.inspecting.unused import Unused
 from stages.printing import by_figures, table
 from stages.registration.focal import Focal
 from stages.scans.codes import POSE_MISSING
-from stages.scans.scan import Camera, Scan
-from stages.scans.world import Scale, WorldUp
+from stages.scans.model.scan import Camera, Scan
+from stages.scans.model.world import Scale, WorldUp
 
 # Of files that nobody used, so many are named to a person.
 _SHOWN = 12

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from stages.fusion.plan import Plan
 from stages.fusion.voxels import block_bytes
 from stages.printing import by_fields
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 
 # What a run leaves behind for each triangle that is fused: meshes after each stage, records, pictures.
 _DISK_BYTES = 130

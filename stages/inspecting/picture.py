@@ -11,8 +11,8 @@ from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
-from stages.scans.images import read_color, read_depth, read_right
-from stages.scans.scan import ColorImage, Frame, Scan
+from stages.scans.model.images import read_color, read_depth, read_right
+from stages.scans.model.scan import ColorImage, Frame, Scan
 
 _HEIGHT = 480
 _MARGIN = 48

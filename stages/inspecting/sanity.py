@@ -19,9 +19,9 @@ from stages.frames.projection import project, unproject
 from stages.frames.sampling import sample_evenly
 from stages.inspecting.codes import POSE_CONVENTION_SUSPECT, POSE_INEXACT, SCALE_DEPTH_UNIT_SUSPECT
 from stages.inspecting.meant import AS_GIVEN, advice, motions
-from stages.scans.images import read_depth
-from stages.scans.poses import inverted
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
+from stages.scans.model.images import read_depth
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
 from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 RESULT_VERSION = 2

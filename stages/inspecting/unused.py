@@ -13,11 +13,13 @@ from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.files.noting import only_looking
 from stages.printing import by_fields
-from stages.scans.formats import calibration, rig_calibration, trajectories
-from stages.scans.reading.adjusted import with_adjusted
-from stages.scans.reading.associations import read_associations
-from stages.scans.reading.files import DEPTHS, IMAGES
-from stages.scans.scan import Scan
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration import rig_calibration
+from stages.scans.image_folders.image_files import DEPTHS, IMAGES
+from stages.scans.layouts.tum.associations import read_associations
+from stages.scans.model.scan import Scan
+from stages.scans.trajectory import files as trajectories
+from stages.scans.transforms.adjusted_cameras import with_adjusted
 
 # Of a folder with more, the rest is not looked through.
 _MOST_FILES = 20_000

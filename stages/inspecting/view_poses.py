@@ -18,9 +18,9 @@ from stages.frames.features import Keypoints, detect_keypoints, find_epipolar_in
 from stages.frames.sampling import sample_evenly
 from stages.inspecting.codes import POSE_CONVENTION_SUSPECT
 from stages.inspecting.meant import AS_GIVEN, advice, motions
-from stages.scans.images import read_pinhole
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, Frame, Pose, Scan, pinhole, scaled
+from stages.scans.model.images import read_pinhole
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, pinhole, scaled
 
 RESULT_VERSION = 1
 

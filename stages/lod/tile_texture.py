@@ -22,7 +22,7 @@ from stages.diagnostics.errors import MeshError
 from stages.files.image_bytes import encoded_image
 from stages.lod.codes import LEVELS_MODEL_MISMATCH
 from stages.params import check, param
-from stages.scans.prefetch import read_ahead, workers
+from stages.scans.model.prefetch import read_ahead, workers
 from stages.surface.color import color_at, has_color
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box

@@ -20,7 +20,7 @@ from stages.params import check, param, resolve
 from stages.picturing.render import Model
 from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.printing import by_figures, table
-from stages.scans.scan import Camera, ColorImage
+from stages.scans.model.scan import Camera, ColorImage
 from stages.surface.color import has_color
 from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh

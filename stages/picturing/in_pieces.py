@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from stages.picturing.render import Model, Picture, Shading, sees
 from stages.picturing.viewpoints import Viewpoint
-from stages.scans.scan import ColorImage
+from stages.scans.model.scan import ColorImage
 from stages.surface.piecewise import Piecewise
 from stages.surface.raycasting import Floats, Surface
 

@@ -9,7 +9,7 @@ import numpy as np
 from stages.picturing.lettering import ScaleBar, focus_of, scale_bar, with_scale_bar, with_words
 from stages.picturing.render import Model, Shading
 from stages.picturing.viewpoints import Viewpoint
-from stages.scans.scan import ColorImage
+from stages.scans.model.scan import ColorImage
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 

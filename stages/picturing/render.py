@@ -16,7 +16,7 @@ from stages.diagnostics.errors import InputError
 from stages.files.replacing import replacing
 from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
 from stages.picturing.viewpoints import Viewpoint, viewpoints
-from stages.scans.scan import ColorImage
+from stages.scans.model.scan import ColorImage
 from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh

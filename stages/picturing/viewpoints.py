@@ -12,7 +12,7 @@ from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.errors import InputError, UsageError
 from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
 from stages.printing import by_fields
-from stages.scans.scan import Camera, Frame, Pose
+from stages.scans.model.scan import Camera, Frame, Pose
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, is_used

@@ -19,9 +19,9 @@ from stages.frames.sampling import sample_evenly
 from stages.registration.looks import Look, read_look, read_looks, same_within
 from stages.registration.motion import angle
 from stages.registration.still import Mask
-from stages.scans.poses import inverted
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, Frame, Pose
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Camera, Frame, Pose
 
 Floats = NDArray[np.float64]
 

@@ -23,9 +23,9 @@ from stages.registration.motion import (
     refined,
 )
 from stages.registration.view import View, read_view
-from stages.scans.poses import inverted
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame, Pose, SkippedFrame
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Frame, Pose, SkippedFrame
 
 # A key frame is taken where the view has moved by this much of its median depth, has turned by this much, or
 # after so many frames.

@@ -18,8 +18,8 @@ from stages.registration.motion import Motion
 from stages.registration.odometry import meeting
 from stages.registration.placing import placed_pieces
 from stages.registration.points import step_of
-from stages.scans.poses import inverted
-from stages.scans.scan import Pose
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Pose
 
 # Fewer loops than this are not asked what they say of each other.
 _FEW_LOOPS = 6

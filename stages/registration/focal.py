@@ -25,8 +25,8 @@ from stages.registration.features import Features
 from stages.registration.still import is_still
 from stages.registration.view import read_view
 from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Camera, Frame
 
 Floats = NDArray[np.float64]
 

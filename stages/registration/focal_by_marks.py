@@ -15,7 +15,7 @@ from stages.registration.focal import Focal
 from stages.registration.looks import read_looks
 from stages.registration.still import backdrop_of
 from stages.registration.turning import couples_of, marked_links
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 
 # Frames spread over the scan that are compared, each with each.
 _FRAMES = 8

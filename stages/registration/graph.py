@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.registration.motion import Motion
-from stages.scans.scan import Pose
+from stages.scans.model.scan import Pose
 
 # What any motion is off beside its noise, for lenses, shutters and clocks are never quite as said: radians,
 # and a share of the reach.

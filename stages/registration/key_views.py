@@ -8,7 +8,7 @@ from threading import Lock
 
 from stages.registration.features import Features
 from stages.registration.view import View, read_view
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 
 # Views whose images are kept, of 0.3 MB each; others are read again when they are asked for.
 _HELD = 256

@@ -12,9 +12,9 @@ from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
 from stages.frames.projection import unproject
 from stages.registration.view import smaller
-from stages.scans.images import read_depth
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, Frame, pinhole, scaled
+from stages.scans.model.images import read_depth
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Camera, Frame, pinhole, scaled
 
 # Wider ones are taken in blocks of pixels: masks need not be finer.
 _WIDEST = 320

@@ -15,9 +15,9 @@ from stages.registration.chain import Chain
 from stages.registration.features import recognise
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion, NoMotion, by_points, by_surface, is_near
-from stages.scans.poses import inverted
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Pose
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Pose
 
 # Loops are looked for with this many views that should overlap and this many that look alike.
 _NEAR, _ALIKE = 5, 3

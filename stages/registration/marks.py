@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from stages.frames.matching_color import read_matching_color
 from stages.frames.projection import project
-from stages.scans.images import read_depth
-from stages.scans.scan import Camera, Frame, Pose, pinhole
+from stages.scans.model.images import read_depth
+from stages.scans.model.scan import Camera, Frame, Pose, pinhole
 
 Floats = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from stages.registration.features import Recognised, recognise
 from stages.registration.odometry import align, align_from_afar, meeting, told
 from stages.registration.points import Matched, at_source, joined
 from stages.registration.view import View
-from stages.scans.poses import inverted
-from stages.scans.scan import Pose
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Pose
 
 # Matched points from which a motion is believed without a surface that agrees.
 _SURE_POINTS = 15

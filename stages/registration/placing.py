@@ -11,8 +11,8 @@ import numpy as np
 
 from stages.registration.chain import Chain
 from stages.registration.graph import Edge, optimised
-from stages.scans.poses import inverted
-from stages.scans.scan import Pose
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Pose
 
 # Surfaces count as the same within this share of the median depth.
 _REACH_SHARE = 0.03

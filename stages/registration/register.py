@@ -31,9 +31,9 @@ from stages.registration.registered import Registration
 from stages.registration.reporting import report_pieces, report_poses
 from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
 from stages.scans.codes import POSE_MISSING
-from stages.scans.images import read_depth
-from stages.scans.poses import inverted
-from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
+from stages.scans.model.images import read_depth
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -11,7 +11,7 @@ import numpy as np
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.printing import by_figures, table
 from stages.registration.focal import Focal
-from stages.scans.scan import Frame, SkippedFrame
+from stages.scans.model.scan import Frame, SkippedFrame
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from stages.registration.codes import (
 )
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion, angle
-from stages.scans.poses import inverted
-from stages.scans.scan import Frame, Pose, SkippedFrame
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Frame, Pose, SkippedFrame
 
 _STILL_M, _STILL_RAD = 0.005, np.radians(0.5)
 _DARK = 8.0

@@ -21,10 +21,10 @@ from stages.registration.looks import Look, read_look, read_looks
 from stages.registration.still import Backdrop, Mask, backdrop_of, something_moves, stands_still
 from stages.registration.turning import first_poses
 from stages.registration.view import read_view
-from stages.scans.images import read_mask
-from stages.scans.poses import inverted
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame, Pose
+from stages.scans.model.images import read_mask
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Frame, Pose
 
 # Frames by which it is decided, and more by which the backdrop is known.
 _DECIDE, _BEHIND = 7, 24

@@ -15,9 +15,9 @@ from stages.registration.looks import Look
 from stages.registration.marks import Plate, marked_motion, marks_on, moving_marks, plates_of
 from stages.registration.motion import Motion, agree
 from stages.registration.still import Backdrop
-from stages.scans.poses import inverted
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame, Pose
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Frame, Pose
 
 Floats = NDArray[np.float64]
 # A motion (target_from_source), and how many points or marks say so.

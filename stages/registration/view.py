@@ -17,8 +17,8 @@ from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
 from stages.registration.features import PIXELS, Features, features_of
 from stages.registration.points import deviation
 from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.images import read_color, read_depth
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
 
 # Wider depth maps are taken in blocks of 2, 3, … pixels each way: alignment gains nothing beyond.
 _WIDEST = 400

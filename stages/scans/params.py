@@ -9,9 +9,9 @@ from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import UsageError
 from stages.params import param
-from stages.scans.reading.params import ReadingParams
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.tags import FAMILIES
 from stages.scans.table import LAYOUTS
-from stages.scans.tags import FAMILIES
 
 # What makes a scan metric; one of them is enough.
 _SCALES = ("scale", "known_distance", "tag_size")

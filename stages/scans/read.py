@@ -30,22 +30,22 @@ from stages.scans.codes import (
     SCAN_TIMES_IRREGULAR,
     SCAN_TOO_MANY_FRAMES_SKIPPED,
 )
+from stages.scans.image_folders.image_files import common_size
+from stages.scans.image_folders.rotated_bits import with_bits_turned_back
 from stages.scans.layouts import plain_views
 from stages.scans.layouts.plain_views import place_of_photos
-from stages.scans.layouts.refused import Refused, refused
+from stages.scans.layouts.shared.axis_alignment import aligned
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.unsupported import Refused, refused
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.poses import AS_WRITTEN, meant
+from stages.scans.model.scan import Frame, Packed, Scan, SkippedFrame
 from stages.scans.params import ScanParams
-from stages.scans.poses import AS_WRITTEN, meant
-from stages.scans.reading.adjusted import with_adjusted
-from stages.scans.reading.axis_alignment import aligned
-from stages.scans.reading.files import common_size
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.mask_folder import with_masks
-from stages.scans.reading.rotated_bits import with_bits_turned_back
-from stages.scans.scale import with_scale
-from stages.scans.scan import Frame, Packed, Scan, SkippedFrame
 from stages.scans.table import DISTINCT, GENERIC, LAYOUTS
-from stages.scans.up import with_up
+from stages.scans.transforms.adjusted_cameras import with_adjusted
+from stages.scans.transforms.masks import with_masks
+from stages.scans.transforms.scale import with_scale
+from stages.scans.transforms.up import with_up
 
 # Folders inside one that are said to look like scans.
 _MOST_NAMED = 6

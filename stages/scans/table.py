@@ -7,13 +7,10 @@ from stages.scans.layouts import (
     augmented_icl,
     bop,
     camera_text,
-    colmap,
     euroc,
     frame_list,
     icl_nuim,
     karlsruhe,
-    kitti,
-    kitti_stereo,
     llff,
     middlebury,
     middlebury_mview,
@@ -33,10 +30,13 @@ from stages.scans.layouts import (
     stray_scanner,
     sun_rgbd,
     tartan_air,
-    tum,
 )
-from stages.scans.reading.layout import Layout
-from stages.scans.ros import recording_layout as ros_bag
+from stages.scans.layouts import recording as ros_bag
+from stages.scans.layouts.colmap import folder as colmap
+from stages.scans.layouts.kitti import sequence as kitti
+from stages.scans.layouts.kitti import stereo_pairs as kitti_stereo
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.tum import folder as tum
 
 # Known by files that only they have.
 DISTINCT: tuple[Layout, ...] = (

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.scans.scan import DepthImage
+from stages.scans.model.scan import DepthImage
 from stages.stereo.posed_views import PosedView
 
 # What another view measured is before a place if it is nearer by this share of depth.

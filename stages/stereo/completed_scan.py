@@ -15,10 +15,10 @@ from stages.frames.matching_color import read_matching_color
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.images import read_color, read_depth, read_seen
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import Frame, Scan, SkippedFrame, pinhole
-from stages.scans.threads import threads_to_use
+from stages.scans.model.images import read_color, read_depth, read_seen
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import Frame, Scan, SkippedFrame, pinhole
+from stages.scans.model.threads import threads_to_use
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.codes import DEPTH_FAR_LEFT_OUT, DEPTH_NETWORK_NO_EFFECT
 from stages.stereo.depth_map import DepthMap

@@ -17,11 +17,11 @@ from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError, UsageError
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.scans import images
 from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
-from stages.scans.threads import threads_to_use
+from stages.scans.model import images
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from stages.scans.model.threads import threads_to_use
 from stages.stereo.by_network import completed, network_disparity, network_of, report_agreement
 from stages.stereo.codes import DEPTH_ALREADY_MEASURED, DEPTH_RANGE_EMPTY
 from stages.stereo.confidence import confidence

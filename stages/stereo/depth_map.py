@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.printing import by_figures, table
-from stages.scans.scan import Camera, ColorImage, DepthImage
+from stages.scans.model.scan import Camera, ColorImage, DepthImage
 from stages.stereo.matching import SearchRange
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.poses import inverted
+from stages.scans.model.poses import inverted
 from stages.stereo.posed_views import PosedView
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import ColorImage, DepthImage, Frame, SkippedFrame
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import ColorImage, DepthImage, Frame, SkippedFrame
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.view_images import color_of
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
-from stages.scans.threads import threads_to_use
+from stages.scans.model.scan import ColorImage, DepthImage, Scan, SkippedFrame
+from stages.scans.model.threads import threads_to_use
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.filling import filled_again, without_images
 from stages.stereo.kept_maps import KeptMaps

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.codes import MACHINE_DISK_FAILED
 from stages.diagnostics.errors import StageError
 from stages.files.numpy_files import mapped
-from stages.scans.scan import DepthImage
+from stages.scans.model.scan import DepthImage
 
 
 class KeptMaps:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.scan import Pose
+from stages.scans.model.scan import Pose
 from stages.stereo.epipolar import off_lines
 from stages.stereo.posed_views import PosedView
 

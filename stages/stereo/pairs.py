@@ -12,7 +12,7 @@ from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH
-from stages.scans.scan import Camera
+from stages.scans.model.scan import Camera
 from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 # Fewer matched corners say nothing.

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
-from stages.scans.threads import threads_to_use
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import ColorImage, DepthImage, Scan, SkippedFrame
+from stages.scans.model.threads import threads_to_use
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.filling import filled_again, without_images
 from stages.stereo.kept_maps import KeptMaps

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.scans.scan import Camera, DepthImage, scaled
+from stages.scans.model.scan import Camera, DepthImage, scaled
 from stages.stereo.plane_fit import refined
 from stages.stereo.posed_views import PosedView
 from stages.stereo.view_images import Seen

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.frames.projection import project, unproject
 from stages.scans.codes import POSE_INVALID, POSE_MISSING
-from stages.scans.scan import Camera, Frame, Pose, Scan, pinhole
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, pinhole
 
 # No scan is that far from its origin.
 _FARTHEST_M = 1e9

@@ -10,8 +10,8 @@ import numpy as np
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.images import read_color, require_size
-from stages.scans.scan import ColorImage, Frame, Packed, scaled
+from stages.scans.model.images import read_color, require_size
+from stages.scans.model.scan import ColorImage, Frame, Packed, scaled
 
 
 def reduced(frame: Frame, longest: int) -> Frame:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import DEPTH_RANGE_UNKNOWN
-from stages.scans.depth_range import Range
-from stages.scans.scan import Scan
+from stages.scans.model.depth_range import Range
+from stages.scans.model.scan import Scan
 from stages.stereo.codes import DEPTH_RANGE_EMPTY
 from stages.stereo.posed_views import PosedView
 

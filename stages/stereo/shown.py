@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.diagnostics.errors import InputError
-from stages.scans.images import read_pinhole, read_seen
-from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, scaled
+from stages.scans.model.images import read_pinhole, read_seen
+from stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, scaled
 from stages.stereo.background import Backdrop, before_backdrop, common_backdrop, measurable
 from stages.stereo.posed_views import PosedView
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.scans.scan import ColorImage
+from stages.scans.model.scan import ColorImage
 from stages.stereo.matching import Disparity16
 
 

@@ -13,10 +13,10 @@ from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.images import read_color, read_mask
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import Frame, Packed, Scan
-from stages.scans.threads import threads_to_use
+from stages.scans.model.images import read_color, read_mask
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import Frame, Packed, Scan
+from stages.scans.model.threads import threads_to_use
 from stages.stereo.codes import DEPTH_IMAGES_TURNED
 from stages.stereo.params import DepthParams
 from stages.stereo.posed_views import PosedView

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from stages.diagnostics.diagnostic import Where
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.images import read_pinhole
-from stages.scans.scan import ColorImage, Frame
+from stages.scans.model.images import read_pinhole
+from stages.scans.model.scan import ColorImage, Frame
 from stages.stereo.posed_views import PosedView
 
 

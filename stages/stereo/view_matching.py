@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
-from stages.scans.images import read_seen
-from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
+from stages.scans.model.images import read_seen
+from stages.scans.model.scan import ColorImage, DepthImage, Scan, SkippedFrame
 from stages.stereo.agreement import merged
 from stages.stereo.codes import DEPTH_VIEW_WITHOUT_PARTNER
 from stages.stereo.coverage import Counts

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.scan import Camera, DepthImage
+from stages.scans.model.scan import Camera, DepthImage
 from stages.stereo.posed_views import PosedView
 from stages.stereo.rectify import RectifiedRig
 

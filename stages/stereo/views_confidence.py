@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.scan import DepthImage
+from stages.scans.model.scan import DepthImage
 from stages.stereo.agreement import Said
 from stages.stereo.background import steps
 from stages.stereo.plane_sweep import HALF_MARGIN

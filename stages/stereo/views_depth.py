@@ -19,11 +19,11 @@ from stages.frames.features import Keypoints, detect_keypoints
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.depth_range import Range, range_of_points
-from stages.scans.images import read_seen
-from stages.scans.prefetch import read_ahead
-from stages.scans.scan import ColorImage, DepthImage, Frame, Pose, Scan, SkippedFrame
-from stages.scans.threads import threads_to_use
+from stages.scans.model.depth_range import Range, range_of_points
+from stages.scans.model.images import read_seen
+from stages.scans.model.prefetch import read_ahead
+from stages.scans.model.scan import ColorImage, DepthImage, Frame, Pose, Scan, SkippedFrame
+from stages.scans.model.threads import threads_to_use
 from stages.stereo.agreement import agreeing_views
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.codes import (

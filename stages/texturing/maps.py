@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.files.image_bytes import encoded_gray_png
-from stages.scans.prefetch import read_ahead, workers
+from stages.scans.model.prefetch import read_ahead, workers
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import unit_normals

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.progress import Progress, silent
-from stages.scans.prefetch import read_ahead, workers
+from stages.scans.model.prefetch import read_ahead, workers
 from stages.surface.mesh import Mesh
 from stages.texturing.facing import FacingColors
 from stages.texturing.filling import filled_up

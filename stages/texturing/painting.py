@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.scans.prefetch import read_ahead, workers
+from stages.scans.model.prefetch import read_ahead, workers
 from stages.surface.memory import give_back
 from stages.surface.mesh import Mesh
 from stages.surface.texture import signed_areas

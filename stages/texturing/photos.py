@@ -12,11 +12,11 @@ from stages.diagnostics.diagnostic import Diagnostic, Where
 from stages.diagnostics.errors import InputError
 from stages.progress import Progress
 from stages.scans.codes import FRAME_POSE_MISSING
-from stages.scans.images import read_photo
-from stages.scans.poses import inverted
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
-from stages.scans.sharpness import sharpness
+from stages.scans.model.images import read_photo
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
+from stages.scans.model.sharpness import sharpness
 from stages.texturing.codes import TEXTURE_PHOTOS_UNUSABLE
 
 # Photos are kept in memory if all together have no more bytes; else they are read again when they are needed.

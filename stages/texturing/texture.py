@@ -26,9 +26,9 @@ from stages.files.image_bytes import encoded_image
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.scans.poses import inverted
-from stages.scans.prefetch import both
-from stages.scans.scan import Frame, Scan, SkippedFrame
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import both
+from stages.scans.model.scan import Frame, Scan, SkippedFrame
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.formats.gltf_materials import shown_as_it_is
 from stages.surface.memory import give_back

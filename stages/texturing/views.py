@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.diagnostics.errors import InputError
 from stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE
-from stages.scans.images import read_depth
-from stages.scans.poses import inverted
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, ColorImage, Frame, Pose, pinhole, scaled
+from stages.scans.model.images import read_depth
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Camera, ColorImage, Frame, Pose, pinhole, scaled
 from stages.surface.mesh import Mesh
 from stages.texturing.alignment import Shifts
 from stages.texturing.back_projection import with_lacking

@@ -11,9 +11,9 @@ from pipeline.cache.store import Cache
 from pipeline.config import Config
 from stages.inspecting.inspect import inspect
 from stages.normal_meshes.normal_mesh import decode
-from stages.scans.formats.rig_calibration import read_rig
-from stages.scans.formats.trajectories import read_trajectory
+from stages.scans.calibration.rig_calibration import read_rig
 from stages.scans.read import read_scan
+from stages.scans.trajectory.files import read_trajectory
 from stages.simplification.records.load import load_record
 from stages.surface.mesh import Mesh, validated
 from stages.surface.mesh_files import read_mesh

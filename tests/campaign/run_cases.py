@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 from tests.campaign.verdict import SKIPPED, Verdict, judged
 
 _CAMERA = Camera(64, 48, 55.0, 55.0, 31.5, 23.5)

@@ -16,7 +16,7 @@ import pytest
 from cli.app import run_command
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Mesh
 

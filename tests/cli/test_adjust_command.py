@@ -14,7 +14,7 @@ import pytest
 
 from stages import InputError, ScanParams, read_scan
 from stages.adjusting.cameras import motion
-from stages.scans.scan import Camera
+from stages.scans.model.scan import Camera
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 
 _CAMERA = Camera(width=64, height=48, fx=56.0, fy=56.0, cx=31.5, cy=23.5)
 _WALL = 1.2

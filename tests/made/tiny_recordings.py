@@ -12,9 +12,9 @@ from recordings import COLOR, DEPTH, Image, Recording, Stream, made, stamped, tr
 
 from stages.diagnostics.errors import InputError
 from stages.scans.codes import POSE_ASSUMED
-from stages.scans.images import read_color, read_depth
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.scan import Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
 
 START = 1_700_000_000_000_000_000
 INTERVAL = 33_000_000

@@ -16,10 +16,10 @@ from pipeline.run.run import run
 from stages import adjust
 from stages.adjusting.cameras import motion
 from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.formats.trajectories import read_tum
-from stages.scans.images import read_color
+from stages.scans.model.images import read_color
 from stages.scans.read import read_scan
-from stages.scans.reading.adjusted import with_adjusted
+from stages.scans.trajectory.files import read_tum
+from stages.scans.transforms.adjusted_cameras import with_adjusted
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,7 @@ from pipeline.graph import plan_for, skip_reasons
 from pipeline.steps.bake import BakeSection, write_baked
 from stages.comparing.compare import compare
 from stages.progress import silent
-from stages.scans.scan import Scan
+from stages.scans.model.scan import Scan
 from stages.simplification.simplify import simplify
 from stages.surface.mesh_files import read_mesh
 

@@ -20,7 +20,7 @@ from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.steps.coverage import VALUES
 from stages.diagnostics.errors import InputError, UsageError
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 from stages.surface.formats.ply import read_ply, read_vertex_values
 from stages.surface.mesh_files import read_mesh
 

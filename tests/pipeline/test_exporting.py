@@ -12,8 +12,8 @@ from pipeline.config import Config
 from pipeline.graph import skip_reasons
 from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.steps.upright import UprightSection, estimate_up
+from stages.scans.model.scan import Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
 from stages.surface.mesh_files import read_mesh
 from tests.made.coloured_sheet import sheet
 

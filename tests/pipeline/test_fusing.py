@@ -20,7 +20,7 @@ from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import UsageError
 from stages.fusion.params import FuseParams
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Frame, Scan
+from stages.scans.model.scan import Frame, Scan
 from stages.surface.formats.ply import read_ply
 
 QUICK = ("adjust.enabled=false", "texture.enabled=false", "fuse.voxel_size=0.02")

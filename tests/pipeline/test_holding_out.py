@@ -7,7 +7,7 @@ import pytest
 from photographed import CAMERA, photo, pose
 
 from pipeline.evaluation.held_out import like_neighbours
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 
 
 @pytest.fixture

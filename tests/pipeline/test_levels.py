@@ -19,7 +19,7 @@ from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import UsageError
 from stages.progress import silent
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame, Scan
+from stages.scans.model.scan import Camera, Frame, Scan
 from stages.surface.formats.ply import read_ply
 
 QUICK = (

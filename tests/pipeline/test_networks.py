@@ -14,9 +14,9 @@ from pipeline.config import Config
 from pipeline.run.dry_run import foresee
 from pipeline.run.run import run
 from stages import InputError, ScanParams, read_scan
-from stages.scans.images import read_depth
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Frame
+from stages.scans.model.images import read_depth
+from stages.scans.model.scan import Frame
 from stages.stereo.networks.sidecar import Sidecar, sidecar_of, written
 
 ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth", range=(0.0, 1.0))

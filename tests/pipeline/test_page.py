@@ -17,7 +17,7 @@ from pipeline.evaluation.photos import write_photos
 from pipeline.report.page import page_of_mesh, page_of_run
 from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 from stages.surface.formats.ply import write_ply
 
 CAMERA = Camera(80, 60, 70, 70, 39.5, 29.5)

@@ -21,7 +21,7 @@ from pipeline.evaluation.photos import write_photos
 from pipeline.report.page import page_of_run
 from stages import Image, Material, Mesh, Texture, deviations
 from stages.diagnostics.errors import InputError
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh_files import write_mesh
 

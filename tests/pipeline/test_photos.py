@@ -14,8 +14,8 @@ from pipeline.evaluation.deviations import FIGURES, MESH
 from pipeline.evaluation.photos import FILE, write_photos
 from pipeline.graph import skip_reasons
 from pipeline.run.run import CACHE_VARIABLE, run
+from stages.scans.model.scan import Camera, Frame
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame
 
 SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 QUICK = (

@@ -13,8 +13,8 @@ import pytest
 from pipeline.config import Config
 from pipeline.run.run import run
 from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.formats.trajectories import read_tum
 from stages.scans.read import read_scan
+from stages.scans.trajectory.files import read_tum
 from stages.surface.formats.ply import read_ply
 
 pytestmark = pytest.mark.slow

@@ -18,7 +18,7 @@ from stages.normal_meshes.remesh import remesh
 from stages.picturing.viewpoints import viewpoints
 from stages.progress import silent
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 from stages.surface.formats.ply import read_ply
 
 pytestmark = pytest.mark.slow

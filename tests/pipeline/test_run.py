@@ -26,10 +26,10 @@ from pipeline.run.run import CACHE_VARIABLE, run
 from pipeline.run.schema import SCHEMA
 from stages.diagnostics.errors import InputError, UsageError
 from stages.params import describe_all, flatten
-from stages.scans.images import read_color, read_depth
 from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.scan import Camera, Frame
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
 

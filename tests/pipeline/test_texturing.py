@@ -15,7 +15,7 @@ from pipeline.run.dry_run import foresee
 from pipeline.run.run import RunResult, run, wanted_of
 from stages import InputError
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 from stages.surface.color import color_at
 from stages.surface.mesh_files import read_mesh
 

@@ -16,8 +16,8 @@ from pipeline.report.page_told import deviation_tables, told_of
 from pipeline.run.document import compose
 from pipeline.run.run import wanted_of
 from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.scan import Camera, Frame, Scan
-from stages.scans.world import Scale
+from stages.scans.model.scan import Camera, Frame, Scan
+from stages.scans.model.world import Scale
 from stages.surface.formats.ply import write_ply
 
 CAMERA = Camera(8, 6, 5.0, 5.0, 3.5, 2.5)

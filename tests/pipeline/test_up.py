@@ -19,9 +19,9 @@ from pipeline.run.run import run
 from pipeline.steps import upright
 from pipeline.steps.upright import UprightSection
 from stages.diagnostics.collector import collecting
+from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from stages.scans.model.world import Y_UP, Z_DOWN, Z_UP, WorldUp
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Scan, StereoRig
-from stages.scans.world import Y_UP, Z_DOWN, Z_UP, WorldUp
 from stages.stereo.depth import depth_scan
 from stages.surface.mesh import Mesh
 

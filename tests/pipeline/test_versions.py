@@ -16,7 +16,7 @@ from pipeline.config import Config
 from pipeline.graph import STAGES
 from pipeline.stage import Stage
 from pipeline.steps.clean import CleanMesh
-from stages.scans.scan import Camera, Frame, Scan, StereoRig
+from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
 from stages.surface.pieces import table_of
 
 ROOT = Path(stages.__file__).parents[1]

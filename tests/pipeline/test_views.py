@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from cli.app import app
 from pipeline.config import Config
 from pipeline.run.run import CACHE_VARIABLE, run
-from stages.scans.poses import inverted
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import read_ply
 

@@ -21,7 +21,7 @@ from pipeline.sections import Sections
 from pipeline.stage import AnyStage, Artifact, Context, Stage
 from stages.diagnostics.collector import listening
 from stages.params import check, param
-from stages.scans.scan import Camera, Frame, Scan
+from stages.scans.model.scan import Camera, Frame, Scan
 
 
 @dataclass(frozen=True, kw_only=True)

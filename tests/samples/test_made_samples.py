@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.scans.images import read_color, read_depth, read_right
+from stages.scans.model.images import read_color, read_depth, read_right
 from stages.scans.read import read_scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.raycasting import Surface

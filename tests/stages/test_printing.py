@@ -13,7 +13,7 @@ import pytest
 import stages
 from stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, StereoRig, Texture, lod
 from stages.printing import line
-from stages.scans.scan import Packed, SkippedFrame
+from stages.scans.model.scan import Packed, SkippedFrame
 from stages.surface import thumbnail
 from stages.surface.codes import MESH_LEFT_OUT
 

@@ -35,7 +35,7 @@ from stages.inspecting.coverage.thin import Limits, kinds_at, patches_of_thin
 from stages.inspecting.coverage.views import Floats, Singles
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.scans.scan import Frame, Scan
+from stages.scans.model.scan import Frame, Scan
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.piecewise import OnePiece, Piecewise, piecewise
 from stages.surface.topology import require_area, require_manifold

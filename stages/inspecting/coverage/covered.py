@@ -18,7 +18,7 @@ from stages.inspecting.coverage.probes import Probes
 from stages.inspecting.coverage.thin import Limits
 from stages.inspecting.coverage.views import Floats
 from stages.printing import by_figures, table
-from stages.scans.scan import SkippedFrame
+from stages.scans.model.scan import SkippedFrame
 from stages.surface.mesh import Mesh
 from stages.surface.piecewise import OnePiece, Piecewise
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stages.frames.sampling import sample_evenly
 from stages.inspecting.coverage.views import Floats, Singles, View
-from stages.scans.scan import Camera
+from stages.scans.model.scan import Camera
 
 # Points of a place that are looked up in each frame.
 _POINTS = 24

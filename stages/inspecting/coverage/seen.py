@@ -16,8 +16,8 @@ from stages.inspecting.coverage.probes import Probes, probes_of
 from stages.inspecting.coverage.space import Space
 from stages.inspecting.coverage.views import Floats, View, read_view
 from stages.progress import Progress
-from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame, SkippedFrame
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Frame, SkippedFrame
 from stages.surface.piecewise import OnePiece, Piecewise
 from stages.surface.raycasting import is_used
 from stages.surface.topology import areas

@@ -13,9 +13,9 @@ from stages.diagnostics.errors import InputError
 from stages.frames.rigid_pose import require_rigid_pose
 from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
 from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.images import read_depth, read_seen
-from stages.scans.poses import inverted
-from stages.scans.scan import Camera, DepthImage, Frame, pinhole
+from stages.scans.model.images import read_depth, read_seen
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Camera, DepthImage, Frame, pinhole
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -19,7 +19,7 @@ from stages.files.opening import content_of
 from stages.picturing.codes import REPORT_REDUCED
 from stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
 from stages.picturing.page.standing import facing
-from stages.scans.prefetch import read_ahead, workers
+from stages.scans.model.prefetch import read_ahead, workers
 from stages.simplification.simplify import simplify
 from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.mesh import Mesh

@@ -16,22 +16,22 @@ from pathlib import Path
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import found_camera, stated_camera
 from stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     SCAN_FILES_MISSING,
 )
-from stages.scans.formats import calibration
-from stages.scans.reading.files import IMAGES, common_size, has
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.phones import least_confidence
-from stages.scans.reading.stated import found_camera, stated_camera
-from stages.scans.reading.timed_poses import poses_at
-from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
-from stages.scans.world import Z_UP
+from stages.scans.image_folders.image_files import IMAGES, common_size, has
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.phones import least_confidence
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+from stages.scans.model.world import Z_UP
+from stages.scans.trajectory.timed_poses import poses_at
 
 _UNITS_PER_METRE = 1000.0
 _MILLISECOND = 1_000_000

@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import stated_camera
+from stages.scans.calibration.table_values import number_of, number_row
 from stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     FRAME_IMAGE_MISSING,
@@ -27,16 +30,21 @@ from stages.scans.codes import (
     SCAN_FILES_MISSING,
     SCAN_FRAMES_SKIPPED,
 )
-from stages.scans.formats import calibration, trajectories
-from stages.scans.formats.table_values import number_of, number_row
-from stages.scans.poses import inverted, rigid
-from stages.scans.reading.files import COLOR_FOLDERS, DEPTHS, IMAGES, common_size, first_existing, images
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import stated_camera
-from stages.scans.reading.views import single_view
-from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scans.image_folders.image_files import (
+    COLOR_FOLDERS,
+    DEPTHS,
+    IMAGES,
+    common_size,
+    first_existing,
+    images,
+)
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.views import single_view
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.poses import inverted, rigid
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scans.trajectory import files as trajectories
 
 _CAMERAS = "scene_camera.json"
 _POSE = ("cam_R_w2c", "cam_t_w2c")

@@ -1,6 +1,6 @@
 """Frames beside a text of cameras and poses with headings (the APC vision toolbox, its relatives).
 
-    cam.info.txt                                     see stages.scans.formats.headed_text
+    cam.info.txt                                     see stages.scans.calibration.headed_text
     frame-000000.color.png  frame-000000.depth.png   depth as colour's camera would see it
 
 The toolbox rotates the bits of depth by three, and its unit is then a tenth of a millimetre. A pose is that
@@ -19,11 +19,13 @@ from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration import headed_text
+from stages.scans.calibration.discovery import small_documents
+from stages.scans.calibration.headed_text import HeadedText
+from stages.scans.calibration.resolution import found_camera, stated_camera
 from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.formats import calibration, headed_text, trajectories
-from stages.scans.formats.headed_text import HeadedText
-from stages.scans.reading.beside import small_documents
-from stages.scans.reading.files import (
+from stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
     DEPTHS,
@@ -31,11 +33,11 @@ from stages.scans.reading.files import (
     first_existing,
     images,
 )
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.rotated_bits import are_rotated, read_turned_back
-from stages.scans.reading.stated import found_camera, stated_camera
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.image_folders.rotated_bits import are_rotated, read_turned_back
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.trajectory import files as trajectories
 
 _NAMES = ("cam.info.txt", "camera.info.txt", "cam_info.txt", "camera_info.txt")
 # A pose takes some 300 bytes.

@@ -19,6 +19,10 @@ from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.codes import FILE_IMAGE_FORMAT
 from stages.files.images import read_stored
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration import rig_calibration
+from stages.scans.calibration.image_size import for_images, stated_size
+from stages.scans.calibration.table_values import number_row
 from stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_LENS_UNKNOWN,
@@ -26,19 +30,16 @@ from stages.scans.codes import (
     FRAME_POSE_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.formats import calibration, rig_calibration
-from stages.scans.formats.image_size import for_images, stated_size
-from stages.scans.formats.table_values import number_row
-from stages.scans.poses import inverted, matrix_of, rigid
-from stages.scans.reading.files import common_size, first_existing, has
-from stages.scans.reading.gravity import ups_of
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.streams import Accelerometer
-from stages.scans.reading.timed_poses import poses_at
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
-from stages.scans.world import Z_UP
+from stages.scans.image_folders.image_files import common_size, first_existing, has
+from stages.scans.layouts.shared.gravity import ups_of
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.poses import inverted, matrix_of, rigid
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
+from stages.scans.model.world import Z_UP
+from stages.scans.streams.clocked_streams import Accelerometer
+from stages.scans.trajectory.timed_poses import poses_at
 
 # Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
 _TOLERANCE = 30_000_000

@@ -24,14 +24,15 @@ from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import read_raw_depth
 from stages.files.noting import only_looking
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import stated_camera
 from stages.scans.codes import SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import divided, matrix_of, rigid
-from stages.scans.reading.files import DEPTHS, IMAGES, common_size, inside, numbers
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import stated_camera
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan
+from stages.scans.image_folders.image_files import DEPTHS, IMAGES, common_size, inside, numbers
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.poses import divided, matrix_of, rigid
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan
+from stages.scans.trajectory import files as trajectories
 
 _NAMES = ("frames.json", "info.json", "data.json", "scan_info.json", "dataset.json")
 _COLOR = ("rgb", "color", "colour")

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from stages.diagnostics.errors import InputError
+from stages.scans.calibration.resolution import stated_camera
 from stages.scans.codes import FRAME_POSE_MISSING, SCAN_FILES_MISSING
-from stages.scans.formats import trajectories
-from stages.scans.formats.trajectories import Trajectory
-from stages.scans.reading.associations import read_associations
-from stages.scans.reading.files import common_size
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import stated_camera
-from stages.scans.reading.timed_poses import poses_at
-from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
-from stages.scans.world import Y_DOWN
+from stages.scans.image_folders.image_files import common_size
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.tum.associations import read_associations
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+from stages.scans.model.world import Y_DOWN
+from stages.scans.trajectory import files as trajectories
+from stages.scans.trajectory.files import Trajectory
+from stages.scans.trajectory.timed_poses import poses_at
 
 _CAMERA = Camera(640, 480, 481.2, 480.0, 319.5, 239.5)
 _UNITS_PER_METRE = 5000.0

@@ -18,14 +18,14 @@ from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.scans.codes import CAMERA_CALIBRATION_INVALID
-from stages.scans.formats import trajectories
-from stages.scans.reading.files import common_size, first_existing, images, pair
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.projections import projected_rig
-from stages.scans.reading.rigs import rig_of
-from stages.scans.scan import Frame, Pose, Scan
+from stages.scans.image_folders.image_files import common_size, first_existing, images, pair
+from stages.scans.layouts.kitti.projections import projected_rig
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Frame, Pose, Scan
+from stages.scans.streams.stereo_rigs import rig_of
+from stages.scans.trajectory import files as trajectories
 
 _NAME = re.compile(r"I([12])_\d+")
 _PROJECTION = re.compile(r"^\s*P([12])_roi\s*[:=]\s*(.*?)\s*$", re.MULTILINE)

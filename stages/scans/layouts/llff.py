@@ -17,19 +17,20 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_IMAGE_FORMAT
 from stages.files.images import read_array, read_stored
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import stated_camera
 from stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import rigid
-from stages.scans.reading.files import images, numbers
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import stated_camera
-from stages.scans.reading.views import in_metres, single_view
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.image_folders.image_files import images, numbers
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.views import in_metres, single_view
+from stages.scans.model.poses import rigid
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.trajectory import files as trajectories
 
 _FILE = "poses_bounds.npy"
 _COLUMNS = 17

@@ -12,15 +12,15 @@ from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import image_size
+from stages.scans.calibration.camera_files import checked
+from stages.scans.calibration.image_size import for_images, stated_size
 from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, CAMERA_CALIBRATION_INVALID
-from stages.scans.formats import trajectories
-from stages.scans.formats.calibration import checked
-from stages.scans.formats.image_size import for_images, stated_size
-from stages.scans.reading.files import first_existing, has
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.scan import Camera, Frame, Pose, Scan, StereoRig
+from stages.scans.image_folders.image_files import first_existing, has
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, StereoRig
+from stages.scans.trajectory import files as trajectories
 
 
 def _matches(folder: Path) -> str | None:

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.calibration.camera_files import matrix_camera
 from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.formats import trajectories
-from stages.scans.formats.calibration import matrix_camera
-from stages.scans.poses import inverted, rigid
-from stages.scans.reading.files import common_size
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.scan import Camera, Frame, Pose, Scan
+from stages.scans.image_folders.image_files import common_size
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.poses import inverted, rigid
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan
+from stages.scans.trajectory import files as trajectories
 
 _NUMBERS = 21  # K and R, row by row, and t
 # A camera matrix is in pixels: a shear of less moves no point by a visible share of one.

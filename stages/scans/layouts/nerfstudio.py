@@ -20,6 +20,8 @@ from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import has_alpha, read_alpha
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import stated_camera
 from stages.scans.codes import (
     CAMERA_CALIBRATION_CONTRADICTORY,
     CAMERA_CALIBRATION_INVALID,
@@ -29,17 +31,16 @@ from stages.scans.codes import (
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import divided, from_opengl, inverted, matrix_of, rigid
-from stages.scans.reading.files import IMAGES, common_size, numbers
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.moved import found_file, found_images
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.phones import seen_in
-from stages.scans.reading.stated import stated_camera
-from stages.scans.reading.views import in_metres, single_view
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.world import Z_UP, WorldUp, up_of_layout
+from stages.scans.image_folders.image_files import IMAGES, common_size, numbers
+from stages.scans.image_folders.path_remapping import found_file, found_images
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.phones import seen_in
+from stages.scans.layouts.shared.views import in_metres, single_view
+from stages.scans.model.poses import divided, from_opengl, inverted, matrix_of, rigid
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.model.world import Z_UP, WorldUp, up_of_layout
+from stages.scans.trajectory import files as trajectories
 
 _PREFERRED = ("transforms.json", "transforms_train.json")
 # A focal length and an angle of view that are stated beside each other are rounded.

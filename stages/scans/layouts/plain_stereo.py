@@ -3,7 +3,7 @@
     left/000000.png  right/000000.png  …
     left01.png  right01.png  …                    the same in one folder; also 01_left.png, cam_L_01.png
     000000.png  …                                 the same as one image, the left half beside the right
-    calibration.json | .toml | .yaml | .xml       see stages.scans.formats.rig_calibration.read_rig
+    calibration.json | .toml | .yaml | .xml       see stages.scans.calibration.rig_calibration.read_rig
     poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
 
 Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.
@@ -17,10 +17,9 @@ from pathlib import Path
 
 from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
+from stages.scans.calibration.discovery import trajectory_beside
 from stages.scans.codes import POSE_ASSUMED, SCAN_FILES_MISSING
-from stages.scans.formats import trajectories
-from stages.scans.reading.beside import trajectory_beside
-from stages.scans.reading.files import (
+from stages.scans.image_folders.image_files import (
     check_order,
     common_size,
     first_existing,
@@ -29,13 +28,14 @@ from stages.scans.reading.files import (
     numbers,
     pair,
 )
-from stages.scans.reading.halves import are_pairs, halves_of
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.rigs import rig_of
-from stages.scans.reading.timed_poses import poses_at
-from stages.scans.scan import Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.image_folders.side_by_side_stereo import are_pairs, halves_of
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.streams.stereo_rigs import rig_of
+from stages.scans.trajectory import files as trajectories
+from stages.scans.trajectory.timed_poses import poses_at
 
 _SIDES = (
     ("left", "right"),

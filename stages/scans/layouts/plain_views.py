@@ -16,17 +16,17 @@ from pathlib import Path
 from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
 from stages.files.noting import note, only_looking
+from stages.scans.calibration.discovery import texts_of_poses
+from stages.scans.calibration.resolution import found_camera, stated_camera
 from stages.scans.codes import FRAME_POSE_MISSING, POSE_ASSUMED, SCAN_FILES_MISSING
-from stages.scans.formats import trajectories
-from stages.scans.reading.beside import texts_of_poses
-from stages.scans.reading.files import COLOR_FOLDERS, common_size, images
-from stages.scans.reading.lacking import calibration_missing, poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import found_camera, stated_camera
-from stages.scans.reading.timed_poses import poses_at
-from stages.scans.reading.views import single_view
-from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scans.image_folders.image_files import COLOR_FOLDERS, common_size, images
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.views import single_view
+from stages.scans.model.lacking import calibration_missing, poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scans.trajectory import files as trajectories
+from stages.scans.trajectory.timed_poses import poses_at
 
 # The last are what a rig of one camera keeps of its names.
 _FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs", "image_0", "image_2", "image_l", "image_left", "left")

@@ -13,18 +13,19 @@ from typing import Any
 from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import stated_camera
 from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING, SCAN_PHONE_IMAGES, SCAN_TABLE_DAMAGED
-from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import from_opengl, matrix_of, rigid
-from stages.scans.reading.black_border import border_mask
-from stages.scans.reading.files import IMAGES, common_size, images, numbers
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.phones import least_confidence, seen_in
-from stages.scans.reading.stated import stated_camera
-from stages.scans.reading.views import single_view
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.world import Y_UP
+from stages.scans.image_folders.black_border import border_mask
+from stages.scans.image_folders.image_files import IMAGES, common_size, images, numbers
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.phones import least_confidence, seen_in
+from stages.scans.layouts.shared.views import single_view
+from stages.scans.model.poses import from_opengl, matrix_of, rigid
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.model.world import Y_UP
+from stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 127, 255)
 # Optimised and undistorted, the first is the better one; long captures lack it.

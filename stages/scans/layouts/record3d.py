@@ -21,19 +21,28 @@ from stages.diagnostics.errors import InputError
 from stages.files import documents, lzfse_blocks
 from stages.files.images import decode_color, read_raw_depth
 from stages.files.zip_archives import entry_content, opened_archive
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import stated_camera
+from stages.scans.calibration.table_values import number_row
 from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.formats import calibration, trajectories
-from stages.scans.formats.table_values import number_row
-from stages.scans.poses import from_opengl, pose_from_quaternion
-from stages.scans.reading.files import DEPTHS, IMAGES, common_size, first_existing, images, numbers, pair
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.phones import least_confidence, seen_in
-from stages.scans.reading.recordings import one_recording
-from stages.scans.reading.stated import stated_camera
-from stages.scans.reading.views import without_depth
-from stages.scans.scan import Camera, ColorImage, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.world import Y_UP
+from stages.scans.image_folders.image_files import (
+    DEPTHS,
+    IMAGES,
+    common_size,
+    first_existing,
+    images,
+    numbers,
+    pair,
+)
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.phones import least_confidence, seen_in
+from stages.scans.layouts.shared.views import without_depth
+from stages.scans.model.poses import from_opengl, pose_from_quaternion
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, ColorImage, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.model.world import Y_UP
+from stages.scans.recordings.choice import one_recording
+from stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 1, 2)
 # LiDAR and TrueDepth, for archives that do not say.

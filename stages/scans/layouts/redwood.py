@@ -12,18 +12,19 @@ from pathlib import Path
 from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
+from stages.scans.calibration import azure_kinect
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.discovery import trajectory_beside
+from stages.scans.calibration.resolution import found_camera
 from stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     POSE_ASSUMED,
     SCALE_DEPTH_UNIT_ASSUMED,
     SCAN_FILES_MISSING,
 )
-from stages.scans.formats import azure_kinect, calibration, trajectories
-from stages.scans.reading.beside import trajectory_beside
-from stages.scans.reading.confidence_folder import confidence_of
-from stages.scans.reading.depth_pictures import without_pictures
-from stages.scans.reading.depth_units import FIFTHS, told_units
-from stages.scans.reading.files import (
+from stages.scans.image_folders.depth_pictures import without_pictures
+from stages.scans.image_folders.depth_units import FIFTHS, told_units
+from stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
     DEPTHS,
@@ -34,11 +35,12 @@ from stages.scans.reading.files import (
     numbers,
     pair,
 )
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import found_camera
-from stages.scans.scan import Camera, Frame, Pose, Scan
+from stages.scans.layouts.shared.confidence_maps import confidence_of
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan
+from stages.scans.trajectory import files as trajectories
 
 _INTRINSICS = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_primesense.json")
 _UNITS_PER_METRE = 1000.0

@@ -9,14 +9,15 @@ from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
 from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.formats import calibration, trajectories
-from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.scan import Camera, Frame, Pose, Scan, scaled
-from stages.scans.world import Z_UP
+from stages.scans.image_folders.image_files import DEPTHS, common_size, first_existing, images, pair
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
+from stages.scans.model.world import Z_UP
+from stages.scans.trajectory import files as trajectories
 
 # What every room of the data set is rendered with.
 _CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)

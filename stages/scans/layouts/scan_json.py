@@ -48,15 +48,16 @@ from numpy.typing import NDArray
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.codes import FILE_TEXT_INVALID
+from stages.scans.calibration import camera_files as calibration
 from stages.scans.codes import SCAN_TABLE_DAMAGED
-from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import matrix_of, rigid, turn_of
-from stages.scans.reading.files import inside
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.scan import Camera, Frame, Pose, Scan
-from stages.scans.world import Direction, WorldUp
+from stages.scans.image_folders.image_files import inside
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.poses import matrix_of, rigid, turn_of
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan
+from stages.scans.model.world import Direction, WorldUp
+from stages.scans.trajectory import files as trajectories
 
 FORMAT_VERSION = 1
 FILE = "scan.json"

@@ -15,6 +15,8 @@ from stages.diagnostics.collector import emit
 from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import found_camera, stated_camera
 from stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     CAMERA_CALIBRATION_SCALED,
@@ -22,9 +24,7 @@ from stages.scans.codes import (
     SCAN_ASSUMED,
     SCAN_FILES_MISSING,
 )
-from stages.scans.formats import calibration, trajectories
-from stages.scans.reading.axis_alignment import up_of_scannet
-from stages.scans.reading.files import (
+from stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
     DEPTHS,
     check_order,
@@ -33,13 +33,14 @@ from stages.scans.reading.files import (
     images,
     pair,
 )
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.pose_files import read_pose_files
-from stages.scans.reading.stated import found_camera, stated_camera
-from stages.scans.reading.views import single_view
-from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+from stages.scans.layouts.shared.axis_alignment import up_of_scannet
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.views import single_view
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+from stages.scans.trajectory import files as trajectories
+from stages.scans.trajectory.pose_files import read_pose_files
 
 _UNITS_PER_METRE = 1000.0
 # The colour camera of the data set: its intrinsics stay for this size where images were made smaller.

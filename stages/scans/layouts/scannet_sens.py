@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files.codes import RECORDING_DAMAGED
+from stages.scans.calibration import camera_files as calibration
 from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED
-from stages.scans.formats import calibration, sens, trajectories
-from stages.scans.poses import rigid
-from stages.scans.reading.axis_alignment import up_of_scannet
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.recordings import one_recording
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.layouts.shared.axis_alignment import up_of_scannet
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.poses import rigid
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.recordings import sens
+from stages.scans.recordings.choice import one_recording
+from stages.scans.trajectory import files as trajectories
 
 
 def _matches(folder: Path) -> str | None:

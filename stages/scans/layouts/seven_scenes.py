@@ -11,6 +11,7 @@ from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.image_bytes import MAX_PIXELS
+from stages.scans.calibration import camera_files as calibration
 from stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_INTRINSICS_GUESSED,
@@ -20,13 +21,13 @@ from stages.scans.codes import (
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.formats import calibration, trajectories
-from stages.scans.reading.files import common_size, first_existing
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.pose_files import read_pose_files
-from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scans.image_folders.image_files import common_size, first_existing
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scans.trajectory import files as trajectories
+from stages.scans.trajectory.pose_files import read_pose_files
 
 _NAME = re.compile(r"frame-(\d+)\.depth\.png")
 # The Kinect of the data set, as its page states; BundleFusion and others bring a file.

@@ -12,15 +12,15 @@ from stages.diagnostics.collector import collecting, emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
 from stages.files.images import image_size
+from stages.scans.calibration.rig_calibration import with_baseline
 from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.formats import trajectories
-from stages.scans.formats.rig_calibration import with_baseline
-from stages.scans.reading.files import first_existing
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.rigs import rig_of
-from stages.scans.scan import Camera, Frame, Scan, StereoRig
+from stages.scans.image_folders.image_files import first_existing
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from stages.scans.streams.stereo_rigs import rig_of
+from stages.scans.trajectory import files as trajectories
 
 _PAIRS = (("im0", "im1"), ("im2", "im6"), ("view1", "view5"), ("left", "right"))
 _SUFFIXES = (".png", ".ppm", ".pgm", ".jpg", ".jpeg")

@@ -17,25 +17,26 @@ from numpy.typing import NDArray
 from stages.diagnostics.collector import emit
 from stages.diagnostics.errors import InputError
 from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import stated_camera
 from stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     SCAN_FILES_MISSING,
     SCAN_IMAGES_UNPAIRED,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.formats import calibration, trajectories
-from stages.scans.poses import pose_from_quaternion
-from stages.scans.reading.files import DEPTHS, IMAGES, common_size, images, numbers
-from stages.scans.reading.gravity import ups_of
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.phone_imu import phone_accelerometer
-from stages.scans.reading.phones import least_confidence, seen_in
-from stages.scans.reading.stated import stated_camera
-from stages.scans.reading.views import without_depth
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.video import Video
-from stages.scans.world import Y_UP
+from stages.scans.image_folders.image_files import DEPTHS, IMAGES, common_size, images, numbers
+from stages.scans.layouts.shared.gravity import ups_of
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.phone_imu import phone_accelerometer
+from stages.scans.layouts.shared.phones import least_confidence, seen_in
+from stages.scans.layouts.shared.views import without_depth
+from stages.scans.model.poses import pose_from_quaternion
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.model.video import Video
+from stages.scans.model.world import Y_UP
+from stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 1, 2)
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

@@ -24,15 +24,16 @@ from stages.diagnostics.diagnostic import Diagnostic
 from stages.diagnostics.errors import InputError
 from stages.files.codes import FILE_DEPTH_FORMAT
 from stages.files.images import read_raw_depth, read_stored
+from stages.scans.calibration import rig_calibration
+from stages.scans.calibration.resolution import stated_camera
 from stages.scans.codes import SCAN_FILES_MISSING
-from stages.scans.formats import rig_calibration, trajectories
-from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
-from stages.scans.reading.lacking import poses_missing
-from stages.scans.reading.layout import Layout
-from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import stated_camera
-from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, StereoRig, scaled
-from stages.scans.world import Z_DOWN
+from stages.scans.image_folders.image_files import DEPTHS, common_size, first_existing, images, pair
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, StereoRig, scaled
+from stages.scans.model.world import Z_DOWN
+from stages.scans.trajectory import files as trajectories
 
 
 @dataclass(frozen=True)

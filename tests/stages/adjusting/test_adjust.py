@@ -15,7 +15,7 @@ from stages import Frame, adjust, read_scan
 from stages.adjusting.cameras import motion, motion_apart, steps_of
 from stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
 from stages.adjusting.key_frames import key_frames
-from stages.scans.images import read_color, read_depth
+from stages.scans.model.images import read_color, read_depth
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 

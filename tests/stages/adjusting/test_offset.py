@@ -14,7 +14,7 @@ from stages import Frame, adjust, inspect, read_scan
 from stages.adjusting.offset import Offset, offset, sights
 from stages.adjusting.view import color_camera, place_of_color
 from stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED
-from stages.scans.images import read_color, read_depth
+from stages.scans.model.images import read_color, read_depth
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 

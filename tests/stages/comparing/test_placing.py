@@ -6,7 +6,7 @@ import pytest
 from photographed import CAMERA, paint, photo, pose, wall
 
 from stages.comparing.placing import poses_of
-from stages.scans.scan import Camera, pinhole
+from stages.scans.model.scan import Camera, pinhole
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 

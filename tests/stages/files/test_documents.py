@@ -11,7 +11,7 @@ from stages.diagnostics.errors import InputError, UsageError
 from stages.files import documents
 from stages.files.documents import read_document, read_json
 from stages.files.row_numbers import numbers_on
-from stages.scans.reading.files import numbers
+from stages.scans.image_folders.image_files import numbers
 
 MANY = 100_000
 DEEP = {

@@ -23,11 +23,14 @@ from stages.files.exr import exr_size, read_exr
 from stages.files.opening import content_of, opened, require_regular, text_in
 from stages.files.zip_archives import opened_archive
 from stages.normal_meshes.normal_mesh import decode
-from stages.scans.formats import calibration, colmap, sens, trajectories
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.layouts.colmap import model_files as colmap
+from stages.scans.model.video import Video
 from stages.scans.read import read_scan
-from stages.scans.ros.chunked import opened as opened_recording
-from stages.scans.ros.db3 import read_db3
-from stages.scans.video import Video
+from stages.scans.recordings import sens
+from stages.scans.recordings.chunked import opened as opened_recording
+from stages.scans.recordings.db3 import read_db3
+from stages.scans.trajectory import files as trajectories
 from stages.simplification.records.archive import read_arrays
 from stages.surface.mesh_files import read_mesh, write_mesh
 
@@ -171,8 +174,8 @@ ALLOWED = {
     "stages/surface/formats/cloud_parts.py": {"open", "fromfile"},  # in a folder of its own
     "stages/surface/formats/las.py": {"open"},  # what is opened already
     "stages/surface/mesh_files.py": {"load_scene"},  # bytes in memory
-    "stages/scans/ros/db3.py": {"connect"},  # after opened
-    "stages/scans/video.py": {"VideoCapture"},  # after opened
+    "stages/scans/recordings/db3.py": {"connect"},  # after opened
+    "stages/scans/model/video.py": {"VideoCapture"},  # after opened
     "stages/picturing/video.py": {"open"},  # an encoder, of a draft
     "pipeline/cache/store.py": {"open"},  # locks and marks of the cache
     "pipeline/cache/posix.py": {"open", "read_text"},  # locks, what is flushed; of the system

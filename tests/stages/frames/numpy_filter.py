@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.frames.depth_filter import OrientedDepth, bridge_gaps, inverse_depth_differences
-from stages.scans.scan import Camera, DepthImage
+from stages.scans.model.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.frames import depth_filter
-from stages.scans.images import read_depth
+from stages.scans.model.images import read_depth
+from stages.scans.model.scan import Camera, pinhole
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, pinhole
 from tests.stages.frames import numpy_filter
 
 LIMITS = {"max_jump": 0.05, "max_angle": 87.0}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stages.frames.projection import project, unproject
-from stages.scans.scan import Camera
+from stages.scans.model.scan import Camera
 
 CAMERA = Camera(640, 480, 500.0, 510.0, 318.5, 241.0)
 

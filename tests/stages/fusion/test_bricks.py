@@ -18,8 +18,8 @@ from stages.fusion.bricks import Cube, Seen, coordinates, level_of, numbers_of, 
 from stages.fusion.fuse import fuse, fuse_to_file
 from stages.fusion.in_bricks import FusedInBricks, fuse_in_bricks
 from stages.fusion.params import FuseParams
+from stages.scans.model.scan import Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.surface.pieces import Pieces
 from stages.surface.topology import topology

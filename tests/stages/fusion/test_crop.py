@@ -19,8 +19,8 @@ from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.crop import Crop, cropped, cut, shown
 from stages.fusion.fuse import Fused, fuse
 from stages.fusion.params import FuseParams
+from stages.scans.model.scan import Frame
 from stages.scans.read import read_scan
-from stages.scans.scan import Frame
 from stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.diagnostics.errors import InputError, StageError, UsageError
 from stages.fusion.fuse import Fused, fuse
+from stages.scans.model.scan import Camera, Frame, Scan
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Scan
 from stages.surface.mesh import Mesh
 
 CAMERA = Camera(160, 120, 140.0, 140.0, 80.0, 59.0)

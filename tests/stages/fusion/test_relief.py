@@ -15,8 +15,8 @@ from stages import clean, fuse, read_scan
 from stages._open3d import open3d
 from stages.fusion.crop import part_of
 from stages.fusion.relief import evened
+from stages.scans.model.scan import Camera, Frame
 from stages.scans.params import ScanParams
-from stages.scans.scan import Camera, Frame
 from stages.stereo.depth import depth_scan
 from stages.surface.mesh import Mesh
 from stages.surface.topology import topology

@@ -19,8 +19,8 @@ from stages.fusion.fuse import fuse
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import limits_of
 from stages.fusion.voxels import Volume, Weighing, block_bytes, touched_blocks
+from stages.scans.model.scan import Camera, Frame
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame
 from stages.surface.mesh import Mesh
 
 VOXEL = 0.02

@@ -16,10 +16,10 @@ from stages.inspecting.inspect import inspect
 from stages.inspecting.inspection import Inspection
 from stages.inspecting.sanity import check_poses, pose_doubts, require_poses
 from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING
-from stages.scans.images import read_color
+from stages.scans.model.images import read_color
+from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 CAMERA = Camera(160, 120, 150, 150, 80, 60)

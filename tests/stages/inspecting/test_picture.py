@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.inspecting.picture import inspection_picture
-from stages.scans.scan import Camera, Frame, Scan
+from stages.scans.model.scan import Camera, Frame, Scan
 
 CAMERA = Camera(64, 48, 50, 50, 31.5, 23.5)
 

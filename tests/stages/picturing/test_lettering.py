@@ -6,7 +6,7 @@ import pytest
 from stages.picturing.lettering import focus_of, metres_in_words, scale_bar, with_scale_bar, with_words
 from stages.picturing.render import Model
 from stages.picturing.viewpoints import Viewpoint
-from stages.scans.scan import Camera
+from stages.scans.model.scan import Camera
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 

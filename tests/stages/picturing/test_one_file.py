@@ -18,7 +18,7 @@ from stages.picturing.page.one_file import PageCamera, PageLook, PageModel, Page
 from stages.picturing.page.standing import facing
 from stages.picturing.render import render
 from stages.picturing.viewpoints import Viewpoint
-from stages.scans.scan import Camera
+from stages.scans.model.scan import Camera
 from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.upright import turn_along_z
 

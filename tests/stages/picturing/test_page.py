@@ -19,7 +19,7 @@ from stages.picturing.page.files import tiles_page
 from stages.picturing.page.serving import FolderServer
 from stages.picturing.render import render
 from stages.picturing.viewpoints import Viewpoint
-from stages.scans.scan import Camera
+from stages.scans.model.scan import Camera
 
 WIDTH, HEIGHT = 480, 360
 COMPRESS = Path(__file__).resolve().parents[2] / "made" / "compress_tiles.mjs"

@@ -9,7 +9,7 @@ import trimesh
 from stages.diagnostics.errors import InputError, StageError
 from stages.picturing.render import Model, render, write_png
 from stages.picturing.viewpoints import Viewpoint, viewpoints
-from stages.scans.scan import Camera, Frame
+from stages.scans.model.scan import Camera, Frame
 from stages.surface.mesh import Image, Material, Mesh, Texture
 from stages.surface.raycasting import Surface
 

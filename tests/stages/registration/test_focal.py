@@ -19,10 +19,10 @@ from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion
 from stages.registration.register import register
+from stages.scans.calibration.resolution import found_camera
 from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
+from stages.scans.model.scan import Camera, Frame, Scan
 from stages.scans.read import read_scan
-from stages.scans.reading.stated import found_camera
-from stages.scans.scan import Camera, Frame, Scan
 
 pytestmark = pytest.mark.slow
 

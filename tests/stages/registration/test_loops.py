@@ -17,8 +17,8 @@ from stages.registration.graph import Edge, pieces
 from stages.registration.motion import Motion, angle, motion_between
 from stages.registration.odometry import one_thread_each
 from stages.registration.register import register
-from stages.scans.poses import inverted
-from stages.scans.scan import Frame, Pose
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Frame, Pose
 from tests.made.room_of_posters import STEP, turning
 
 pytestmark = pytest.mark.slow

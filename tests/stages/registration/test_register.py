@@ -19,11 +19,11 @@ from stages.registration.motion import Motion, NoMotion, angle, motion_between
 from stages.registration.register import register
 from stages.registration.registered import Registration
 from stages.registration.view import read_view
-from stages.scans.formats.trajectories import read_tum, write_tum
-from stages.scans.images import read_color, read_depth
-from stages.scans.poses import inverted
+from stages.scans.model.images import read_color, read_depth
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Pose, Scan, scaled
+from stages.scans.trajectory.files import read_tum, write_tum
 from stages.stereo.depth import DepthMap, depth_scan
 
 pytestmark = pytest.mark.slow

@@ -20,11 +20,11 @@ from stages.registration.marks import Plate, marked_motion, moving_marks
 from stages.registration.register import register
 from stages.registration.registered import Registration
 from stages.registration.subject import shows_thing
-from stages.scans.images import read_depth
+from stages.scans.model.images import read_depth
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Frame, Pose, Scan
 from stages.scans.params import ScanParams
-from stages.scans.poses import inverted
 from stages.scans.read import read_scan
-from stages.scans.scan import Frame, Pose, Scan
 
 pytestmark = pytest.mark.slow
 

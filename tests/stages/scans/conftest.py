@@ -14,7 +14,7 @@ import pytest
 from tiny_recordings import INTERVAL, START
 
 from stages.frames.matching_color import read_matching_color
-from stages.scans.images import read_depth, read_pinhole
+from stages.scans.model.images import read_depth, read_pinhole
 from stages.scans.params import ScanParams
 
 PIXEL = (26, 17)

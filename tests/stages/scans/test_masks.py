@@ -6,7 +6,7 @@ import pytest
 
 from stages.diagnostics.errors import InputError
 from stages.inspecting.unused import unused
-from stages.scans.images import read_depth
+from stages.scans.model.images import read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

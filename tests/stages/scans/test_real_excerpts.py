@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.scans.images import read_color, read_depth, read_pinhole
+from stages.scans.model.images import read_color, read_depth, read_pinhole
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 from stages.scans.table import LAYOUTS

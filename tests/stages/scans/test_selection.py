@@ -8,9 +8,9 @@ import pytest
 
 from stages.diagnostics.errors import UsageError
 from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.model.scan import Camera, Frame
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame
 
 CAMERA = Camera(32, 24, 100.0, 100.0, 16.0, 12.0)
 COUNT = 24

@@ -11,8 +11,8 @@ from onnx import helper
 
 from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError, UsageError
+from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
 from stages.stereo.completed_scan import completed_scan

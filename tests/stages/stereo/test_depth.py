@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 import stages
 from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, StereoRig
+from stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame, StereoRig
 from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER
 from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
 

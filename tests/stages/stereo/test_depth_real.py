@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from stages.scans.images import read_color, read_right
+from stages.scans.model.images import read_color, read_right
+from stages.scans.model.scan import Camera, Frame, StereoRig
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, StereoRig
 from stages.stereo.depth import DepthMap, depth, depth_scan
 
 

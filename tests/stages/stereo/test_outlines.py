@@ -10,7 +10,7 @@ import pytest
 
 from stages import views_depth
 from stages.diagnostics.collector import collecting
-from stages.scans.scan import Frame, Scan
+from stages.scans.model.scan import Frame, Scan
 from stages.stereo.background import before_backdrop, common_backdrop
 from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE
 from stages.stereo.coverage import Counts, report_coverage

@@ -8,7 +8,7 @@ import numpy as np
 import posed_scene
 import pytest
 
-from stages.scans.scan import Camera, DepthImage, Frame, Scan, SkippedFrame
+from stages.scans.model.scan import Camera, DepthImage, Frame, Scan, SkippedFrame
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
 from stages.stereo.params import DepthParams

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from stages.diagnostics.errors import InputError
-from stages.scans.images import read_color
-from stages.scans.scan import Camera, Frame, StereoRig
+from stages.scans.model.images import read_color
+from stages.scans.model.scan import Camera, Frame, StereoRig
 from stages.stereo.rectify import rectified_rig
 
 SIZE = (160, 120)

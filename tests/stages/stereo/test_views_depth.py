@@ -19,8 +19,8 @@ from stages.diagnostics.collector import collecting
 from stages.diagnostics.errors import InputError
 from stages.frames.features import detect_keypoints, match_descriptors
 from stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES
-from stages.scans.images import read_depth
-from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
+from stages.scans.model.images import read_depth
+from stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
 from stages.stereo.agreement import agreeing_views, merged
 from stages.stereo.background import measurable
 from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_IMAGES_TURNED, DEPTH_POSES_MOVED

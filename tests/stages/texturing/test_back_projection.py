@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from photographed import CAMERA, photos, wall
 
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.texturing import painting

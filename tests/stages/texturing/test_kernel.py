@@ -10,7 +10,7 @@ from photographed import CAMERA, flat_photo, paint, photos, pose, wall
 
 from stages import Mesh, _kernels
 from stages.progress import silent
-from stages.scans.poses import inverted
+from stages.scans.model.poses import inverted
 from stages.surface.raycasting import Surface
 from stages.surface.vertex_normals import vertex_normals
 from stages.texturing.exposure import no_exposure

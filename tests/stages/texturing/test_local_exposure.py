@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from photographed import CAMERA, photo, pose, wall
 
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 from stages.texturing import painting
 from stages.texturing.local_exposure import in_levels, local_exposure_of, made_even
 from stages.texturing.texture import texture

@@ -8,7 +8,7 @@ import pytest
 from photographed import photos
 
 from stages.progress import silent
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 from stages.texturing.photos import photos_of
 
 

@@ -12,8 +12,8 @@ from photographed import CAMERA, brighter, flat_photo, hits, paint, photo, photo
 
 from stages import InputError, MeshError, UsageError
 from stages.progress import silent
-from stages.scans.images import read_photo
-from stages.scans.scan import Frame, Scan
+from stages.scans.model.images import read_photo
+from stages.scans.model.scan import Frame, Scan
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh, write_mesh

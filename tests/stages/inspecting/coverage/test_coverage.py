@@ -13,7 +13,7 @@ from stages.diagnostics.errors import InputError, MeshError, UsageError
 from stages.inspecting.coverage.covered import Coverage
 from stages.inspecting.coverage.kinds import MISSING, THIN
 from stages.inspecting.coverage.place import Place
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 from stages.surface.raycasting import Surface
 
 WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))

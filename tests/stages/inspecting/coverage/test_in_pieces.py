@@ -14,7 +14,7 @@ from stages.inspecting.coverage import probes
 from stages.inspecting.coverage.borders import border_of
 from stages.inspecting.coverage.covered import Coverage
 from stages.inspecting.coverage.sight import Sight
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 from stages.surface import piecewise
 from stages.surface.formats.ply import read_ply
 from stages.surface.pieces import Pieces

@@ -10,7 +10,7 @@ from plates import CAMERA, frames_of, plate, together
 
 from stages import coverage
 from stages.inspecting.coverage.kinds import THIN
-from stages.scans.scan import Frame
+from stages.scans.model.scan import Frame
 
 WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))
 STRAIGHT = [((x, -1.2, 0.6), (x, 0, 0.6)) for x in np.linspace(-0.3, 0.3, 6)]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stages.diagnostics.errors import InputError
+from stages.scans.model.poses import inverted
 from stages.scans.params import ScanParams
-from stages.scans.poses import inverted
 from stages.scans.read import read_scan
 
 # Tenths of a millimetre.

@@ -38,7 +38,7 @@ def scan_folder(tmp_path, tiny, matrix_text):
 
 
 def seen(frame):
-    from stages.scans.images import read_depth
+    from stages.scans.model.images import read_depth
 
     z = float(read_depth(frame)[17 * 4, 26 * 4])
     u, v = 26 * 4 + 1.5, 17 * 4 + 1.5

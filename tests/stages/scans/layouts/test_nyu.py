@@ -8,7 +8,7 @@ from stages.adjusting.offset import offset, sights
 from stages.adjusting.view import color_camera, place_of_color
 from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
-from stages.scans.images import read_depth
+from stages.scans.model.images import read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 
 from stages.diagnostics.errors import InputError
-from stages.scans.images import read_color, read_depth
+from stages.scans.model.images import read_color, read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

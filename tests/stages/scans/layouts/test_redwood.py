@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stages.diagnostics.errors import InputError
-from stages.scans.images import read_depth
+from stages.scans.model.images import read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

@@ -7,7 +7,7 @@ import pytest
 
 from stages.diagnostics.errors import InputError
 from stages.frames.matching_color import read_matching_color
-from stages.scans.images import read_color, read_depth
+from stages.scans.model.images import read_color, read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 

@@ -1,0 +1,1 @@
+"""Cameras: calibration files, and what stands in for them."""

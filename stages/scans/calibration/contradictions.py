@@ -1,0 +1,168 @@
+"""Warnings about numbers of one calibration that contradict each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.errors import InputError
+from stages.scans.calibration.table_values import MATRICES, matrix_in
+from stages.scans.codes import CAMERA_CALIBRATION_CONTRADICTORY
+from stages.scans.model.scan import Camera, Pose, StereoRig
+
+# Files round, and fx of a rectified pair is not quite that of its camera.
+_SAME_LENGTH = 0.02
+_SAME_FOCAL_LENGTH = 0.01
+# What one length in metres is in another unit of the same file.
+_UNITS = (1.0, 100.0, 1000.0)
+# Cameras of one pair, and the two axes of one camera, have focal lengths that are nearer than so.
+_ALIKE = 1.25
+# A matrix that nobody filled in.
+_NOT_FILLED_IN = 1.0
+_SAME_TURN_DEG = 0.5
+
+
+def check_rig(
+    document: dict[str, Any], values: dict[str, Any], rig: StereoRig, length: float, path: Path
+) -> None:
+    """Warn if a calibration states the baseline twice and differently, or very different cameras.
+
+    Parameters
+    ----------
+    document, values : as it is written, and under the names of our own calibrations.
+    rig : that was made of it.
+    length : the baseline that is used, in the unit of the file.
+    """
+    found = list(_baselines(document, values, path))
+    others = [(name, value) for name, value in found if not _is_length(value, length)]
+    if others:
+        taken = next((name for name, value in found if _is_length(value, length)), "R and T")
+        shown = " and ".join(f"{value:.4g} ({name})" for name, value in others[:2])
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it states more than one baseline, {length:.4g} ({name}) and {others}: the first is taken",
+                path,
+                remedy="scan.baseline=METRES states another",
+                length=length,
+                name=taken,
+                others=shown,
+            )
+        )
+    left, right = rig.left.fx, rig.right.fx
+    if not 1 / _ALIKE < left / right < _ALIKE:
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it has focal lengths of {left:.4g} and {right:.4g} px for the two cameras of a pair: is one "
+                "for another size of the images?",
+                path,
+                left=left,
+                right=right,
+            )
+        )
+
+
+def warn_not_rectified(rig: StereoRig, path: Path) -> None:
+    """Warn that a calibration of rectified images has cameras that are not parallel, or distorted."""
+    emit(
+        CAMERA_CALIBRATION_CONTRADICTORY.warning(
+            "it says that its images are rectified, but its cameras are not those of rectified ones (turned "
+            "by {turn:.2g}° to each other{distortion})",
+            path,
+            remedy="rectified=false has them rectified here",
+            turn=_degrees(rig.right_from_left),
+            distortion=", with distortion" if any(rig.left.distortion + rig.right.distortion) else "",
+        )
+    )
+
+
+def check_relations(first: Pose, second: Pose, names: str, path: Path) -> None:
+    """Warn if two relations of the same cameras, of which the first is taken, differ."""
+    lengths = [float(np.linalg.norm(pose[:3, 3])) for pose in (first, second)]
+    apart = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
+    turn = _degrees(np.linalg.inv(first) @ second)
+    if apart > _SAME_LENGTH * max(lengths) or turn > _SAME_TURN_DEG:
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it states by {names} how its cameras stand to each other, and they differ by {apart:.3g} "
+                "and {turn:.2g}°: the first is taken",
+                path,
+                names=names,
+                apart=apart,
+                turn=turn,
+            )
+        )
+
+
+def check_camera(values: dict[str, Any], camera: Camera, path: Path) -> None:
+    """Warn if the table of a camera states a focal length twice, or one that no lens has.
+
+    Parameters
+    ----------
+    camera : that was made of it, for the images' size that it states.
+    """
+    if not 1 / _ALIKE < camera.fx / camera.fy < _ALIKE:
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it has focal lengths of {fx:.4g} px across and {fy:.4g} px down, which no lens has: are its "
+                "numbers in the order fx, fy, cx, cy?",
+                path,
+                fx=camera.fx,
+                fy=camera.fy,
+            )
+        )
+    stated = values.get("fx")
+    if not isinstance(stated, (int, float)) or not any(name in values for name in MATRICES):
+        return
+    if abs(stated - camera.fx) > _SAME_FOCAL_LENGTH * camera.fx:
+        emit(
+            CAMERA_CALIBRATION_CONTRADICTORY.warning(
+                "it states the focal lengths {by_matrix:.6g} px, by its matrix, and {stated:.6g} px, by fx: "
+                "the first is taken",
+                path,
+                by_matrix=camera.fx,
+                stated=stated,
+            )
+        )
+
+
+def _baselines(document: dict[str, Any], values: dict[str, Any], path: Path) -> Iterator[tuple[str, float]]:
+    """Yield each baseline that is stated, and where, in the unit of the file; what cannot be read is none."""
+    for name in ("T", "translation", "t"):
+        if name in values and (shift := _numbers(values, name, path)) is not None and shift.size == 3:
+            yield name, float(np.linalg.norm(shift))
+            break
+    for name, table in (("P2", document.get("P2")), ("RIGHT.P", document.get("RIGHT.P"))):
+        if table is not None and (projection := _numbers(document, name, path)) is not None:
+            yield from _of_projection(name, projection)
+    for name in ("baseline", "Stereo.b"):
+        if isinstance(document.get(name), (int, float)):
+            yield name, abs(float(document[name]))
+    strength, focal = document.get("Camera.bf"), document.get("Camera.fx", document.get("Camera1.fx"))
+    if isinstance(strength, (int, float)) and isinstance(focal, (int, float)) and focal:
+        yield "Camera.bf", abs(strength / focal)
+
+
+def _of_projection(name: str, projection: np.ndarray[Any, Any]) -> Iterator[tuple[str, float]]:
+    is_filled = projection.shape == (3, 4) and projection[0, 0] not in (0, _NOT_FILLED_IN)
+    if is_filled and projection[0, 3]:
+        yield name, abs(float(projection[0, 3] / projection[0, 0]))
+
+
+def _numbers(values: dict[str, Any], name: str, path: Path) -> np.ndarray[Any, Any] | None:
+    try:
+        return matrix_in(values, name, path)
+    except InputError:
+        return None
+
+
+def _is_length(value: float, length: float) -> bool:
+    return any(abs(value * one / (length * other) - 1) <= _SAME_LENGTH for one in _UNITS for other in _UNITS)
+
+
+def _degrees(pose: Pose) -> float:
+    return math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(pose[:3, :3])) - 1) / 2))))

@@ -1,0 +1,71 @@
+"""Lenses of the field-of-view model, as OpenCV's fisheye: the two differ by less than the tenth of a pixel.
+
+A ray at an angle t off the axis is seen r = atan(2 tan(t) tan(omega / 2)) / omega beside the centre, times
+the focal length (Devernay and Faugeras, Straight lines have to be straight, Machine Vision and Applications
+13, 2001, equation 13).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_LENS_UNKNOWN
+from stages.scans.model.scan import Camera
+
+# Radians; below the first the lens bends nothing, beyond the second no lens sees.
+_NARROWEST, _WIDEST = 1e-3, math.pi - 1e-3
+_TOLERANCE = 0.1
+_RAYS = 500
+
+
+def fisheye_of_fov(camera: Camera, omega: float, path: Path) -> Camera:
+    """Return the fisheye camera that sees what one of the field-of-view model sees.
+
+    Its coefficients are fitted to the rays that a pinhole camera of the same size and scale holds.
+
+    Parameters
+    ----------
+    camera : its size, focal lengths and centre in pixels, as the model has them.
+    omega : the model's parameter, radians.
+    path : named in messages.
+
+    Raises
+    ------
+    InputError
+        If omega cannot be right, or no fisheye comes near enough.
+    """
+    if abs(omega) < _NARROWEST:
+        return camera
+    if not 0 < omega < _WIDEST:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "a FOV lens of omega {omega:g} cannot be right; it is an angle in radians.",
+            path,
+            omega=omega,
+        )
+    scale = 2 * math.tan(omega / 2) / omega
+    fx, fy = camera.fx * scale, camera.fy * scale
+    aside = max(camera.cx, camera.width - camera.cx) / fx, max(camera.cy, camera.height - camera.cy) / fy
+    angles = np.linspace(1e-3, math.atan(math.hypot(*aside)), _RAYS)
+    beside = np.arctan(omega * scale * np.tan(angles)) / (omega * scale)
+    powers = angles[:, None] ** np.array((3, 5, 7, 9))
+    coefficients = np.linalg.lstsq(powers, beside - angles, rcond=None)[0]
+    error = max(fx, fy) * float(np.abs(angles + powers @ coefficients - beside).max())
+    if not error < _TOLERANCE:
+        raise InputError(
+            CAMERA_LENS_UNKNOWN,
+            (
+                "the FOV lens (omega {omega:g}) is {error:.2g} px off from what can be read; "
+                "undistort the images with COLMAP's image_undistorter and give the folder it "
+                "writes."
+            ),
+            path,
+            omega=omega,
+            error=error,
+        )
+    return replace(camera, fx=fx, fy=fy, distortion=tuple(map(float, coefficients)), fisheye=True)

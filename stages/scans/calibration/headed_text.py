@@ -1,0 +1,129 @@
+"""Cameras and poses as text with headings, a file for a folder (the APC vision toolbox, its relatives).
+
+    # Color camera intrinsic matrix
+     6.15195190e+02   0.00000000e+00   2.98442688e+02
+     …
+    # Depth-to-color camera extrinsic matrix
+     …
+    # Camera-to-world extrinsic matrix (camera pose) for frame-000000
+     …
+
+A line that begins with `#` says what the rows below it are.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.errors import InputError
+from stages.files import documents
+from stages.scans.codes import SCAN_TABLE_DAMAGED
+from stages.scans.model.poses import inverted, rigid
+from stages.scans.model.scan import Pose
+from stages.scans.trajectory import files as trajectories
+
+# What a heading is of: all words of a row stand in it, in any case.
+_CAMERA_TO_WORLD = re.compile(r"cam\w*[ -](?:to|2)[ -]world|camera pose", re.IGNORECASE)
+_WORLD_TO_CAMERA = re.compile(r"world[ -](?:to|2)[ -]cam", re.IGNORECASE)
+_DEPTH_TO_COLOR = re.compile(r"depth[ -](?:to|2)[ -](?:colou?r|rgb)", re.IGNORECASE)
+_INTRINSIC = re.compile(r"(?:(colou?r|rgb)|(depth|infrared|ir))?.*\bintrinsic", re.IGNORECASE)
+_FRAME = re.compile(r"\b(?:frame|image)[-_ ]?\d+\b", re.IGNORECASE)
+_SHAPES = ((3, 3), (3, 4), (4, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class HeadedText:
+    """What such a file states.
+
+    Attributes
+    ----------
+    color, depth : (3, 3) float64 camera matrices, pixels; None where there is none. A camera that is called
+        neither is colour's.
+    color_from_depth : (4, 4) float64, metres; None where it is not stated.
+    poses : world-from-camera by the frame's name, None where tracking was lost.
+    others : headings of matrices that are something else.
+    """
+
+    color: NDArray[np.float64] | None
+    depth: NDArray[np.float64] | None
+    color_from_depth: Pose | None
+    poses: dict[str, Pose | None]
+    others: tuple[str, ...]
+
+
+def states_frames(text: str) -> bool:
+    """Say whether a text has a heading for the pose of a frame."""
+    headings = (line for line in text.splitlines() if line.lstrip().startswith("#"))
+    return any(_FRAME.search(line) and _pose_direction(line) for line in headings)
+
+
+def read_headed_text(path: Path) -> HeadedText:
+    """Read the file.
+
+    Raises
+    ------
+    InputError
+        If a row holds something that is not a number, or a matrix is not what its heading says.
+    """
+    cameras: dict[str, NDArray[np.float64]] = {}
+    poses: dict[str, Pose | None] = {}
+    color_from_depth, others = None, []
+    for number, heading, matrix in _blocks(path):
+        where = f"the matrix below line {number}"
+        if matrix.shape not in _SHAPES:
+            raise InputError(SCAN_TABLE_DAMAGED, "{place} is not 3x3, 3x4 or 4x4.", path, place=where)
+        frame, direction = _FRAME.search(heading), _pose_direction(heading)
+        if frame is not None and direction:
+            pose = rigid(_four_rows(matrix, where, path), path, where)
+            if frame[0] in poses:
+                raise InputError(SCAN_TABLE_DAMAGED, "there are two poses of {frame}.", path, frame=frame[0])
+            is_inverse = direction == "world-to-camera"
+            poses[frame[0]] = inverted(pose) if is_inverse and pose is not None else pose
+        elif _DEPTH_TO_COLOR.search(heading):
+            color_from_depth = rigid(_four_rows(matrix, where, path), path, where)
+        elif (camera := _INTRINSIC.search(heading)) is not None:
+            cameras["depth" if camera[2] else "color"] = matrix[:3, :3]
+        else:
+            others.append(heading)
+    return HeadedText(cameras.get("color"), cameras.get("depth"), color_from_depth, poses, tuple(others))
+
+
+def _pose_direction(heading: str) -> str:
+    if _WORLD_TO_CAMERA.search(heading):
+        return "world-to-camera"
+    return "camera-to-world" if _CAMERA_TO_WORLD.search(heading) else ""
+
+
+def _four_rows(matrix: NDArray[np.float64], where: str, path: Path) -> NDArray[np.float64]:
+    if matrix.shape[1] != 4:
+        raise InputError(SCAN_TABLE_DAMAGED, "{place} is not a pose of 4 columns.", path, place=where)
+    return matrix
+
+
+def _blocks(path: Path) -> list[tuple[int, str, NDArray[np.float64]]]:
+    """Return the heading of each matrix, the line it stands on (from 1), and the matrix."""
+    blocks: list[tuple[int, str, list[list[float]]]] = []
+    for number, line in enumerate(documents.read_text(path).splitlines(), 1):
+        text = line.strip()
+        if text.startswith("#"):
+            blocks.append((number, " ".join(text.lstrip("# \t").split()), []))
+        elif text:
+            if not blocks:
+                raise InputError(
+                    SCAN_TABLE_DAMAGED, "line {number} stands below no heading (`# …`).", path, number=number
+                )
+            blocks[-1][2].append(trajectories.numbers_of(text, number, path))
+    for number, _, rows in blocks:
+        if len({len(row) for row in rows}) > 1:
+            raise InputError(
+                SCAN_TABLE_DAMAGED,
+                "the rows below line {number} are of different lengths.",
+                path,
+                number=number,
+            )
+    return [(number, heading, np.array(rows, np.float64)) for number, heading, rows in blocks if rows]

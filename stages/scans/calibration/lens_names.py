@@ -1,0 +1,54 @@
+"""Names under which calibrations state the distortion of a lens."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from stages.diagnostics.collector import emit
+from stages.scans.calibration.pair_names import lenses_of_pair
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
+
+_KNOWN = re.compile("d|coeffs|dist(ortion)?_?(coef.*|param.*)?", re.IGNORECASE)
+_ALIKE = re.compile("distort|coef|^dist", re.IGNORECASE)
+_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
+
+
+def distortion_in(values: dict[str, Any], path: Path, *, fisheye: bool) -> object:
+    """Return what a camera's table states: coefficients in a row, also of `k1` and so on; None if nothing.
+
+    Warns about a lens under a name that is not known.
+    """
+    named = {key: value for key, value in values.items() if _KNOWN.fullmatch(str(key))}
+    stated = next((value for value in named.values() if value is not None), None)
+    terms = values if stated is None else stated
+    if isinstance(terms, dict) and {"k1", "k2"} <= terms.keys():
+        # The last three are those of the rational model.
+        names = _FISHEYE_TERMS if fisheye else _TERMS if terms.keys() & set(_TERMS[5:]) else _TERMS[:5]
+        return [terms.get(name, 0.0) for name in names]
+    if not named:
+        _warn_of_others(values, path)
+    return stated
+
+
+def distortions_of_pair(values: dict[str, Any], path: Path) -> tuple[object, object]:
+    """Return what a table of two cameras states of the first and the second lens, likewise."""
+    keys = lenses_of_pair(values)
+    if keys is None:
+        _warn_of_others(values, path)
+        return None, None
+    return values[keys[0]], values[keys[1]]
+
+
+def _warn_of_others(values: dict[str, Any], path: Path) -> None:
+    for key, value in values.items():
+        if _ALIKE.search(str(key)) and isinstance(value, (list, dict)) and value:
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "it states {key}, which is not known: the lens is taken to be straight",
+                    path,
+                    key=str(key)[:40],
+                )
+            )

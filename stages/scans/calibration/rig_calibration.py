@@ -1,0 +1,393 @@
+"""Read the calibration of a pair of cameras: JSON, TOML, OpenCV, Kalibr, ROS and ORB-SLAM YAML, `K.txt`.
+
+How the second camera stands to the first, in metres, whatever names and unit the file's writer used.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.errors import InputError
+from stages.scans.calibration import orb_slam, zed
+from stages.scans.calibration.camera_files import (
+    MATRIX_AND_BASELINE,
+    camera_from_table,
+    coefficients,
+    document_of,
+    is_fisheye,
+    kalibr_camera,
+    matrix_camera,
+    text_matrix,
+    text_numbers,
+)
+from stages.scans.calibration.contradictions import check_relations, check_rig, warn_not_rectified
+from stages.scans.calibration.image_size import for_images, stated_size
+from stages.scans.calibration.lens_names import distortions_of_pair
+from stages.scans.calibration.pair_names import matrices_of_pair
+from stages.scans.calibration.table_values import matrix_in, number_of, table_in
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_ASSUMED,
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_PAIR_UNCALIBRATED,
+)
+from stages.scans.model.poses import inverted, matrix_of, rigid
+from stages.scans.model.scan import Camera, Pose, StereoRig
+
+# Names of how the cameras stand to each other.
+_ROTATION = re.compile("R|rot(ation)?(_?(mat(rix)?|vec(tor)?))?", re.IGNORECASE)
+_TRANSLATION = re.compile("T|tr(a?ns?|anslation)(_?vec(tor)?)?", re.IGNORECASE)
+_PROJECTIONS = ("projection_matrix", "P", "p")
+_FISHEYE = "fisheye"
+# No rig carried by hand or car is wider; a larger number is in millimetres.
+_WIDEST_METRES = 10.0
+# Few are wider than this; boards measured in centimetres, or in their own squares, give such numbers.
+_WIDE_METRES = 1.5
+
+
+def read_rig(
+    path: Path,
+    width: int,
+    height: int,
+    *,
+    document: dict[str, Any] | None = None,
+    baseline: float | None = None,
+) -> StereoRig:
+    """Read a stereo rig for images of this size in pixels.
+
+    Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
+    `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T`, under any names that part both sides (`mtxL`,
+    `cam_matrix_right` …), as YAML, XML or NumPy's .npz; `P1 P2` for rectified images; Kalibr's `cam0` and
+    `cam1`; ROS's camera_info under `left` and `right`; ORB-SLAM's settings; a text of the nine numbers of a
+    matrix and a baseline, of a rectified pair. Lengths are metres unless `unit` says `mm`, `cm` or `m`.
+
+    Parameters
+    ----------
+    path : named in messages, and read unless `document` is given.
+    document : the file's content, when several files make it up.
+    baseline : metres, in place of the file's.
+
+    Raises
+    ------
+    InputError
+        If the file does not parse, something is missing, or a number cannot be right.
+    """
+    if document is None:
+        document = document_of(path)
+    if document is None:
+        document = _numbers_of_pair(path)
+    values = orb_slam.as_table(document)
+    if zed.is_one(values):
+        values = zed.as_pair(values, width, height, path)
+    infos = _camera_infos(values)
+    if "cam0" in values and "cam1" in values:
+        left, right, right_from_left = _kalibr(values, width, height, path)
+    elif infos is not None:
+        left, right, right_from_left = _ros(*infos, width, height, path)
+    elif "left" in values and "right" in values:
+        left, right = (
+            camera_from_table(table_in(values, side, path), width, height, path) for side in ("left", "right")
+        )
+        right_from_left = _extrinsics(values, path, required=baseline is None)
+    elif (keys := matrices_of_pair(values)) is not None:
+        lenses = distortions_of_pair(values, path)
+        size = stated_size(values, width, height, path)
+        fisheye = _is_of_fisheyes(values, path)
+        cameras = [
+            replace(
+                matrix_camera(
+                    matrix_in(values, key, path), coefficients(lens, path, fisheye=fisheye), *size, path
+                ),
+                fisheye=fisheye,
+            )
+            for key, lens in zip(keys, lenses, strict=True)
+        ]
+        left, right = (for_images(camera, width, height, path) for camera in cameras)
+        right_from_left = _extrinsics(values, path, required=baseline is None)
+    elif "P1" in values and "P2" in values:
+        left, right, right_from_left = _projections(values, width, height, path)
+    else:
+        left = right = camera_from_table(values, width, height, path)
+        right_from_left = _extrinsics(values, path, required=baseline is None)
+
+    length = float(np.linalg.norm(right_from_left[:3, 3]))
+    if baseline is None:
+        right_from_left = _in_metres(right_from_left, values.get("unit"), path)
+    else:
+        right_from_left = with_baseline(right_from_left, baseline)
+    if infos is not None:
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the images are taken as they left the cameras, as ROS's image_raw",
+                path,
+                remedy="for image_rect give a file with P1 and P2 alone",
+            )
+        )
+    looks_rectified = _looks_rectified(left, right, right_from_left)
+    rectified = values.get("rectified", looks_rectified)
+    if not isinstance(rectified, (bool, int)):
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "rectified is {rectified!r}; it must be true or false.",
+            path,
+            rectified=rectified,
+        )
+    if right_from_left[0, 3] >= 0:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "the second camera is not right of the first: T maps left-camera points to "
+                "the right camera, so its x must be negative. Are the two cameras swapped?"
+            ),
+            path,
+        )
+    rig = StereoRig(left, right, right_from_left, bool(rectified))
+    if rectified and not looks_rectified:
+        warn_not_rectified(rig, path)
+    if baseline is None:
+        check_rig(document, values, rig, length, path)
+    return rig
+
+
+def states_a_pair(values: dict[str, Any]) -> bool:
+    """Say whether a table has the matrices of two cameras, and how one stands to the other."""
+    return matrices_of_pair(values) is not None and _named(values, _TRANSLATION) is not None
+
+
+def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
+    """Return the relation of two cameras, their distance set to `baseline` metres (along x if it was 0)."""
+    length = float(np.linalg.norm(right_from_left[:3, 3]))
+    moved: Pose = right_from_left.copy()
+    moved[:3, 3] = (-baseline, 0, 0) if length == 0 else right_from_left[:3, 3] * (baseline / length)
+    return moved
+
+
+def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
+    """Read Kalibr's camchain of two cameras: `T_cn_cnm1` takes points of camera 0 to camera 1."""
+    cameras = [kalibr_camera(values, side, width, height, path) for side in ("cam0", "cam1")]
+    if "T_cn_cnm1" not in values["cam1"] and "T_cam_imu" in values["cam1"]:
+        left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
+        return cameras[0], cameras[1], right @ inverted(left)
+    matrix = matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
+    right_from_left = _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+    if all("T_cam_imu" in values[side] for side in ("cam0", "cam1")):
+        left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
+        by_body = right @ inverted(left)
+        check_relations(right_from_left, by_body, "cam1.T_cn_cnm1 and T_cam_imu", path)
+    return cameras[0], cameras[1], right_from_left
+
+
+def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Return the tables of two cameras as ROS states them, each with its projection, or None."""
+    sides = values.get("left"), values.get("right")
+    if not all(isinstance(side, dict) and _first_key(side, _PROJECTIONS) for side in sides):
+        return None
+    return sides[0], sides[1]  # type: ignore[return-value]
+
+
+def _ros(
+    left: dict[str, Any], right: dict[str, Any], width: int, height: int, path: Path
+) -> tuple[Camera, Camera, Pose]:
+    """Read two of ROS's camera_info: R turns a camera to be rectified, P[0,3] / P[0,0] is minus the baseline.
+
+    A point x of the left camera is R_right^T (R_left x + t) in the right one.
+    """
+    cameras = [camera_from_table(side, width, height, path) for side in (left, right)]
+    turns = [_rectification(side, path) for side in (left, right)]
+    key = _first_key(right, _PROJECTIONS)
+    projection = matrix_in(right, key or "", path)
+    if projection.shape != (3, 4) or projection[0, 0] == 0:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "{key} of the right camera is not a 3x4 projection.", path, key=key
+        )
+    right_from_left = np.eye(4)
+    right_from_left[:3, :3] = turns[1].T @ turns[0]
+    right_from_left[:3, 3] = turns[1].T @ (projection[0, 3] / projection[0, 0], 0, 0)
+    return cameras[0], cameras[1], _finite_pose(right_from_left, "R and P", path)
+
+
+def _rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
+    key = _first_key(table, ("rectification_matrix", "R", "r"))
+    turn = np.eye(3) if key is None else matrix_in(table, key, path)
+    if turn.shape != (3, 3):
+        raise InputError(CAMERA_CALIBRATION_INVALID, "{key} must be 3x3.", path, key=key)
+    return turn
+
+
+def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
+    return next((name for name in names if name in table), None)
+
+
+def _is_of_fisheyes(values: dict[str, Any], path: Path) -> bool:
+    """Say whether a table of two cameras is of fisheyes: it says so, or its file's name does."""
+    model = values.get("distortion_model")
+    if model is None and _FISHEYE in path.stem.lower():
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "its name says fisheye: its lenses are taken as OpenCV's fisheye model", path
+            )
+        )
+        return True
+    return is_fisheye(model, path)
+
+
+def _named(values: dict[str, Any], names: re.Pattern[str]) -> str | None:
+    return next((name for name in values if names.fullmatch(str(name))), None)
+
+
+def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
+    """Return T_cam_imu of a camera in Kalibr's camchain: takes points of the body (the IMU) to the camera.
+
+    Raises
+    ------
+    InputError
+        If it is not there or not rigid.
+    """
+    name = f"{side}.T_cam_imu"
+    return _finite_pose(matrix_of(table_in(values, side, path).get("T_cam_imu"), path, name), name, path)
+
+
+def _projections(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
+    """Read the projection matrices of rectified images: the baseline is -P2[0,3] / P2[0,0]."""
+    left, right = (matrix_in(values, key, path) for key in ("P1", "P2"))
+    if left.shape != (3, 4) or right.shape != (3, 4):
+        raise InputError(CAMERA_CALIBRATION_INVALID, "P1 and P2 must be 3x4.", path)
+    if left[0, 0] == 1:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "P1 is not filled in, as where calibration ended before rectification. The "
+                "cameras' own matrices are needed beside R and T: name the file of both, or "
+                "put intrinsics.yml beside extrinsics.yml."
+            ),
+            path,
+        )
+    size = stated_size(values, width, height, path)
+    cameras = [
+        for_images(matrix_camera(p[:, :3], (), *size, path), width, height, path) for p in (left, right)
+    ]
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = right[0, 3] / right[0, 0]
+    return cameras[0], cameras[1], right_from_left
+
+
+def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
+    """Return right_from_left, in the file's unit, from R and T, or from a baseline along x."""
+    if "left_from_right" in values:
+        given = matrix_in(values, "left_from_right", path)
+        if given.shape != (4, 4):
+            raise InputError(CAMERA_CALIBRATION_INVALID, "the relation of the cameras must be 4x4.", path)
+        return inverted(_finite_pose(given, "the relation of the cameras", path))
+    matrix = np.eye(4)
+    rotation = _named(values, _ROTATION)
+    translation = _named(values, _TRANSLATION)
+    if rotation is not None:
+        turn = matrix_in(values, rotation, path)
+        if turn.size == 3:
+            import cv2
+
+            turn = np.asarray(cv2.Rodrigues(turn.reshape(3))[0], np.float64)
+        if turn.shape != (3, 3):
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID,
+                "{rotation} must be 3x3 (or 3 numbers, a rotation vector).",
+                path,
+                rotation=rotation,
+            )
+        matrix[:3, :3] = turn
+    if translation is not None:
+        shift = matrix_in(values, translation, path)
+        if shift.size != 3:
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID, "{translation} must be 3 numbers.", path, translation=translation
+            )
+        matrix[:3, 3] = shift.ravel()
+    elif "baseline" in values:
+        matrix[0, 3] = -abs(number_of(values["baseline"], "baseline", path))
+    elif required:
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED,
+            (
+                "how the cameras stand to each other is missing: R and T, or a baseline (or "
+                "set scan.baseline=METRES)."
+            ),
+            path,
+        )
+    return _finite_pose(matrix, "R, T", path)
+
+
+def _in_metres(right_from_left: Pose, unit: object, path: Path) -> Pose:
+    """Return the extrinsics in metres; calibration boards are often measured in millimetres."""
+    length = float(np.linalg.norm(right_from_left[:3, 3]))
+    if length == 0:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            "the two cameras stand at the same place (baseline 0); no depth can be had.",
+            path,
+        )
+    if unit is None:
+        unit = "mm" if length > _WIDEST_METRES else "m"
+        if unit == "mm":
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "the baseline is {length:g} without a unit, taken as millimetres",
+                    path,
+                    remedy="where it is not (in centimetres it were {by_centimetres:g} m), set "
+                    "scan.baseline=METRES",
+                    length=length,
+                    by_centimetres=length / 100,
+                )
+            )
+        elif length > _WIDE_METRES:
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "the baseline is {length:g} without a unit, taken as metres, which few rigs are wide",
+                    path,
+                    remedy="where the board was measured in centimetres, or counted in squares, set "
+                    "scan.baseline=METRES",
+                    length=length,
+                )
+            )
+    scale = {"m": 1.0, "cm": 0.01, "mm": 0.001}.get(str(unit))
+    if scale is None:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "unit is {unit!r}; it must be m, cm or mm.", path, unit=unit
+        )
+    metric: Pose = right_from_left.copy()
+    metric[:3, 3] *= scale
+    return metric
+
+
+def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool:
+    """Say whether rows correspond: no rotation, no distortion, one focal length and row centre."""
+    shift = right_from_left[:3, 3]
+    return (
+        np.allclose(right_from_left[:3, :3], np.eye(3), atol=1e-6)
+        and not any(left.distortion + right.distortion)
+        and not (left.fisheye or right.fisheye)
+        and abs(shift[1]) + abs(shift[2]) < 1e-4 * abs(shift[0])
+        and abs(left.fx - right.fx) < 1e-3
+        and abs(left.fy - right.fy) < 1e-3
+        and abs(left.cy - right.cy) < 1e-3
+    )
+
+
+def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
+    pose = rigid(matrix, path, name)
+    if pose is None:
+        raise InputError(CAMERA_CALIBRATION_INVALID, "{name} is not finite.", path, name=name)
+    return pose
+
+
+def _numbers_of_pair(path: Path) -> dict[str, Any]:
+    """Return the table of a rectified pair written as the nine numbers of its matrix and the baseline."""
+    numbers = text_numbers(path)
+    if len(numbers) == MATRIX_AND_BASELINE:
+        return {"K": numbers[:-1], "baseline": numbers[-1]}
+    return {"K": text_matrix(path).tolist()}

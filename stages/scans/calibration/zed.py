@@ -1,0 +1,137 @@
+"""The factory calibration of a ZED, `SN12345.conf`: both cameras for each size of images, and their relation.
+
+    [LEFT_CAM_HD]  fx=700.5  fy=…  cx=…  cy=…  k1=…  k2=…  p1=…  p2=…  k3=…
+    [RIGHT_CAM_HD] …
+    [STEREO]       Baseline=119.87  TY=…  TZ=…  CV_HD=…  RX_HD=…  RZ_HD=…
+
+Lengths are millimetres, turns the radians of a rotation vector (RX, CV, RZ). Its images are not rectified.
+"""
+
+from __future__ import annotations
+
+import configparser
+from pathlib import Path
+from typing import Any
+
+from stages.diagnostics.errors import InputError
+from stages.scans.calibration.image_size import is_of_shape
+from stages.scans.calibration.table_values import number_of
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_INVALID,
+    CAMERA_CALIBRATION_MISMATCH,
+    CAMERA_PAIR_UNCALIBRATED,
+)
+
+_MARK = "[LEFT_CAM_"
+_STEREO = "STEREO"
+_NUMBERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+# (width, height) of one camera's images, by what the sections call them.
+_SIZES = {
+    "2K": (2208, 1242),
+    "FHD": (1920, 1080),
+    "FHD1200": (1920, 1200),
+    "HD": (1280, 720),
+    "SVGA": (960, 600),
+    "VGA": (672, 376),
+}
+
+
+def tables(text: str) -> dict[str, Any] | None:
+    """Return the sections of such a file, each a table of words; None if the text is none."""
+    if _MARK not in text.upper():
+        return None
+    parser = configparser.ConfigParser(strict=False, interpolation=None, inline_comment_prefixes=("#", ";"))
+    try:
+        parser.read_string(text)
+    except configparser.Error:
+        return None
+    return {name.upper(): dict(parser[name]) for name in parser.sections()}
+
+
+def is_one(values: dict[str, Any]) -> bool:
+    """Say whether a document is such a calibration."""
+    return any(str(name).startswith(_MARK[1:]) for name in values)
+
+
+def as_table(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
+    """Return the left camera for images of this size under the names of our own calibrations.
+
+    Raises
+    ------
+    InputError
+        If no camera is for images of this shape, or a number is missing.
+    """
+    return _camera(values, "LEFT", _mode(values, width, height, path), path)
+
+
+def as_pair(values: dict[str, Any], width: int, height: int, path: Path) -> dict[str, Any]:
+    """Return both cameras and their relation, likewise: x_right = R x_left + T.
+
+    Raises
+    ------
+    InputError
+        As `as_table`, and if a number of the relation is missing.
+    """
+    mode = _mode(values, width, height, path)
+    stereo = values.get(_STEREO)
+    if not isinstance(stereo, dict):
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED,
+            "[{stereo}], how the cameras stand to each other, is missing.",
+            path,
+            stereo=_STEREO,
+        )
+    turn = [_stated(stereo, (f"{name}_{mode}", name), path) for name in ("rx", "cv", "rz")]
+    aside = [_stated(stereo, (f"{name}_{mode}", name), path, 0.0) for name in ("ty", "tz")]
+    # The maker's own programs align rows with this turn and this line between the cameras.
+    shift = [-length for length in (_stated(stereo, ("baseline",), path), *aside)]
+    return {
+        "left": _camera(values, "LEFT", mode, path),
+        "right": _camera(values, "RIGHT", mode, path),
+        "R": turn,
+        "T": shift,
+        "unit": "mm",
+        "rectified": False,
+    }
+
+
+def _mode(values: dict[str, Any], width: int, height: int, path: Path) -> str:
+    """Return the mode of images of this size; of others, which were made smaller, the one they may be of."""
+    there = [mode for mode in _SIZES if f"LEFT_CAM_{mode}" in values]
+    shaped = [mode for mode in there if is_of_shape(_SIZES[mode], (width, height))]
+    found = next((mode for mode in there if _SIZES[mode] == (width, height)), shaped[0] if shaped else None)
+    if found is None:
+        sizes = ", ".join(f"{_SIZES[mode][0]}×{_SIZES[mode][1]}" for mode in there) or "no known size"
+        raise InputError(
+            CAMERA_CALIBRATION_MISMATCH,
+            "it is for images of {sizes}, but these are {width}×{height}.",
+            path,
+            sizes=sizes,
+            width=width,
+            height=height,
+        )
+    return found
+
+
+def _camera(values: dict[str, Any], side: str, mode: str, path: Path) -> dict[str, Any]:
+    name = f"{side}_CAM_{mode}"
+    table = values.get(name)
+    if not isinstance(table, dict):
+        raise InputError(CAMERA_CALIBRATION_INVALID, "[{name}] is missing.", path, name=name)
+    fx, fy, cx, cy, *bent = (
+        _stated(table, (key,), path, 0.0 if key[0] in "kp" else None) for key in _NUMBERS
+    )
+    width, height = _SIZES[mode]
+    return {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": bent}
+
+
+def _stated(
+    table: dict[str, Any], names: tuple[str, ...], path: Path, otherwise: float | None = None
+) -> float:
+    """Return the number under the first of several names that is there."""
+    name = next((name.lower() for name in names if name.lower() in table), None)
+    if name is None:
+        if otherwise is None:
+            raise InputError(CAMERA_CALIBRATION_INVALID, "{names} is missing.", path, names=names[0])
+        return otherwise
+    return number_of(table[name], name, path)

@@ -1,1 +1,0 @@
-"""Files that a scan folder is made of: calibrations, trajectories, depth images, models."""

@@ -1,0 +1,1 @@
+"""Folders of images: names, pairing, units and pictures of depth."""

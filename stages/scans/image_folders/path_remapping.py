@@ -1,0 +1,109 @@
+"""Files that a list names by a path of another computer, or of a folder that was renamed since."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+
+from stages.diagnostics.collector import emit
+from stages.files.inside import leads_inside
+from stages.scans.codes import SCAN_ASSUMED
+from stages.scans.image_folders.image_files import COLOR_FOLDERS, IMAGES, inside, is_name
+
+_LONGEST = max(IMAGES, key=len)
+
+
+def found_images(folder: Path, names: Sequence[str], labels: Sequence[str], path: Path) -> list[Path]:
+    """Return the image that each name of a list means, with a warning where they lead elsewhere.
+
+    Only the folder is searched. An image that is not there comes back as a path where it is missing.
+
+    Parameters
+    ----------
+    folder, path : the scan, and the list in it.
+    names : paths, whose extension may be left out.
+    labels : how messages call each.
+
+    Raises
+    ------
+    InputError
+        If none is there, and one is no path inside the folder.
+    """
+    found = [_by_end(folder, name) or _by_stem(folder, name) for name in names]
+    if not any(found):
+        return [inside(folder, name, label, path) for name, label in zip(names, labels, strict=True)]
+    moved = [
+        (name, file)
+        for name, file in zip(names, found, strict=True)
+        if file is not None and not _is_path_of(folder, name, file)
+    ]
+    files = [file or folder / _last_part(name) for file, name in zip(found, names, strict=True)]
+    if moved:
+        name, file = moved[0]
+        emit(
+            SCAN_ASSUMED.warning(
+                "the paths of {count} images in {list} lead elsewhere (such as {name!r}): they are found by "
+                "their names ({file})",
+                count=len(moved),
+                list=path.name,
+                name=name[:100],
+                file=file.relative_to(folder).as_posix(),
+            )
+        )
+    return files
+
+
+def found_file(folder: Path, name: object, what: str, path: Path) -> Path:
+    """Return the file that a name in a list means, found by the end of its path where that leads elsewhere.
+
+    Raises
+    ------
+    InputError
+        If there is none, and it is no path inside the folder.
+    """
+    found = _by_end(folder, name) if isinstance(name, str) else None
+    return found or inside(folder, name, what, path)
+
+
+def _by_end(folder: Path, name: str) -> Path | None:
+    """Return the file inside the folder that has the longest end of a path, or None."""
+    parts = [part for part in _parts(name) if part != ".."]
+    for start in range(len(parts)):
+        end = "/".join(parts[start:])
+        if not leads_inside(end) or not all(is_name(part + _LONGEST) for part in parts[start:]):
+            continue
+        file = folder / end
+        if file.is_file():
+            return file
+        for suffix in IMAGES:
+            if (image := file.with_name(file.name + suffix)).is_file():
+                return image
+    return None
+
+
+def _by_stem(folder: Path, name: str) -> Path | None:
+    """Return the only image of that name but for its extension, in the folder or in one for colour."""
+    stem = PurePosixPath(_last_part(name)).stem
+    found = {
+        file
+        for place in (folder, *(folder / one for one in COLOR_FOLDERS))
+        for suffix in IMAGES
+        if (file := place / (stem + suffix)).is_file()
+    }
+    return found.pop() if len(found) == 1 else None
+
+
+def _is_path_of(folder: Path, name: str, file: Path) -> bool:
+    """Say whether a path, its extension aside, is that of the file."""
+    stated = PurePosixPath(name.replace("\\", "/")).as_posix()
+    return file.relative_to(folder).as_posix() in (stated, stated + file.suffix)
+
+
+def _last_part(name: str) -> str:
+    part = name.replace("\\", "/").rsplit("/", 1)[-1]
+    return part if leads_inside(part) and is_name(part + _LONGEST) else "?"
+
+
+def _parts(name: str) -> tuple[str, ...]:
+    path = PurePosixPath(name.replace("\\", "/"))
+    return path.parts[1:] if path.is_absolute() else path.parts

@@ -1,0 +1,1 @@
+"""The layout of COLMAP folders, and its model files."""

@@ -1,0 +1,261 @@
+"""COLMAP: a sparse model (cameras and images, text or binary), with the depth maps of its dense workspace.
+
+images/                                    the images, undistorted in a dense workspace
+sparse/cameras.bin, images.bin             or .txt; also in sparse/0/, beside images/, in colmap/sparse/0/ …
+sparse/points3D.bin                        or .txt: how far away is what each image shows
+stereo/depth_maps/<name>.geometric.bin     or .photometric.bin; without any, the images are single views
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.errors import InputError
+from stages.files.images import image_size
+from stages.scans.codes import (
+    DEPTH_RANGE_UNKNOWN,
+    FILE_COLMAP_INVALID,
+    FRAME_IMAGE_MISSING,
+    SCAN_ASSUMED,
+    SCAN_FILES_MISSING,
+)
+from stages.scans.image_folders.image_files import numbers
+from stages.scans.layouts.colmap import model_files as colmap
+from stages.scans.layouts.colmap.model_files import View
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.views import in_metres, single_view
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
+from stages.scans.trajectory import files as trajectories
+
+# nerfstudio keeps the model below colmap/. Models that did not grow together are in folders with numbers.
+_MODELS = ("sparse", ".", "colmap/sparse", "colmap")
+# Where COLMAP's own scripts put the dense workspace, beside the folder itself.
+_WORKSPACES = (".", "dense", "dense/0")
+_KINDS = ("geometric", "photometric")
+# Sizes are rounded to whole pixels when COLMAP makes images smaller.
+_LARGEST_STRETCH = 0.02
+# Views that tell whether the images beside a model are those it was made of.
+_LOOKED_AT = 8
+
+
+def _matches(folder: Path) -> str | None:
+    models = next(filter(None, map(_models, _workspaces(folder))), None)
+    return None if models is None else f"cameras and images in {models[0].relative_to(folder).as_posix()}/"
+
+
+def _workspaces(folder: Path) -> list[Path]:
+    return [folder / name for name in _WORKSPACES]
+
+
+def _models(folder: Path) -> list[Path]:
+    """Return the models of the first place that has any; of several, each is of a part of the images."""
+    for place in (folder / name for name in _MODELS):
+        if colmap.has_model(place):
+            return [place]
+        inner = [one for one in place.iterdir() if one.name.isdecimal()] if place.is_dir() else []
+        found = sorted((one for one in inner if colmap.has_model(one)), key=lambda one: int(one.name))
+        if found:
+            return found
+    return []
+
+
+def _largest(models: Sequence[Path]) -> Path:
+    """Return the model with the most images, with a warning about the others."""
+    if len(models) == 1:
+        return models[0]
+    counts = [colmap.count_images(model) for model in models]
+    largest = models[counts.index(max(counts))]
+    emit(
+        SCAN_ASSUMED.warning(
+            "of {count} models, {largest}/ is read: it has the most images ({sizes}). They have no common "
+            "world",
+            count=len(models),
+            largest=largest.name,
+            sizes=", ".join(f"{one.name}/ ({n})" for one, n in zip(models, counts, strict=True)),
+        )
+    )
+    return largest
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    places = [one for one in _workspaces(folder) if _models(one)]
+    if not places:
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.",
+            folder,
+        )
+    workspace = _workspace(folder, places)
+    model = _largest(_models(workspace))
+    views = sorted(colmap.read_model(model), key=lambda view: (numbers(view.name), view.name))
+    depths = {view.name: _depth_map(workspace, view) for view in views}
+    alone = not any(depths.values())
+    points = colmap.read_points(model) if alone else {}
+    images = _images(workspace)
+    poses = _poses(folder, views, options)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for view, pose in zip(views, poses, strict=True):
+        depth = depths[view.name]
+        name = PurePosixPath(view.name).with_suffix("").as_posix()
+        camera = _stated(view.camera, options)
+        try:
+            if alone:
+                found = _own_points(points, view, options)
+                frames.append(single_view(name, camera, images / view.name, pose, points=found))
+                continue
+            if depth is None:
+                raise InputError(FRAME_IMAGE_MISSING, "it has no depth map.")
+            frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
+        except InputError as error:
+            skipped.append(SkippedFrame(name, error.diagnostic))
+    _check_depths(frames)
+    if alone and not points:
+        emit(
+            DEPTH_RANGE_UNKNOWN.warning(
+                "there are no points (points3D.bin or .txt): how far away things are follows from the images "
+                "alone",
+                remedy="depth.min_depth and depth.max_depth state it",
+            )
+        )
+    # A trajectory that is given is in metres; depth maps stay in the unit of the model.
+    is_metric = options.depth_scale is not None or (alone and options.poses is not None)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), is_metric=is_metric)
+
+
+def _workspace(folder: Path, places: Sequence[Path]) -> Path:
+    """Return the folder to read of those that have a model.
+
+    One with depth maps is preferred, and one whose images are there and of the shape of its cameras.
+    """
+    fitting = [one for one in places if _fits(one)] or places
+    workspace = next((one for one in fitting if (one / "stereo" / "depth_maps").is_dir()), fitting[0])
+    if places[0] not in fitting:
+        emit(
+            SCAN_ASSUMED.warning(
+                "the images of {model}/ are not there, or of another shape: {other}/ is read, which has its "
+                "own",
+                model=_models(places[0])[0].relative_to(folder).as_posix(),
+                other=workspace.relative_to(folder).as_posix(),
+            )
+        )
+    return workspace
+
+
+def _fits(workspace: Path) -> bool:
+    """Say whether the images of some of a model's views are there, and can be of their cameras."""
+    try:
+        with collecting(forward=False):
+            model = _largest(_models(workspace))
+        views = colmap.read_model(model)
+        for view in views[:: max(1, len(views) // _LOOKED_AT)]:
+            image = _images(workspace) / view.name
+            if image.is_file():
+                width, height = image_size(image)
+                camera = view.camera
+                return math.isclose(width / camera.width, height / camera.height, rel_tol=_LARGEST_STRETCH)
+    except InputError:
+        pass  # It is told when it is read.
+    return False
+
+
+def _images(workspace: Path) -> Path:
+    return workspace / "images" if (workspace / "images").is_dir() else workspace
+
+
+def _stated(camera: Camera, options: ReadingParams) -> Camera:
+    """Return the camera with the numbers that the person states: a lens that is a fisheye's stays one."""
+    stated = options.camera(camera.width, camera.height)
+    if stated is None or not camera.fisheye:
+        return stated or camera
+    return replace(stated, distortion=camera.distortion, fisheye=True)
+
+
+def _own_points(
+    points: Mapping[int, NDArray[np.float64]], view: View, options: ReadingParams
+) -> NDArray[np.float64] | None:
+    """Return the points that were found in a view, in metres; None where the poses are of another world."""
+    if options.poses is not None or view.identity not in points:
+        return None
+    return points[view.identity] / (options.depth_scale or 1.0)
+
+
+def _depth_map(workspace: Path, view: View) -> Path | None:
+    maps = workspace / "stereo" / "depth_maps"
+    files = (maps / f"{view.name}.{kind}.bin" for kind in _KINDS)
+    return next((path for path in files if path.is_file()), None)
+
+
+def _poses(folder: Path, views: Sequence[View], options: ReadingParams) -> Sequence[Pose | None]:
+    """Return the poses in metres."""
+    given = options.file("poses", folder)
+    if given is not None:
+        return trajectories.match(trajectories.read_trajectory(given), [view.name for view in views], given)
+    # Lengths of a model have the unit of its depth maps.
+    return [in_metres(view.world_from_camera, options.depth_scale) for view in views]
+
+
+def _frame(
+    name: str, view: View, full: Camera, pose: Pose | None, color: Path, depth: Path, options: ReadingParams
+) -> Frame:
+    """Return a frame with depth; InputError where its depth map cannot be one of its camera."""
+    width, height = colmap.depth_map_size(depth)
+    if not math.isclose(width / full.width, height / full.height, rel_tol=_LARGEST_STRETCH):
+        raise InputError(
+            FILE_COLMAP_INVALID,
+            (
+                "the depth map is {width}×{height}, which is not the shape of its camera's "
+                "{full_width}×{full_height}."
+            ),
+            depth,
+            width=width,
+            height=height,
+            full_width=full.width,
+            full_height=full.height,
+        )
+    return Frame(
+        name=name,
+        camera=scaled(full, width, height),
+        color=color,
+        depth=Packed(depth, view.name, partial(colmap.read_depth_map, depth)),
+        depth_scale=options.depth_scale or 1.0,
+        world_from_camera=pose,
+    )
+
+
+def _check_depths(frames: Sequence[Frame]) -> None:
+    """Warn of depth maps that may be of another model, and of unconfirmed ones."""
+    if any(frame.camera.distortion and frame.depth is not None for frame in frames):
+        emit(
+            SCAN_ASSUMED.warning(
+                "the cameras have lens distortion, which those of COLMAP's own depth maps never have: is "
+                "this the model of the dense workspace?"
+            )
+        )
+    unchecked = sum(
+        isinstance(one.depth, Packed) and ".photometric." in one.depth.file.name for one in frames
+    )
+    if unchecked:
+        emit(
+            SCAN_ASSUMED.warning(
+                "{count} depth maps are photometric: no other view confirms them, and they are noisier",
+                count=unchecked,
+            )
+        )
+
+
+LAYOUT = Layout(
+    name="colmap",
+    text="cameras and images .bin|txt (also in sparse/ …), images/, perhaps stereo/depth_maps/ (COLMAP)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,439 @@
+"""Read COLMAP's sparse models (text and binary), their points, and its depth maps.
+
+A model's own conventions stay in here: world-to-camera poses with the scalar of the quaternion first, and
+pixels counted from the corner of the top left one.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.codes import MACHINE_BUSY
+from stages.diagnostics.errors import InputError
+from stages.files import documents
+from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_TEXT_INVALID, FILE_UNREADABLE
+from stages.files.image_bytes import MAX_PIXELS
+from stages.files.opening import content_of, opened
+from stages.scans.calibration.camera_files import checked
+from stages.scans.calibration.fov_lens import fisheye_of_fov
+from stages.scans.codes import CAMERA_LENS_UNKNOWN, FILE_COLMAP_INVALID
+from stages.scans.model.poses import inverted, pose_from_quaternion
+from stages.scans.model.scan import Camera, Pose
+
+
+@dataclass(frozen=True)
+class _Model:
+    """A camera model: its name, how many parameters it has, and which of them become OpenCV's.
+
+    `matrix` are the positions of fx, fy, cx, cy; `distortion` those of k1, k2, p1, p2 …, None for 0; a
+    fisheye's are k1 to k4 of OpenCV's fisheye model.
+    """
+
+    name: str
+    count: int
+    matrix: tuple[int, int, int, int] | None = None
+    distortion: tuple[int | None, ...] = ()
+    fisheye: bool = False
+
+
+# In the order of COLMAP's numbers. Those without a matrix are neither pinhole cameras nor OpenCV's fisheye.
+_MODELS = (
+    _Model("SIMPLE_PINHOLE", 3, (0, 0, 1, 2)),
+    _Model("PINHOLE", 4, (0, 1, 2, 3)),
+    _Model("SIMPLE_RADIAL", 4, (0, 0, 1, 2), (3, None, None, None)),
+    _Model("RADIAL", 5, (0, 0, 1, 2), (3, 4, None, None)),
+    _Model("OPENCV", 8, (0, 1, 2, 3), (4, 5, 6, 7)),
+    _Model("OPENCV_FISHEYE", 8, (0, 1, 2, 3), (4, 5, 6, 7), fisheye=True),
+    _Model("FULL_OPENCV", 12, (0, 1, 2, 3), (4, 5, 6, 7, 8, 9, 10, 11)),
+    _Model("FOV", 5, (0, 1, 2, 3)),
+    _Model("SIMPLE_RADIAL_FISHEYE", 4, (0, 0, 1, 2), (3, None, None, None), fisheye=True),
+    _Model("RADIAL_FISHEYE", 5, (0, 0, 1, 2), (3, 4, None, None), fisheye=True),
+    _Model("THIN_PRISM_FISHEYE", 12),
+    _Model("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+)
+_STEMS = ("cameras", "images")
+_ENDS = (".bin", ".txt")
+_LONGEST_NAME = 4096
+# Points beyond this many units are none.
+_FARTHEST = 1e9
+_POINT_BYTES = 24
+# A point of a binary model: number, place, colour, error, and how many images see it; then each of these.
+_POINT, _SEEN_BYTES = "<Q3d3BdQ", 8
+# The three numbers of a depth map's header; no more than this is looked at for them.
+_DEPTH_HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
+_DEPTH_HEADER_BYTES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """An image of a model.
+
+    Attributes
+    ----------
+    identity : its number in the model.
+    name : its path below the folder of images, with `/`.
+    camera : with pixel centres at whole numbers.
+    world_from_camera : (4, 4) float64, in the model's own unit of length; None where it is not finite.
+    """
+
+    identity: int
+    name: str
+    camera: Camera
+    world_from_camera: Pose | None
+
+
+def has_model(folder: Path) -> bool:
+    """Say whether a folder holds the cameras and images of a model, as text or binary."""
+    return any(all((folder / f"{stem}{end}").is_file() for stem in _STEMS) for end in _ENDS)
+
+
+def read_model(folder: Path) -> list[View]:
+    """Read the images of a model with their cameras, in the order of the file; binary files go first.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, is cut short or damaged, or a camera is neither a pinhole camera with
+        OpenCV's distortion nor its fisheye.
+    """
+    end = next((end for end in _ENDS if all((folder / f"{stem}{end}").is_file() for stem in _STEMS)), None)
+    if end is None:
+        raise InputError(
+            FILE_COLMAP_INVALID, "a model's cameras and images (both .txt or both .bin) are needed.", folder
+        )
+    cameras_path, images_path = (folder / f"{stem}{end}" for stem in _STEMS)
+    if end == ".bin":
+        return list(_binary_views(images_path, dict(_binary_cameras(cameras_path))))
+    return list(_text_views(images_path, dict(_text_cameras(cameras_path))))
+
+
+def count_images(folder: Path) -> int:
+    """Return how many images a model holds. Raises InputError as `read_model` does."""
+    path = folder / "images.bin"
+    if not (path.is_file() and (folder / "cameras.bin").is_file()):
+        return len(read_model(folder))
+    (count,), _ = _unpacked("<Q", _mapped(path), 0, path)
+    return int(count)
+
+
+def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
+    """Read the points of a model: for the number of each image, those (n, 3) that were found in it.
+
+    Their unit is the model's own. Without points3D.bin or .txt, or where the file holds none, nothing is in
+    the result.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is cut short or damaged.
+    """
+    path = next((folder / f"points3D{end}" for end in _ENDS if (folder / f"points3D{end}").is_file()), None)
+    if path is None:
+        return {}
+    points: list[tuple[float, ...]] = []
+    images: list[NDArray[np.int64]] = []
+    for point, seen_in in _binary_points(path) if path.suffix == ".bin" else _text_points(path):
+        points.append(point)
+        images.append(seen_in)
+    if not points:
+        return {}
+    places = np.array(points, np.float64)
+    image = np.concatenate(images)
+    which = np.repeat(np.arange(len(points)), [len(seen_in) for seen_in in images])
+    sound = np.asarray((np.abs(places) < _FARTHEST).all(axis=1))
+    image, which = image[sound[which]], which[sound[which]]
+    if not image.size:
+        return {}
+    order = np.argsort(image, kind="stable")
+    names, starts = np.unique(image[order], return_index=True)
+    return {
+        int(name): places[part] for name, part in zip(names, np.split(which[order], starts[1:]), strict=True)
+    }
+
+
+def depth_map_size(path: Path) -> tuple[int, int]:
+    """Return (width, height) of a depth map, from its header.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is not as long as its header says.
+    """
+    try:
+        with opened(path) as file:
+            start = file.read(_DEPTH_HEADER_BYTES)
+        size = path.stat().st_size
+    except OSError as error:
+        raise InputError(
+            FILE_UNREADABLE, "the depth map cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
+    width, height, offset = _depth_header(start, path)
+    if size != offset + 4 * width * height:
+        raise InputError(
+            FILE_DAMAGED,
+            "the depth map is not as long as its {width}×{height} pixels",
+            path,
+            remedy="copy it again.",
+            width=width,
+            height=height,
+        )
+    return width, height
+
+
+def read_depth_map(path: Path) -> NDArray[np.float32]:
+    """Return a depth map, (h, w) float32 in the model's unit of length, 0 where missing.
+
+    Raises
+    ------
+    InputError
+        As `depth_map_size` does.
+    """
+    width, height = depth_map_size(path)
+    try:
+        data = content_of(path)
+    except OSError as error:
+        raise InputError(
+            FILE_UNREADABLE, "the depth map cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
+    values = data[-4 * width * height :]
+    if len(values) != 4 * width * height:
+        raise InputError(MACHINE_BUSY, "the depth map was cut short since it was opened.", path)
+    return np.frombuffer(values, "<f4").reshape(height, width).astype(np.float32)
+
+
+def _depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
+    """Return width, height and where the values begin."""
+    header = _DEPTH_HEADER.match(start)
+    if header is None:
+        raise InputError(
+            FILE_DEPTH_FORMAT, "a COLMAP depth map (`width&height&channels&`, then values) is expected.", path
+        )
+    width, height, channels = (int(digits) for digits in header.groups())
+    if channels != 1 or not 0 < width * height <= MAX_PIXELS:
+        raise InputError(
+            FILE_DAMAGED,
+            "its header is damaged: {width}×{height} pixels with {channels} values each.",
+            path,
+            width=width,
+            height=height,
+            channels=channels,
+        )
+    return width, height, header.end()
+
+
+def _camera(
+    model: _Model, width: int, height: int, values: Sequence[float], identity: int, path: Path
+) -> Camera:
+    if model.matrix is None:
+        raise InputError(
+            CAMERA_LENS_UNKNOWN,
+            (
+                "camera {identity} is of the model {model_name}, which is not known here; "
+                "undistort the images with COLMAP's image_undistorter and give the folder it "
+                "writes."
+            ),
+            path,
+            identity=identity,
+            model_name=model.name,
+        )
+    if not 0 < width * height <= MAX_PIXELS:
+        raise InputError(
+            FILE_COLMAP_INVALID,
+            "camera {identity} claims to have {width}×{height} pixels.",
+            path,
+            identity=identity,
+            width=width,
+            height=height,
+        )
+    fx, fy, cx, cy = (values[at] for at in model.matrix)
+    bent = tuple(0.0 if at is None else values[at] for at in model.distortion)
+    bent = bent if model.fisheye or any(bent) else ()
+    camera = checked(Camera(width, height, fx, fy, cx - 0.5, cy - 0.5, bent, model.fisheye), path)
+    return fisheye_of_fov(camera, values[4], path) if model.name == "FOV" else camera
+
+
+def _view(
+    identity: int,
+    name: str,
+    numbers: Sequence[float],
+    camera: int,
+    cameras: Mapping[int, Camera],
+    path: Path,
+) -> View:
+    """Return an image of its quaternion w x y z and translation, both world-to-camera."""
+    w, *rest = numbers
+    if camera not in cameras:
+        raise InputError(
+            FILE_COLMAP_INVALID, "image {name}: there is no camera {camera}.", path, name=name, camera=camera
+        )
+    documents.require_inside(name, path, "an image")
+    pose = pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
+    return View(identity, name, cameras[camera], None if pose is None else inverted(pose))
+
+
+def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
+    """Yield cameras by their numbers from lines `id model width height parameters…`."""
+    for number, text in documents.lines(path):
+        words = text.split()
+        model = next((one for one in _MODELS if one.name in words[1:2]), None)
+        if model is None:
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number} names no camera model of COLMAP (as `id MODEL width height …`).",
+                path,
+                number=number,
+            )
+        try:
+            identity, width, height = int(words[0]), int(words[2]), int(words[3])
+            values = [float(word) for word in words[4:]]
+        except (ValueError, IndexError) as error:
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number} is not `id MODEL width height parameters…`.",
+                path,
+                number=number,
+            ) from error
+        if len(values) != model.count:
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number}: {model_name} has {model_count} parameters.",
+                path,
+                number=number,
+                model_name=model.name,
+                model_count=model.count,
+            )
+        yield identity, _camera(model, width, height, values, identity, path)
+
+
+def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
+    """Yield images from lines `id qw qx qy qz tx ty tz camera name`, each followed by a line of points."""
+    after_image = False
+    for number, line in enumerate(documents.read_text(path).splitlines(), 1):
+        text = line.strip()
+        # The line of points may be empty; some tools leave it out.
+        if after_image and (not text or _are_points(text)):
+            after_image = False
+            continue
+        if not text or text.startswith("#"):
+            continue
+        words = text.split(maxsplit=9)
+        try:
+            identity, camera, name = int(words[0]), int(words[8]), words[9]
+            numbers = [float(word) for word in words[1:8]]
+        except (ValueError, IndexError) as error:
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number} is not `id qw qx qy qz tx ty tz camera name`.",
+                path,
+                number=number,
+            ) from error
+        after_image = True
+        yield _view(identity, name, numbers, camera, cameras, path)
+
+
+def _are_points(text: str) -> bool:
+    """Say whether a line is `x y point` again and again."""
+    words = text.split()
+    return len(words) % 3 == 0 and all(re.fullmatch(r"[-+\d.eE]+|-?nan|-?inf", word) for word in words[-3:])
+
+
+def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
+    data = _mapped(path)
+    (count,), at = _unpacked("<Q", data, 0, path)
+    for _ in range(count):
+        (identity, number, width, height), at = _unpacked("<IiQQ", data, at, path)
+        if not 0 <= number < len(_MODELS):
+            raise InputError(
+                CAMERA_LENS_UNKNOWN,
+                "camera {identity} is of model {number}, which is not known.",
+                path,
+                identity=identity,
+                number=number,
+            )
+        model = _MODELS[number]
+        values, at = _unpacked(f"<{model.count}d", data, at, path)
+        yield identity, _camera(model, width, height, values, identity, path)
+
+
+def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
+    data = _mapped(path)
+    (count,), at = _unpacked("<Q", data, 0, path)
+    for _ in range(count):
+        (identity, *numbers, camera), at = _unpacked("<I7dI", data, at, path)
+        end = data.find(b"\0", at, at + _LONGEST_NAME)
+        if end < 0:
+            raise InputError(
+                FILE_DAMAGED, "the file is cut short or damaged: the name of an image has no end.", path
+            )
+        try:
+            name = data[at:end].decode()
+        except UnicodeDecodeError as error:
+            raise InputError(
+                FILE_DAMAGED, "the file is damaged: the name of an image is no text.", path
+            ) from error
+        (points,), at = _unpacked("<Q", data, end + 1, path)
+        at += _POINT_BYTES * points
+        if at > len(data):
+            raise InputError(
+                FILE_DAMAGED, "the file is cut short or damaged: image {name} lacks points.", path, name=name
+            )
+        yield _view(identity, name, numbers, camera, cameras, path)
+
+
+def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
+    """Yield points, and the numbers of their images, from lines `id x y z r g b error (image place)…`."""
+    for number, text in documents.lines(path):
+        words = text.split()
+        try:
+            point = tuple(float(word) for word in words[1:4])
+            images = np.array([int(word) for word in words[8::2]], np.int64)
+        except (ValueError, OverflowError):
+            point, images = (), np.zeros(0, np.int64)
+        if len(words) < 8 or len(words) % 2 or not point:
+            raise InputError(
+                FILE_TEXT_INVALID,
+                "line {number} is not `id x y z r g b error (image place)…`.",
+                path,
+                number=number,
+            )
+        yield point, images
+
+
+def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
+    data = _mapped(path)
+    (count,), at = _unpacked("<Q", data, 0, path)
+    for _ in range(count):
+        (_, x, y, z, *_, seen), at = _unpacked(_POINT, data, at, path)
+        end = at + _SEEN_BYTES * seen
+        if end > len(data):
+            raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")
+        yield (x, y, z), np.frombuffer(data[at:end], "<u4")[::2].astype(np.int64)
+        at = end
+
+
+def _mapped(path: Path) -> mmap.mmap | bytes:
+    """Return a file's bytes; the points of large models are gigabytes that nobody reads."""
+    try:
+        with opened(path) as file:
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if path.stat().st_size else b""
+    except OSError as error:
+        raise InputError(
+            FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
+
+
+def _unpacked(form: str, data: mmap.mmap | bytes, at: int, path: Path) -> tuple[tuple[Any, ...], int]:
+    """Return the values at an offset and the offset after them."""
+    end = at + struct.calcsize(form)
+    if end > len(data):
+        raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")
+    return struct.unpack_from(form, data, at), end

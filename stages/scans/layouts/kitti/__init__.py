@@ -1,0 +1,1 @@
+"""Layouts of the KITTI data sets, their calibration and navigation files."""

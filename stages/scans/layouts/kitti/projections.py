@@ -1,0 +1,159 @@
+"""KITTI's calibration files: a projection matrix for each camera, of rectified images."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.errors import InputError
+from stages.files import documents
+from stages.scans.calibration.camera_files import matrix_camera
+from stages.scans.calibration.image_size import LARGEST_SIDE, for_images, is_of_shape
+from stages.scans.calibration.rig_calibration import with_baseline
+from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, StereoRig
+
+# Images that were made smaller are smaller than so, as a share of the stated width.
+_SMALLER = 0.9
+
+
+def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
+    """Return the 3x4 projection matrices by number: rows `P0: …` or `P_rect_00: …`, or bare ones in order.
+
+    Raises
+    ------
+    InputError
+        If such a row is not 12 finite numbers.
+    """
+    found: dict[int, NDArray[np.float64]] = {}
+    bare = 0
+    for number, line in enumerate(documents.read_text(calib).splitlines(), 1):
+        key, _, text = line.rpartition(":")
+        if not text.strip():
+            continue
+        if not key:
+            key, bare = f"P{bare}", bare + 1
+        named = re.fullmatch(r"P(?:_rect_0)?([0-3])", key.strip())
+        if named is None:
+            continue
+        try:
+            row = np.array([float(word) for word in text.split()])
+        except ValueError:
+            row = np.empty(0)
+        if row.size != 12 or not np.isfinite(row).all():
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID,
+                "line {number} ({key}) is not 12 numbers.",
+                calib,
+                number=number,
+                key=key,
+            )
+        found[int(named[1])] = row.reshape(3, 4)
+    return found
+
+
+def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
+    """Return the size of rectified images that the file is for: theirs, or that of larger ones.
+
+    Raises
+    ------
+    InputError
+        If it states another size: these are then not rectified. Cameras of other days have nearly one size,
+        and a little smaller is another day's.
+    """
+    stated = re.findall(r"^S_rect_0\d:\s*(\S+)\s+(\S+)\s*$", documents.read_text(calib), re.MULTILINE)
+    try:
+        sizes = [(round(float(width)), round(float(height))) for width, height in stated]
+    except (ValueError, OverflowError) as error:
+        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is not two numbers.", calib) from error
+    if any(not 1 <= side <= LARGEST_SIDE for one in sizes for side in one):
+        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is no size of images.", calib)
+    if not sizes or size in sizes:
+        return size
+    width, height = sizes[0]
+    if size[0] > _SMALLER * width or not is_of_shape(sizes[0], size):
+        raise InputError(
+            CAMERA_CALIBRATION_MISMATCH,
+            (
+                "it is for rectified images of {width}×{height}, but these are "
+                "{size}×{size_2}: they are not rectified."
+            ),
+            calib,
+            remedy="Give the synchronised and rectified ones.",
+            width=width,
+            height=height,
+            size=size[0],
+            size_2=size[1],
+        )
+    return width, height
+
+
+def projected_camera(
+    projection: NDArray[np.float64],
+    size: tuple[int, int],
+    options: ReadingParams,
+    calib: Path,
+    stated: tuple[int, int] | None = None,
+) -> tuple[Camera, NDArray[np.float64]]:
+    """Return the camera of a projection K [I | t], and camera_from_cam0: t takes camera 0 to its camera.
+
+    Parameters
+    ----------
+    projection : (3, 4) float64.
+    size, stated : of the images, and of those that the projection is for; (width, height) in pixels.
+
+    Raises
+    ------
+    InputError
+        If the matrix is singular, or none of a camera.
+    """
+    k = projection[:, :3]
+    camera = matrix_camera(k, (), *(stated or size), calib)
+    camera = options.camera(*size) or for_images(camera, *size, calib)
+    if abs(np.linalg.det(k)) < 1e-9:
+        raise InputError(CAMERA_CALIBRATION_INVALID, "a projection matrix is singular.", calib)
+    offset = np.eye(4)
+    offset[:3, 3] = np.linalg.solve(k, projection[:, 3])
+    return camera, offset
+
+
+def projected_rig(
+    left: NDArray[np.float64],
+    right: NDArray[np.float64],
+    size: tuple[int, int],
+    options: ReadingParams,
+    calib: Path,
+    stated: tuple[int, int] | None = None,
+) -> tuple[StereoRig, NDArray[np.float64]]:
+    """Return the rig and left_from_cam0: in a projection K [I | t], t takes camera 0 to its camera.
+
+    Parameters
+    ----------
+    left, right : (3, 4) float64 projections.
+    size, stated : of the images, and of those that the projections are for; (width, height) in pixels.
+
+    Raises
+    ------
+    InputError
+        If a matrix is singular, or the second camera does not stand right of the first.
+    """
+    cameras, offsets = zip(
+        *(projected_camera(matrix, size, options, calib, stated) for matrix in (left, right)), strict=True
+    )
+    right_from_left = offsets[1] @ np.linalg.inv(offsets[0])
+    if right_from_left[0, 3] >= 0:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID,
+            (
+                "the second camera is not right of the first (its P[0,3] must be smaller); "
+                "are the rows swapped?"
+            ),
+            calib,
+        )
+    if options.baseline is not None:
+        right_from_left = with_baseline(right_from_left, options.baseline)
+    return StereoRig(cameras[0], cameras[1], right_from_left, rectified=True), offsets[0]

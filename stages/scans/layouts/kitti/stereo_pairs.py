@@ -1,0 +1,112 @@
+"""KITTI stereo 2012 and 2015: many scenes of two moments each, every scene with its own calibration.
+
+2015: image_2/000000_10.png  image_3/  calib_cam_to_cam/000000.txt
+2012: image_0/000000_10.png  image_1/  (or colored_0/, colored_1/)  calib/000000.txt
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from stages.diagnostics.errors import InputError
+from stages.files.images import image_size
+from stages.files.noting import note
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, RECORDING_SEVERAL, SCAN_FILES_MISSING
+from stages.scans.image_folders.image_files import has, images, pair
+from stages.scans.layouts.kitti.projections import projected_rig, read_projections, rectified_size
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Frame, Pose, Scan
+from stages.scans.trajectory import files as trajectories
+
+_CAMERAS = (
+    ("image_2", "image_3", 2),
+    ("colored_0", "colored_1", 2),
+    ("image_0", "image_1", 0),
+)
+_CALIBRATIONS = ("calib_cam_to_cam", "calib")
+_NAME = re.compile(r"(\d{6})_\d\d")
+
+
+def _matches(folder: Path) -> str | None:
+    calibrations = next((name for name in _CALIBRATIONS if (folder / name).is_dir()), None)
+    left = next((left for left, right, _ in _CAMERAS if has(folder, left, right)), None)
+    if calibrations is None or left is None:
+        return None
+    named = any(_NAME.fullmatch(path.stem) for path in images(folder / left))
+    return f"{left}/ with scenes like 000000_10.png, and {calibrations}/" if named else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    found = next((names for names in _CAMERAS if has(folder, *names[:2])), None)
+    if found is None:
+        raise InputError(
+            SCAN_FILES_MISSING,
+            "two folders image_2/ and image_3/ (or image_0/, image_1/) are needed.",
+            folder,
+        )
+    left, right, at = found
+    lefts, rights = (
+        [path for path in images(folder / name) if _NAME.fullmatch(path.stem)] for name in (left, right)
+    )
+    pairs, skipped = pair(lefts, rights, f"{left}/", f"{right}/", folder)
+    end = None if options.last is None else options.last + 1
+    scenes = sorted({one.stem[:6] for one, _ in pairs[options.first : end : options.every]})
+    if len(scenes) != 1:
+        raise InputError(
+            RECORDING_SEVERAL,
+            "it holds {scenes_count} scenes of one or two pairs each",
+            folder,
+            remedy="choose one, such as {pairs_stem} with scan.first=0 and scan.last=0.",
+            scenes_count=len(scenes),
+            pairs_stem=pairs[0][0].stem,
+        )
+    (scene,) = scenes
+    calib = options.file("calibration", folder) or next(
+        (path for name in _CALIBRATIONS if (path := folder / name / f"{scene}.txt").exists()), None
+    )
+    if calib is None:
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED,
+            "calib_cam_to_cam/{scene}.txt is missing",
+            folder,
+            remedy="name one with scan.calibration=FILE.",
+            scene=scene,
+        )
+    # Those of scenes that are not chosen are no files that nobody knew of.
+    for one, _ in pairs:
+        note(calib.with_name(f"{one.stem[:6]}.txt"))
+    projections = read_projections(calib)
+    if not {at, at + 1} <= projections.keys():
+        raise InputError(
+            CAMERA_PAIR_UNCALIBRATED,
+            "it states no projection matrices {at} and {at_2}.",
+            calib,
+            at=at,
+            at_2=at + 1,
+        )
+    size = image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))
+    stated = rectified_size(calib, size)
+    rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib, stated)
+    # Those of other scenes fall away when the person's choice is applied.
+    given = options.file("poses", folder)
+    names = [one.stem for one, _ in pairs]
+    poses: list[Pose | None] = [None] * len(pairs)
+    if given is not None:
+        poses = trajectories.match(trajectories.read_trajectory(given), names, given)
+    frames = [
+        Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
+        for name, (one, other), pose in zip(names, pairs, poses, strict=True)
+    ]
+    missing = (poses_missing("the data set has none"),) if given is None else ()
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
+
+
+LAYOUT = Layout(
+    name="kitti-stereo",
+    text="image_2/000000_10.png, image_3/, calib_cam_to_cam/000000.txt (KITTI stereo 2012, 2015)",
+    matches=_matches,
+    read=_read,
+)

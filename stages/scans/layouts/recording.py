@@ -1,0 +1,271 @@
+"""A recording whose streams have clocks of their own: RealSense's, or one of ROS 1 or 2.
+
+Depth and colour, or the two sides of a pair, are paired by when each image was taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
+from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
+from stages.scans.codes import RECORDING_CLOCKS_DIFFER, RECORDING_TOPIC_MISSING
+from stages.scans.image_folders.timestamp_matching import nearest_in_time
+from stages.scans.layouts.shared.gravity import ups_of
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.recordings.bag import read_bag
+from stages.scans.recordings.db3 import read_db3
+from stages.scans.recordings.files import SUFFIXES, recording_files, recordings
+from stages.scans.recordings.mcap import read_mcap
+from stages.scans.recordings.pairs import topic_pair
+from stages.scans.recordings.realsense.bag import realsense_bag
+from stages.scans.recordings.realsense.db3 import realsense_db3
+from stages.scans.recordings.realsense.streams import RealSense, realsense_streams
+from stages.scans.recordings.recording import Recording, joined
+from stages.scans.recordings.streams import topic_streams
+from stages.scans.streams.clocked_streams import Images, Pair, Streams
+from stages.scans.trajectory import files as trajectories
+from stages.scans.trajectory.timed_poses import poses_at
+
+# Of the shorter interval between images: the nearest image of that stream is never more than half of it away.
+_TOLERANCE = 0.6
+# Nanoseconds; for a stream of one image, and for a trajectory from elsewhere.
+_FALLBACK_TOLERANCE = 20_000_000
+
+
+_READERS = {".bag": read_bag, ".db3": read_db3, ".mcap": read_mcap}
+
+
+def _matches(folder: Path) -> str | None:
+    return next((file.name for file in recordings(folder)), None)
+
+
+def _read(place: Path, options: ReadingParams) -> Scan:
+    streams, fault = _streams(place, options)
+    if fault is not None:
+        emit(
+            RECORDING_DAMAGED.warning(
+                "the recording was not closed or is damaged ({fault}): what comes before is used", fault=fault
+            )
+        )
+    first: Images
+    second: Images | None
+    if isinstance(streams, Pair):
+        first, second, called = streams.left, streams.right, ("left images", "right images")
+    else:
+        first, second = streams.depth.images, None if streams.color is None else streams.color.images
+        called = "depth maps", "colour images"
+    couples, skipped = _couples(first, second, called)
+    if not couples:
+        why = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
+        raise InputError(
+            RECORDING_CLOCKS_DIFFER,
+            "no {called} and {called_2} in it are of one moment{why}.",
+            place,
+            called=called[0][:-1],
+            called_2=called[1][:-1],
+            why=why,
+        )
+    poses, missing = _poses(options, place, [(number, time) for number, time, _ in couples])
+    recorded = first.recorded[[number for number, _, _ in couples]]
+    ups = ups_of(streams.accelerometer, recorded)
+    frames = [
+        replace(
+            _pair_frame(streams, *couple, pose)
+            if isinstance(streams, Pair)
+            else _depth_frame(streams, *couple, pose),
+            up=up,
+        )
+        for couple, pose, up in zip(couples, poses, ups, strict=True)
+    ]
+    rig = streams.rig if isinstance(streams, Pair) else None
+    return Scan(LAYOUT.name, frames, rig, place, tuple(skipped), missing=missing)
+
+
+def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str | None]:
+    """Return the streams of a recording, and why a part of it could not be read, if so."""
+    recording, camera = _recording(recording_files(place), place)
+    if camera is not None:
+        return realsense_streams(camera, options), recording.fault
+    streams = topic_streams(recording, options) or topic_pair(recording, options)
+    if streams is None:
+        raise InputError(RECORDING_TOPIC_MISSING, _without_images(recording), place)
+    return streams, recording.fault
+
+
+def _recording(files: Sequence[Path], place: Path) -> tuple[Recording, RealSense | None]:
+    """Return what a recording holds, and what it says as one of the maker's library of RealSense cameras."""
+    parts = [_READERS.get(file.suffix.lower(), read_bag)(file) for file in files]
+    recording = parts[0] if len(parts) == 1 else joined(place, parts)
+    suffix = files[0].suffix.lower()
+    if suffix == ".db3" and len(files) == 1:
+        return recording, realsense_db3(recording)
+    return recording, realsense_bag(recording) if suffix == ".bag" else None
+
+
+def _without_images(recording: Recording) -> str:
+    """Say what a recording without depth and without a pair holds."""
+    if not recording.topics:
+        why = f" ({recording.fault})" if recording.fault else ""
+        return f"not one message in it can be read{why}; copy it again, or record it anew."
+    shown = ", ".join(sorted(recording.topics)[:8]) + (", …" if len(recording.topics) > 8 else "")
+    return (
+        "there are no depth images in it (sensor_msgs/Image of 16UC1 or 32FC1, `depth` in the topic's name), "
+        f"and no left/ and right/, only {shown}. Record the depth topic too."
+    )
+
+
+def _couples(
+    first: Images, second: Images | None, called: tuple[str, str]
+) -> tuple[list[tuple[int, int, int | None]], list[SkippedFrame]]:
+    """Return number, time and partner of the images that are of one moment, and the frames left out.
+
+    Parameters
+    ----------
+    called : what messages call the images of both streams.
+    """
+    times, skipped = _stamps(first)
+    if second is None:
+        alone = sorted(times.items(), key=lambda entry: entry[1])
+        return [(number, time, None) for number, time in alone], skipped
+    others, damaged = _stamps(second)
+    skipped += damaged
+    if _have_other_clocks(times, others):
+        times = {number: int(first.recorded[number]) for number in times}
+        others = {number: int(second.recorded[number]) for number in others}
+        emit(
+            RECORDING_CLOCKS_DIFFER.warning(
+                "the clocks of {first} and {second} do not agree at all: images are paired by when they were "
+                "recorded",
+                first=called[0],
+                second=called[1],
+            )
+        )
+    couples = _of_one_moment(times, others)
+    if len(couples) < max(len(times), len(others)):
+        emit(
+            RECORDING_CLOCKS_DIFFER.warning(
+                "{count} of {first_count} {first} and of {second_count} {second} are of one moment: the "
+                "others are left out",
+                count=len(couples),
+                first_count=len(times),
+                first=called[0],
+                second_count=len(others),
+                second=called[1],
+            )
+        )
+    couples.sort(key=lambda couple: times[couple[0]])
+    return [(number, times[number], partner) for number, partner in couples], skipped
+
+
+def _depth_frame(streams: Streams, number: int, time: int, partner: int | None, pose: Pose | None) -> Frame:
+    color = streams.color
+    return Frame(
+        name=_name(number),
+        camera=streams.depth.camera,
+        color=None if color is None or partner is None else _color(color.images, partner),
+        depth=_depth(streams.depth.images, number),
+        depth_scale=streams.depth_scale,
+        world_from_camera=pose,
+        timestamp=time,
+        color_camera=None if color is None else color.camera,
+        color_from_depth=streams.color_from_depth,
+    )
+
+
+def _pair_frame(pair: Pair, number: int, time: int, partner: int | None, pose: Pose | None) -> Frame:
+    return Frame(
+        name=_name(number),
+        camera=pair.rig.left,
+        color=_color(pair.left, number),
+        right=None if partner is None else _color(pair.right, partner),
+        world_from_camera=pose,
+        timestamp=time,
+    )
+
+
+def _stamps(images: Images) -> tuple[dict[int, int], list[SkippedFrame]]:
+    """Return when each image was taken, nanoseconds by its number in the stream, and which are damaged."""
+    times: dict[int, int] = {}
+    damaged = []
+    for number in range(len(images.recorded)):
+        time = _stamp_or_fault(images, number)
+        if isinstance(time, InputError):
+            damaged.append(SkippedFrame(f"{images.name} {_name(number)}", time.diagnostic))
+        else:
+            times[number] = time
+    return times, damaged
+
+
+def _stamp_or_fault(images: Images, number: int) -> int | InputError:
+    try:
+        return images.stamp(number)
+    except InputError as error:
+        return error
+
+
+def _have_other_clocks(first: Mapping[int, int], second: Mapping[int, int]) -> bool:
+    """Say whether two streams that were recorded together claim to be of times that do not overlap at all."""
+    if not first or not second:
+        return False
+    apart = max(min(first.values()), min(second.values())) - min(max(first.values()), max(second.values()))
+    return apart > _tolerance(first, second)
+
+
+def _tolerance(*streams: Mapping[int, int]) -> int:
+    intervals = [np.median(np.diff(sorted(times.values()))) for times in streams if len(times) > 1]
+    return round(_TOLERANCE * min(intervals)) if intervals else _FALLBACK_TOLERANCE
+
+
+def _of_one_moment(first: Mapping[int, int], second: Mapping[int, int]) -> list[tuple[int, int]]:
+    """Return the numbers of the images of two streams that are of one moment."""
+    numbers, others = list(first), list(second)
+    times, other_times = (np.fromiter(one.values(), np.int64, len(one)) for one in (first, second))
+    partners = nearest_in_time(other_times, times, _tolerance(first, second))
+    return [(numbers[partner], others[at]) for at, partner in enumerate(partners.tolist()) if partner >= 0]
+
+
+def _poses(
+    options: ReadingParams, place: Path, moments: Sequence[tuple[int, int]]
+) -> tuple[Sequence[Pose | None], tuple[Diagnostic, ...]]:
+    """Return the pose of each frame, given by its number and time, and the diagnostics of missing poses."""
+    given = options.file("poses", place.parent if place.is_file() else place)
+    if given is None:
+        return [None] * len(moments), (poses_missing("a recording has none"),)
+    names = [_name(number) for number, _ in moments]
+    trajectory = trajectories.read_trajectory(given)
+    if trajectory.timestamps is None:
+        return trajectories.match(trajectory, names, given), ()
+    return poses_at(given, [time for _, time in moments], names, _FALLBACK_TOLERANCE, options), ()
+
+
+def _name(number: int) -> str:
+    return f"{number:06d}"
+
+
+def _color(images: Images, number: int) -> Packed:
+    return Packed(images.file(number), f"{images.name} {_name(number)}", partial(images.color, number))
+
+
+def _depth(images: Images, number: int) -> Packed:
+    return Packed(images.file(number), f"{images.name} {_name(number)}", partial(images.depth, number))
+
+
+LAYOUT = Layout(
+    name="ros-bag",
+    text="one .bag, .db3 or .mcap file, or a folder with one (RealSense; ROS 1 or 2 with camera_info and "
+    "depth, or left and right)",
+    matches=_matches,
+    read=_read,
+    suffixes=SUFFIXES,
+)

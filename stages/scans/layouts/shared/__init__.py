@@ -1,0 +1,1 @@
+"""What several layouts share: views, phones, gravity."""

@@ -1,0 +1,89 @@
+"""What ScanNet's own worlds are: z is up, and axisAlignment turns them until walls run along the axes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.errors import InputError
+from stages.files import documents
+from stages.scans.codes import SCAN_ALIGNMENT_MISSING, SCAN_ASSUMED
+from stages.scans.model.poses import rigid
+from stages.scans.model.scan import Pose, Scan
+from stages.scans.model.world import Z_UP, WorldUp, up_of_layout
+
+_NAME = re.compile(r"scene\d{4}_\d\d")
+_LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)
+
+
+def aligned(scan: Scan, folder: Path) -> Scan:
+    """Return a scan whose world is turned as scene*.txt beside it says, and that says so.
+
+    Raises
+    ------
+    InputError
+        If no such file is there, or its matrix is not rigid.
+    """
+    if not scan.has_poses:
+        emit(
+            SCAN_ASSUMED.warning(
+                "axisAlignment is left aside: it is for the data set's own poses, and there are none"
+            )
+        )
+        return scan
+    path, alignment = _alignment(folder)
+    frames = [
+        frame
+        if frame.world_from_camera is None
+        else replace(frame, world_from_camera=alignment @ frame.world_from_camera)
+        for frame in scan.frames
+    ]
+    emit(SCAN_ASSUMED.info("the world is turned by the axisAlignment of {file}", file=path.name))
+    up = scan.up
+    if up is not None:
+        x, y, z = (alignment[:3, :3] @ up.direction).tolist()
+        up = replace(up, direction=(x, y, z))
+    return replace(scan, frames=frames, up=up)
+
+
+def up_of_scannet(place: Path, layout: str) -> WorldUp | None:
+    """Return what is up in a scan of the data set; None where others packed theirs like it.
+
+    Parameters
+    ----------
+    place : a folder, or a file.
+    layout : its name.
+    """
+    beside = place.parent if place.is_file() else place
+    is_own = any(_NAME.search(name) for name in (place.name, beside.resolve().name)) or any(
+        beside.glob("scene*.txt")
+    )
+    return up_of_layout(layout, Z_UP) if is_own else None
+
+
+def _alignment(folder: Path) -> tuple[Path, Pose]:
+    beside = folder.parent if folder.is_file() else folder
+    for path in sorted(beside.glob("scene*.txt")):
+        found = _LINE.search(documents.read_text(path))
+        if found is None:
+            continue
+        try:
+            values = [float(word) for word in found[1].split()]
+        except ValueError:
+            values = []
+        if len(values) != 16:
+            raise InputError(SCAN_ALIGNMENT_MISSING, "its axisAlignment is not 16 numbers.", path)
+        pose = rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
+        if pose is None:
+            raise InputError(SCAN_ALIGNMENT_MISSING, "its axisAlignment is not finite.", path)
+        return path, pose
+    raise InputError(
+        SCAN_ALIGNMENT_MISSING,
+        "there is no scene*.txt with an axisAlignment",
+        folder,
+        remedy="leave scan.align_axes out.",
+    )

@@ -1,0 +1,84 @@
+"""Maps of confidence in a folder of their own, beside those of depth; their levels are what they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.errors import InputError
+from stages.files.images import read_stored
+from stages.files.noting import only_looking
+from stages.scans.codes import SCAN_CONFIDENCE
+from stages.scans.image_folders.image_files import first_existing, images, numbers
+from stages.scans.layouts.shared.phones import least_confidence
+from stages.scans.model.reading_params import ReadingParams
+
+_FOLDERS = ("confidence", "conf", "confidences")
+_LOOKED_AT = 4
+# Apps write low, medium and high, as 0, 1, 2 or otherwise; more values are a measure without levels.
+_MOST_LEVELS = 8
+
+
+def confidence_of(
+    folder: Path, depths: Sequence[Path], options: ReadingParams
+) -> tuple[Mapping[Path, Path], int]:
+    """Return each depth map's map of confidence, and the confidence that depth must have.
+
+    Only the lowest level is left out where the user says nothing; where there are no levels, nothing is.
+    """
+    place = first_existing(folder, *_FOLDERS)
+    if place is None or not place.is_dir():
+        return {}, 0
+    by_number = {numbers(path.stem) or path.stem: path for path in images(place)}
+    found = {
+        depth: by_number[key] for depth in depths if (key := numbers(depth.stem) or depth.stem) in by_number
+    }
+    if not found:
+        emit(
+            SCAN_CONFIDENCE.warning(
+                "the images of {folder}/ have none of depth's numbers: they are left aside", folder=place.name
+            )
+        )
+        return {}, 0
+    levels = _levels(list(found.values()))
+    if 1 < len(levels) <= _MOST_LEVELS:
+        return found, least_confidence(options, levels, folder)
+    if options.least_confidence is not None:
+        return found, options.least_confidence
+    if levels:
+        emit(
+            SCAN_CONFIDENCE.warning(
+                "{folder}/ holds how far depth is to be trusted, {lowest} to {highest}: "
+                "scan.least_confidence=VALUE leaves out depth of less",
+                folder=place.name,
+                lowest=levels[0],
+                highest=levels[-1],
+            )
+        )
+    else:
+        emit(
+            SCAN_CONFIDENCE.warning(
+                "{folder}/ holds no maps of 8 bits: they are left aside", folder=place.name
+            )
+        )
+    return {}, 0
+
+
+def _levels(files: Sequence[Path]) -> list[int]:
+    """Return the values of a few maps, rising; none if they are no maps of 8 bits."""
+    found: set[int] = set()
+    with only_looking():
+        for path in files[:: max(1, len(files) // _LOOKED_AT)][:_LOOKED_AT]:
+            found |= _values(path)
+    return sorted(found)
+
+
+def _values(path: Path) -> set[int]:
+    try:
+        stored = read_stored(path)
+    except InputError:
+        return set()
+    return set(np.unique(stored).tolist()) if stored.dtype == np.uint8 and stored.ndim == 2 else set()

@@ -1,0 +1,86 @@
+"""What phones share: a small depth map and a large image of one optical centre, and depth's confidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCAN_CONFIDENCE, SCAN_PHONE_IMAGES
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, scaled
+
+# 1920×1440 and 256×192 agree exactly; 4032×3024 cropped to 16:9 does not.
+_SAME_SHAPE = 0.02
+
+
+def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Camera:
+    """Return the camera of the same view in another size, (width, height) in pixels.
+
+    Raises
+    ------
+    InputError
+        If the size has another shape: the images are then cropped or turned, and their camera is another.
+    """
+    width, height = size
+    if abs(width * camera.height / (height * camera.width) - 1) > _SAME_SHAPE:
+        turned = (
+            " They are turned by 90°: turn them back."
+            if (width < height) != (camera.width < camera.height)
+            else " Export them again without cropping."
+        )
+        raise InputError(
+            SCAN_PHONE_IMAGES,
+            (
+                "{what} are {width}×{height}, which is not the shape of the camera's "
+                "{camera_width}×{camera_height}.{turned}"
+            ),
+            path,
+            what=what,
+            width=width,
+            height=height,
+            camera_width=camera.width,
+            camera_height=camera.height,
+            turned=turned,
+        )
+    return scaled(camera, width, height)
+
+
+def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path) -> int:
+    """Return the confidence that depth must have, with a warning about its range.
+
+    Parameters
+    ----------
+    levels : that the layout knows: low, medium and high.
+
+    Raises
+    ------
+    InputError
+        If more than the highest is asked for, which would leave nothing.
+    """
+    least = levels[1] if options.least_confidence is None else options.least_confidence
+    if least > levels[-1]:
+        raise InputError(
+            SCAN_CONFIDENCE,
+            (
+                "least_confidence is {least}, but this layout knows {map} only; "
+                "scan.least_confidence={levels} keeps the best."
+            ),
+            folder,
+            least=least,
+            map=", ".join(map(str, levels)),
+            levels=levels[-1],
+        )
+    emit(
+        SCAN_CONFIDENCE.warning(
+            "depth of confidence {least} and more (of {levels}) is kept: scan.least_confidence={highest} "
+            "keeps the best only, scan.least_confidence={lowest} all; a phone's depth past 5 m is a guess, "
+            "which fuse.max_depth=5 leaves out",
+            least=least,
+            levels=", ".join(map(str, levels)),
+            highest=levels[-1],
+            lowest=levels[0],
+        )
+    )
+    return least

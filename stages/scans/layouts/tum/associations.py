@@ -1,0 +1,56 @@
+"""associations.txt: colour and depth of one moment on a line, `time file time file`, in either order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from stages.diagnostics.errors import InputError
+from stages.files import documents
+from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from stages.scans.trajectory import files as trajectories
+
+
+@dataclass(frozen=True)
+class Association:
+    """A couple of files, and the times in nanoseconds that stand before them."""
+
+    color_time: int
+    color: Path
+    depth_time: int
+    depth: Path
+
+
+def read_associations(path: Path) -> list[Association]:
+    """Read the couples; which file of a line is depth, its folder says.
+
+    Raises
+    ------
+    InputError
+        If a line is of another form, names two files of one kind or one outside the folder, or there is none.
+    """
+    found = []
+    for number, text in documents.lines(path):
+        words = text.split()
+        if len(words) != 4:
+            raise InputError(
+                SCAN_TABLE_DAMAGED, "line {number} is not `time file time file`.", path, number=number
+            )
+        is_depth = [any("depth" in part for part in Path(word).parts[:-1]) for word in (words[1], words[3])]
+        if is_depth[0] == is_depth[1]:
+            raise InputError(
+                SCAN_FILES_MISSING,
+                "line {number} names no file in depth/ beside one in rgb/.",
+                path,
+                number=number,
+            )
+        at, other = (0, 2) if is_depth[0] else (2, 0)
+        depth, color = (
+            path.parent / documents.require_inside(words[place + 1], path, f"line {number}")
+            for place in (at, other)
+        )
+        depth_time, color_time = (trajectories.stamp(words[place], path, number) for place in (at, other))
+        found.append(Association(color_time, color, depth_time, depth))
+    if not found:
+        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
+    return found

@@ -1,0 +1,89 @@
+"""The cameras of TUM's RGB-D data set: its folders hold none, and which recording one is tells its camera."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from stages.diagnostics.collector import collecting, emit
+from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.resolution import found_camera
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
+from stages.scans.image_folders.image_files import first_existing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, scaled
+
+# fx fy cx cy, then k1 k2 p1 p2 k3.
+_CAMERAS = {
+    "freiburg1": ((517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "freiburg2": ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
+}
+# Which recording a file is of stands in its first lines: `# file: 'rgbd_dataset_freiburg1_rpy.bag'`.
+_RECORDING = re.compile(r"^#\s*file:\s*['\"]?([^'\"\n]+)", re.MULTILINE)
+_OWN = re.compile(r"rgbd_dataset_freiburg([123])(?!\d)")
+_LIKE_OWN = re.compile(r"(?<![a-z])(?:freiburg|fr)_?[123](?!\d)", re.IGNORECASE)
+_HEAD = 1000
+
+
+def camera_of(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, Path | None]:
+    """Return the camera of a folder for images of this size, and the file that states it.
+
+    Raises
+    ------
+    InputError
+        If that file cannot be read.
+    """
+    path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
+    camera = options.camera(width, height)
+    if camera is not None:
+        return camera, path
+    if path is not None:
+        return calibration.read_camera(path, width, height), path
+    with collecting(forward=False) as diagnostics:
+        camera, path = found_camera(folder, width, height)
+    own, source = data_set_camera(folder)
+    if path is None and own is not None:
+        matrix, distortion = _CAMERAS[own]
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the camera is {camera}'s, by {source}", camera=own, source=source
+            )
+        )
+        return scaled(Camera(640, 480, *matrix, distortion), width, height), None
+    emit(*diagnostics)
+    if path is None and _LIKE_OWN.search(folder.resolve().name):
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the folder's name is like one of the TUM data set, but nothing in it says that it is: its "
+                "lens is not taken from the name"
+            )
+        )
+    return camera, path
+
+
+def is_named_in(path: Path) -> bool:
+    """Say whether a list of a folder names a recording of the data set in its first lines."""
+    return _OWN.search(documents.read_text(path)[:_HEAD]) is not None
+
+
+def data_set_camera(folder: Path) -> tuple[str | None, str]:
+    """Return which of the data set's cameras took the images, and what says so.
+
+    What the lists say counts. The folder's name does only where they say nothing, and only as the data set
+    gives it: anyone's recording may lie in a folder that is called freiburg1.
+    """
+    recorded = _recorded_as(folder)
+    named = _OWN.match(folder.resolve().name if recorded is None else recorded)
+    source = "the folder's name" if recorded is None else "the name of the recording in its lists"
+    return (None if named is None else f"freiburg{named[1]}"), source
+
+
+def _recorded_as(folder: Path) -> str | None:
+    """Return the recording that the lists name in their first lines; None where they name none."""
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        head = documents.read_text(folder / name)[:_HEAD] if (folder / name).is_file() else ""
+        if named := _RECORDING.search(head):
+            return named[1]
+    return None

@@ -1,0 +1,315 @@
+"""TUM RGB-D: colour and depth as two streams with their own clocks, motion capture as the trajectory."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
+from stages.diagnostics.errors import InputError
+from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.calibration.discovery import trajectory_beside
+from stages.scans.codes import (
+    FRAME_IMAGE_MISSING,
+    FRAME_POSE_MISSING,
+    POSE_ASSUMED,
+    SCALE_DEPTH_UNIT_ASSUMED,
+    SCAN_ASSUMED,
+    SCAN_FILES_MISSING,
+    SCAN_TABLE_DAMAGED,
+)
+from stages.scans.image_folders.depth_units import MILLIMETRES, told_units
+from stages.scans.image_folders.image_files import (
+    COLOR_FOLDERS,
+    DEPTH_FOLDERS,
+    DEPTHS,
+    IMAGES,
+    common_size,
+    first_existing,
+    has,
+    images,
+)
+from stages.scans.image_folders.path_remapping import found_file
+from stages.scans.image_folders.timestamp_matching import nearest_in_time
+from stages.scans.layouts.shared.layout import Layout
+from stages.scans.layouts.shared.views import single_view
+from stages.scans.layouts.tum.associations import read_associations
+from stages.scans.layouts.tum.cameras import camera_of, data_set_camera, is_named_in
+from stages.scans.model.lacking import poses_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
+from stages.scans.model.world import Z_UP, WorldUp, up_of_layout
+from stages.scans.trajectory import files as trajectories
+from stages.scans.trajectory.timed_poses import poses_at
+
+# The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
+_TOLERANCE = 20_000_000
+_SECOND = 1_000_000_000
+_UNITS_PER_METRE = 5000.0
+_ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
+# How images are named when their lists are lost.
+_STAMPED = re.compile(r"\d+\.\d+")
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """The images of a stream, in the order they are listed: times in nanoseconds, and files."""
+
+    times: NDArray[np.int64]
+    files: list[Path]
+
+
+def _matches(folder: Path) -> str | None:
+    if has(folder, "rgb.txt", "depth.txt"):
+        found = "rgb.txt and depth.txt"
+    elif has(folder, "rgb") and (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
+        found = f"rgb/ and {listed.name}"
+    elif (stamped := _stamped(folder)) is not None:
+        color, depth = (stream.files[0].parent.name for stream in stamped)
+        found = f"{color}/ and {depth}/ with times for names"
+    elif _is_without_depth(folder):
+        found = "rgb.txt"
+    else:
+        return None
+    return found + (" with groundtruth.txt" if has(folder, "groundtruth.txt") else "")
+
+
+def _is_without_depth(folder: Path) -> bool:
+    """Say whether a folder has the list of colour alone: what has depth in any form is no folder of views."""
+    return has(folder, "rgb.txt") and first_existing(folder, "depth.txt", *DEPTH_FOLDERS) is None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    if _is_without_depth(folder):
+        return _read_views(folder, options)
+    color_stream, depth_stream = _streams(folder)
+    colors, depths = color_stream.files, depth_stream.files
+    camera, calib = camera_of(folder, options, *common_size(depths))
+    scale = _depth_scale(folder, options, depths, calib)
+
+    frames: list[Frame] = []
+    partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE).tolist()
+    skipped = [
+        SkippedFrame(color.stem, FRAME_IMAGE_MISSING.warning("no depth frame within 0.02 s"))
+        for color, partner in zip(colors, partners, strict=True)
+        if partner < 0
+    ]
+    paired = [number for number, partner in enumerate(partners) if partner >= 0]
+    # The surface is where the depth camera saw it from, so its moment decides.
+    moments = [int(depth_stream.times[partners[number]]) for number in paired]
+    names = [colors[number].stem for number in paired]
+    path, poses = _poses(folder, moments, names, options)
+    for number, pose in zip(paired, poses, strict=True):
+        color, partner, time = colors[number], partners[number], int(color_stream.times[number])
+        if pose is None and path is not None:
+            skipped.append(SkippedFrame(color.stem, FRAME_POSE_MISSING.warning("no pose within 0.02 s")))
+            continue
+        frames.append(
+            Frame(
+                name=color.stem,
+                camera=camera,
+                color=color,
+                depth=depths[partner],
+                depth_scale=scale,
+                world_from_camera=pose,
+                timestamp=time,
+            )
+        )
+    missing = _missing(path)
+    up = None if path is None else _up(folder, path)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing, up=up)
+
+
+def _read_views(folder: Path, options: ReadingParams) -> Scan:
+    """Read a recording whose depth is not there: its photos are single views."""
+    stream = _listed(folder / "rgb.txt")
+    colors = _where_they_are(stream.files, folder)
+    camera, _ = camera_of(folder, options, *common_size(colors))
+    moments, names = stream.times.tolist(), [color.stem for color in colors]
+    path, poses = _poses(folder, moments, names, options)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for color, time, pose in zip(colors, moments, poses, strict=True):
+        if pose is None and path is not None:
+            skipped.append(SkippedFrame(color.stem, FRAME_POSE_MISSING.warning("no pose within 0.02 s")))
+            continue
+        try:
+            frames.append(replace(single_view(color.stem, camera, color, pose), timestamp=time))
+        except InputError as error:
+            skipped.append(SkippedFrame(color.stem, error.diagnostic))
+    missing = _missing(path)
+    up = None if path is None else _up(folder, path)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing, up=up)
+
+
+def _poses(
+    folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
+) -> tuple[Path | None, list[Pose | None]]:
+    """Return the trajectory's file, and the pose at each moment."""
+    path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
+    if path is not None:
+        return path, poses_at(path, moments, names, _TOLERANCE, options)
+    return _poses_beside(folder, moments, names, options) or (None, [None] * len(names))
+
+
+def _missing(poses: Path | None) -> tuple[Diagnostic, ...]:
+    return (poses_missing("groundtruth.txt is missing"),) if poses is None else ()
+
+
+def _poses_beside(
+    folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
+) -> tuple[Path, list[Pose | None]] | None:
+    """Return the only file that holds as many poses as frames, and the poses, with a warning.
+
+    None without one, and where its times are others than those of the frames, unless these only count them.
+    """
+    path = trajectory_beside(folder, len(names))
+    if path is None:
+        return None
+    found = POSE_ASSUMED.warning(
+        "the poses are read from {file}, which lies beside the images", file=path.name
+    )
+    if set(np.diff(moments)) == {_SECOND}:
+        found = POSE_ASSUMED.warning(
+            "the poses are read from {file}, which lies beside the images; the images' times only count "
+            "them, so poses are taken in their order",
+            file=path.name,
+        )
+        options = replace(options, poses_by_order=True)
+    try:
+        poses = poses_at(path, moments, names, _TOLERANCE, options)
+    except InputError:
+        return None
+    emit(found)
+    return path, poses
+
+
+def _up(folder: Path, trajectory: Path) -> WorldUp | None:
+    """Return what is up in the worlds of the data set's motion capture; None where others use its form."""
+    is_own = data_set_camera(folder)[0] is not None or is_named_in(trajectory)
+    return up_of_layout(LAYOUT.name, Z_UP) if is_own else None
+
+
+def _streams(folder: Path) -> tuple[_Stream, _Stream]:
+    """Return colour and depth."""
+    if has(folder, "rgb.txt", "depth.txt"):
+        color, depth = (_listed(folder / name) for name in ("rgb.txt", "depth.txt"))
+    elif (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
+        couples = read_associations(listed)
+        color = _Stream(np.array([one.color_time for one in couples]), [one.color for one in couples])
+        depth = _Stream(np.array([one.depth_time for one in couples]), [one.depth for one in couples])
+    elif (stamped := _stamped(folder)) is not None:
+        emit(
+            SCAN_ASSUMED.warning(
+                "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
+            )
+        )
+        return stamped
+    else:
+        raise InputError(
+            SCAN_FILES_MISSING, "rgb.txt and depth.txt, or images named by their times, are needed.", folder
+        )
+    colors, depths = (_where_they_are(stream.files, folder) for stream in (color, depth))
+    return replace(color, files=colors), replace(depth, files=depths)
+
+
+def _listed(path: Path) -> _Stream:
+    """Return a stream from lines `seconds file`."""
+    times, files = [], []
+    for number, text in documents.lines(path):
+        words = re.split(r"[\s;]+|,(?=\s*[^\d\s])", text, maxsplit=1)
+        if len(words) != 2:
+            raise InputError(SCAN_TABLE_DAMAGED, "line {number} is not `seconds file`.", path, number=number)
+        times.append(trajectories.stamp(words[0].rstrip(","), path, number))
+        files.append(_listed_file(words[1].strip(" ,;"), path, number))
+    if not files:
+        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
+    return _Stream(np.array(times, np.int64), files)
+
+
+def _listed_file(name: str, path: Path, number: int) -> Path:
+    """Return the file that a line names; where its path is one of another computer, by the path's end."""
+    if PurePosixPath(name).is_absolute() or PureWindowsPath(name).is_absolute():
+        return found_file(path.parent, name, f"line {number}: {name[:100]!r}", path)
+    return path.parent / documents.require_inside(name, path, f"line {number}")
+
+
+def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:
+    """Return the streams of two folders whose images are named by their times in seconds."""
+    streams = []
+    for names, suffixes in ((COLOR_FOLDERS, IMAGES), (DEPTH_FOLDERS, DEPTHS)):
+        place = first_existing(folder, *names)
+        files = images(place, suffixes) if place is not None and place.is_dir() else []
+        if not files or not all(_STAMPED.fullmatch(path.stem) for path in files):
+            return None
+        times = [trajectories.stamp(path.stem, path, 1) for path in files]
+        streams.append(_Stream(np.array(times, np.int64), files))
+    return streams[0], streams[1]
+
+
+def _where_they_are(files: list[Path], folder: Path) -> list[Path]:
+    """Return the files of a stream, whose folder may have another name than listed."""
+    listed = files[0].parent
+    if listed.exists():
+        return files
+    holders = [place for place in folder.iterdir() if any((place / path.name).is_file() for path in files)]
+    if len(holders) != 1:
+        return files
+    found = holders[0]
+    emit(
+        SCAN_ASSUMED.warning(
+            "there is no folder {listed}/, but {found}/ has the images listed in it: they are used",
+            listed=listed.name,
+            found=found.name,
+        )
+    )
+    return [found / path.name for path in files]
+
+
+def _depth_scale(folder: Path, options: ReadingParams, depths: Sequence[Path], calib: Path | None) -> float:
+    """Return the units a metre of depth, which the file of the camera may state."""
+    stated = None if calib is None else calibration.read_depth_scale(calib)
+    scale = options.depth_scale or stated
+    if scale is None and data_set_camera(folder)[0] is not None:
+        scale = _UNITS_PER_METRE
+    return _scale(depths) if scale is None else scale
+
+
+def _scale(depths: Sequence[Path]) -> float:
+    """Return the units a metre of depth that nothing states."""
+    units = told_units(depths)
+    if units == MILLIMETRES:
+        emit(
+            SCALE_DEPTH_UNIT_ASSUMED.warning(
+                "depth is taken as millimetres: in TUM's {units:g} units a metre half of it would be nearer "
+                "than a Kinect sees",
+                remedy="where it is, set scan.depth_scale={units:g}",
+                units=_UNITS_PER_METRE,
+            )
+        )
+    if units is None:
+        emit(
+            SCALE_DEPTH_UNIT_ASSUMED.warning(
+                "depth is taken as TUM's {units:g} units a metre",
+                remedy="where it is in millimetres set scan.depth_scale=1000",
+                units=_UNITS_PER_METRE,
+            )
+        )
+        return _UNITS_PER_METRE
+    return units
+
+
+LAYOUT = Layout(
+    name="tum",
+    text="rgb.txt and depth.txt (or associations.txt, or images named by their times), groundtruth.txt "
+    "(TUM RGB-D)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,1 @@
+"""A scan in memory: frames, cameras, images, and reading ahead."""

@@ -1,0 +1,569 @@
+"""What a scan folder holds, once a reader has understood it: metres, OpenCV camera axes, row-major poses.
+
+Camera axes are x right, y down, z forward. Pixel centres are at whole numbers: the top left one at (0, 0).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stages.diagnostics.diagnostic import Diagnostic, Where
+from stages.diagnostics.errors import InputError
+from stages.printing import counted, line, table
+from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING, USAGE_FRAME_INVALID
+from stages.scans.model.arrays import (
+    check_color,
+    check_depth,
+    check_distortion,
+    check_gray,
+    check_intrinsics,
+    check_pose,
+)
+from stages.scans.model.thumbnail import thumbnail
+from stages.scans.model.world import Scale, WorldUp
+
+Pose = NDArray[np.float64]
+ColorImage = NDArray[np.uint8]
+DepthImage = NDArray[np.float32]
+
+# Ratio by which the shapes of colour and depth image may differ: rounding of their sizes.
+_SAME_SHAPE = 0.02
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with OpenCV's distortion, or a fisheye camera.
+
+    Attributes
+    ----------
+    width, height : pixels.
+    fx, fy, cx, cy : pixels, for exactly this image size; NaN where the scan has no calibration.
+    distortion : OpenCV's k1 k2 p1 p2 [k3 …], empty for none.
+    fisheye : the lens maps equal angles to equal lengths, and `distortion` is k1 k2 k3 k4 of OpenCV's fisheye
+        model (Kannala and Brandt's, Kalibr's equidistant).
+    is_guess : nobody stated it: it is what cameras of this image size usually are.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+    is_guess: bool = False
+
+    def __repr__(self) -> str:
+        known = f"fx {self.fx:.6g}, fy {self.fy:.6g}, cx {self.cx:.6g}, cy {self.cy:.6g} px"
+        lens = "fisheye" if self.fisheye else counted(len(self.distortion), "distortion coefficient")
+        size = f"{self.width} × {self.height} px"
+        return line(self, (size, known if self.is_calibrated else "not calibrated", lens))
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Return whether anything is known of the camera beside its image size."""
+        return not math.isnan(self.fx)
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """Return the (3, 3) camera matrix."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
+
+
+def pinhole(camera: Camera) -> Camera:
+    """Return the camera of the same images without lens distortion, as they are read."""
+    return replace(camera, distortion=(), fisheye=False)
+
+
+def scaled(camera: Camera, width: int, height: int) -> Camera:
+    """Return the camera of the same images in another size; pixel centres stay at whole numbers."""
+    sx, sy = width / camera.width, height / camera.height
+    return Camera(
+        width,
+        height,
+        camera.fx * sx,
+        camera.fy * sy,
+        (camera.cx + 0.5) * sx - 0.5,
+        (camera.cy + 0.5) * sy - 0.5,
+        camera.distortion,
+        camera.fisheye,
+        camera.is_guess,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRig:
+    """Two cameras fixed to each other.
+
+    Attributes
+    ----------
+    right_from_left : (4, 4) float64, metres: takes left-camera points to the right camera.
+    rectified : rows of both images already correspond; the baseline is then -right_from_left[0, 3].
+    disparities : the number of disparities the calibration file itself states, or None.
+    """
+
+    left: Camera
+    right: Camera
+    right_from_left: Pose
+    rectified: bool
+    disparities: int | None = None
+
+    def __repr__(self) -> str:
+        size = f"{self.left.width} × {self.left.height} px"
+        return line(self, (size, f"baseline {self.baseline:.4g} m", "rectified" if self.rectified else ""))
+
+    @property
+    def baseline(self) -> float:
+        """Return the distance between the camera centres, in metres."""
+        return float(np.linalg.norm(self.right_from_left[:3, 3]))
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """An image inside a file that holds more: a frame of a video, an entry of an archive.
+
+    Attributes
+    ----------
+    file : what holds it; another content of it is another image.
+    name : of the image in the file, for messages and so that images of one file differ.
+    load : returns it, (h, w, 3) uint8 RGB for colour, (h, w) uint16 or float in the unit of `depth_scale` for
+        depth, (h, w) uint8 for confidence and masks; raises InputError. Any thread may call it, any number of
+        times.
+    """
+
+    file: Path
+    name: str
+    load: Callable[[], NDArray[Any]]
+
+    def __repr__(self) -> str:
+        return line(self, (str(self),))
+
+    def __str__(self) -> str:
+        """Return how messages call the image."""
+        return f"{self.file}: {self.name}"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One moment of a scan: a colour image and either a right image or a depth map.
+
+    Images are files or parts of files, read when asked for (see stages.scans.model.images), or arrays in
+    memory.
+
+    Attributes
+    ----------
+    name : how messages call the frame: its file's stem, or its number.
+    camera : of the depth map, or of the left image.
+    color : file or (h, w, 3) uint8 RGB; the left image of a pair.
+    right : as `color`, for stereo.
+    depth : file, or (h, w) float32 metres along the optical axis, 0 where missing.
+    depth_scale : what one metre is in the depth file's units (1000 for millimetres).
+    depth_missing : raw values that mark a missing depth, beside 0.
+    world_from_camera : (4, 4) float64 rigid, metres; None where the scan has no pose for the frame.
+    timestamp : nanoseconds, or None.
+    color_camera : of the colour image of an RGB-D frame, for any of its sizes; None where that image shows
+        what the depth map shows, in whatever size.
+    color_from_depth : (4, 4) float64, metres: takes points of the depth camera to the colour camera; None
+        where both stand in one place.
+    confidence : how far each depth is to be trusted, (h, w) of the depth map's size or of another; higher is
+        better.
+    least_confidence : depth of less is missing.
+    mask : 0 where the image shows nothing of the scene (a backdrop, a border, what moves), (h, w) of its size
+        or of another; such pixels get no depth.
+    depth_range : metres, the nearest and the farthest depth that the frame shows, where the folder tells;
+        single views are searched for depth in between.
+    up : (3,) float64 of length 1, what is up in the axes of the camera, where an accelerometer tells.
+    shutter_turn : (3,) float64, a rotation vector in the axes of the depth camera, radians: how the camera
+        turns from the first row of its images to the last one, where rows are read one after the other; the
+        pose is that at the middle row. None where all are read at once, or nobody knows.
+    """
+
+    name: str
+    camera: Camera
+    color: Path | Packed | ColorImage | None = None
+    right: Path | Packed | ColorImage | None = None
+    depth: Path | Packed | DepthImage | None = None
+    depth_scale: float = 1000.0
+    depth_missing: tuple[int, ...] = ()
+    world_from_camera: Pose | None = None
+    timestamp: int | None = None
+    color_camera: Camera | None = None
+    color_from_depth: Pose | None = None
+    confidence: Path | Packed | NDArray[np.uint8] | None = None
+    least_confidence: int = 0
+    mask: Path | Packed | NDArray[np.uint8] | None = None
+    depth_range: tuple[float, float] | None = None
+    up: NDArray[np.float64] | None = None
+    shutter_turn: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        pose, depth = self.world_from_camera, self.depth
+        if pose is not None and not (isinstance(pose, np.ndarray) and pose.shape == (4, 4)):
+            raise InputError(
+                USAGE_FRAME_INVALID,
+                "world_from_camera must be a (4, 4) array; Frame.from_arrays takes other forms.",
+                Where(frame=self.name),
+            )
+        if isinstance(depth, np.ndarray) and not np.issubdtype(depth.dtype, np.floating):
+            raise InputError(
+                USAGE_FRAME_INVALID,
+                (
+                    "a depth array must be floats in metres, not {depth_dtype}; "
+                    "Frame.from_arrays takes integers with depth_scale."
+                ),
+                Where(frame=self.name),
+                depth_dtype=depth.dtype,
+            )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        color: ArrayLike | None = None,
+        depth: ArrayLike | None = None,
+        intrinsics: Camera | ArrayLike | None = None,
+        world_from_camera: ArrayLike | None = None,
+        *,
+        depth_scale: float | None = None,
+        right: ArrayLike | None = None,
+        color_intrinsics: Camera | ArrayLike | None = None,
+        color_from_depth: ArrayLike | None = None,
+        mask: ArrayLike | None = None,
+        confidence: ArrayLike | None = None,
+        least_confidence: int = 0,
+        timestamp: int | None = None,
+        name: str = "",
+    ) -> Frame:
+        """Create a frame from arrays in memory.
+
+        Parameters
+        ----------
+        color : (h, w, 3) uint8 RGB, or (h, w) grey. OpenCV reads BGR: reverse its channels.
+        depth : (h, w) along the optical axis, floats in metres or integers; 0, NaN and infinity are missing.
+        intrinsics : of the depth image, or of the colour image where there is no depth: (3, 3) camera matrix,
+            fx, fy, cx, cy in pixels, or a `Camera`, which may have lens distortion.
+        world_from_camera : (4, 4) or (3, 4) rigid, metres, OpenCV axes; it takes points of the camera to the
+            world. Open3D's `extrinsic` is its inverse.
+        depth_scale : units of `depth` in one metre; default 1000 for integers, 1 for floats.
+        right : right image of a stereo pair, as `color`.
+        color_intrinsics : of the colour image; default: it shows what the depth image shows.
+        color_from_depth : (4, 4) or (3, 4) rigid, metres; it takes points of the depth camera to the colour
+            camera. Default: both cameras are at one position.
+        mask : (h, w) uint8 or bool, 0 where the image shows nothing of the scene.
+        confidence : (h, w) uint8; depth of less than `least_confidence` is missing.
+        timestamp : nanoseconds.
+        name : for messages; `Scan.from_frames` numbers frames that have none.
+
+        Raises
+        ------
+        InputError
+            For an array of another shape or dtype, and for values that cannot be right.
+        """
+        where = f"frame {name}" if name else "frame"
+        if color is None and depth is None:
+            raise InputError(USAGE_FRAME_INVALID, "a frame needs a colour image or a depth image.", where)
+        colors = None if color is None else check_color(color, where)
+        depths = None if depth is None else check_depth(depth, depth_scale, where)
+        reference = depths if depths is not None else colors
+        assert reference is not None
+        if intrinsics is None:
+            raise InputError(
+                USAGE_FRAME_INVALID,
+                "intrinsics are missing: a (3, 3) camera matrix, a Camera, or fx, fy, cx, cy in pixels.",
+                where,
+            )
+        camera = _create_camera(intrinsics, reference, where)
+        color_camera = None
+        if colors is not None and depths is not None:
+            if color_intrinsics is not None:
+                color_camera = _create_camera(color_intrinsics, colors, where)
+            elif abs(colors.shape[0] * camera.width / (colors.shape[1] * camera.height) - 1) > _SAME_SHAPE:
+                raise InputError(
+                    USAGE_FRAME_INVALID,
+                    (
+                        "the colour image of {colors_shape} × {colors_shape_2} px and the depth "
+                        "image of {camera_width} × {camera_height} px differ in shape."
+                    ),
+                    where,
+                    remedy="Give color_intrinsics, and color_from_depth if the cameras are apart.",
+                    colors_shape=colors.shape[1],
+                    colors_shape_2=colors.shape[0],
+                    camera_width=camera.width,
+                    camera_height=camera.height,
+                )
+        rights = None if right is None else check_color(right, where)
+        if rights is not None and (colors is None or rights.shape[:2] != colors.shape[:2]):
+            raise InputError(
+                USAGE_FRAME_INVALID, "the right image needs a left image, color, of the same size.", where
+            )
+        return cls(
+            name=name,
+            camera=camera,
+            color=colors,
+            right=rights,
+            depth=depths,
+            world_from_camera=check_pose(world_from_camera, "world_from_camera", where),
+            timestamp=timestamp,
+            color_camera=color_camera,
+            color_from_depth=check_pose(color_from_depth, "color_from_depth", where),
+            confidence=None if confidence is None else check_gray(confidence, "confidence", where),
+            least_confidence=least_confidence,
+            mask=None if mask is None else check_gray(mask, "a mask", where),
+        )
+
+    def __repr__(self) -> str:
+        parts = {
+            "colour": self.color,
+            "right image": self.right,
+            "depth": self.depth,
+            "pose": self.world_from_camera,
+            "confidence": self.confidence,
+            "mask": self.mask,
+        }
+        size = f"{self.camera.width} × {self.camera.height} px"
+        return line(self, (self.name, size, *(name for name, part in parts.items() if part is not None)))
+
+    _repr_html_ = table
+
+    def _thumbnail(self) -> bytes | None:
+        return thumbnail([one for one in (self.color, self.right) if one is not None])
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the frame has, ready for JSON; no image is read."""
+        return {
+            "frame": self.name,
+            "size_px": [self.camera.width, self.camera.height],
+            "color": self.color is not None,
+            "right": self.right is not None,
+            "depth": self.depth is not None,
+            "pose": self.world_from_camera is not None,
+            "confidence": self.confidence is not None,
+            "mask": self.mask is not None,
+            "position_m": None if self.world_from_camera is None else self.world_from_camera[:3, 3].tolist(),
+        }
+
+
+# Short names of what a scan can lack, by code.
+_LACKING = {POSE_MISSING.name: "poses", CAMERA_PAIR_UNCALIBRATED.name: "calibration"}
+
+
+@dataclass(frozen=True)
+class SkippedFrame:
+    """Frame that cannot be used.
+
+    Attributes
+    ----------
+    name : of the frame.
+    diagnostic : the reason, without the name of the frame.
+    """
+
+    name: str
+    diagnostic: Diagnostic
+
+    @property
+    def reason(self) -> str:
+        """Return the reason in words."""
+        return str(self.diagnostic)
+
+    def figures(self) -> dict[str, Any]:
+        """Return name, code and reason, ready for JSON."""
+        return {"frame": self.name, "code": self.diagnostic.code, "reason": self.reason}
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A lazy, ordered sequence of frames.
+
+    Attributes
+    ----------
+    layout : the name of the recognised layout.
+    rig : set for stereo pairs, None for RGB-D and for single views.
+    skipped : frames the reader had to leave out (a pose that is lost, a file that is missing).
+    diagnostics : what is odd.
+    missing : what the scan lacks to become a mesh, of the codes pose.missing and camera.pair-uncalibrated.
+    box : (2, 3) float64 metres, lowest and highest corner of what was scanned, where the folder states it.
+    held_out : frames that are kept from all stages, to judge results by.
+    up : which way is up in the world of the poses, where the layout or the folder says it.
+    is_metric : lengths are metres; else one unit that nobody knows, in which depth is too.
+    scale : what made lengths metres that were none.
+    read_from : the files that it was read from, and those of its images, of frames that were not chosen too.
+    """
+
+    layout: str
+    frames: Sequence[Frame]
+    rig: StereoRig | None = None
+    folder: Path | None = None
+    skipped: tuple[SkippedFrame, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = field(default=())
+    missing: tuple[Diagnostic, ...] = ()
+    box: NDArray[np.float64] | None = None
+    held_out: Sequence[Frame] = ()
+    up: WorldUp | None = None
+    is_metric: bool = True
+    scale: Scale | None = None
+    read_from: frozenset[Path] = frozenset()
+
+    @classmethod
+    def from_frames(
+        cls,
+        frames: Iterable[Frame],
+        *,
+        rig: StereoRig | None = None,
+        up: ArrayLike | None = None,
+        is_metric: bool = True,
+        held_out: Iterable[Frame] = (),
+    ) -> Scan:
+        """Create a scan from frames in memory, such as those of `Frame.from_arrays`.
+
+        Parameters
+        ----------
+        frames : in the order they were taken; all with depth, all with a right image, or all with neither.
+        rig : the two cameras of stereo pairs.
+        up : (3,) up direction in the world of the poses; default: it is estimated where a stage needs it.
+        is_metric : whether lengths are metres.
+        held_out : frames that no stage uses, to judge results by.
+
+        Raises
+        ------
+        InputError
+            For no frames, frames of several kinds, right images without a rig, and views without poses.
+        """
+        numbered = [
+            frame if frame.name else replace(frame, name=f"{number:06d}")
+            for number, frame in enumerate(frames)
+        ]
+        if not numbered:
+            raise InputError(USAGE_FRAME_INVALID, "a scan needs at least one frame.", "scan")
+        kinds = [(frame.depth is not None, frame.right is not None) for frame in numbered]
+        for frame, kind in zip(numbered, kinds, strict=True):
+            if kind != kinds[0]:
+                raise InputError(
+                    USAGE_FRAME_INVALID,
+                    "it has {describe_kind}, but frame {numbered_name} has {describe_kind_2}.",
+                    Where(frame=frame.name),
+                    describe_kind=_describe_kind(kind),
+                    numbered_name=numbered[0].name,
+                    describe_kind_2=_describe_kind(kinds[0]),
+                )
+        has_depth, has_right = kinds[0]
+        if has_right and not has_depth and rig is None:
+            raise InputError(
+                USAGE_FRAME_INVALID, "stereo pairs need rig, a StereoRig with both cameras.", "scan"
+            )
+        if not (has_depth or has_right) and not any(f.world_from_camera is not None for f in numbered):
+            raise InputError(
+                USAGE_FRAME_INVALID, "single images need poses: give world_from_camera to each frame.", "scan"
+            )
+        return cls(
+            layout="arrays",
+            frames=numbered,
+            rig=None if has_depth else rig,
+            held_out=[
+                frame if frame.name else replace(frame, name=f"held-out-{number:06d}")
+                for number, frame in enumerate(held_out)
+            ],
+            up=None if up is None else _check_up(up),
+            is_metric=is_metric,
+        )
+
+    def __repr__(self) -> str:
+        return line(
+            self,
+            (
+                self.layout,
+                counted(len(self.frames), "frame") or "no frames",
+                self._kind,
+                "poses" if self.has_poses else "no poses",
+                "" if self.is_metric else "not metric",
+                f"{len(self.held_out):,} held out" if self.held_out else "",
+                f"{len(self.skipped):,} skipped" if self.skipped else "",
+                *(f"lacks {_LACKING.get(one.code, one.code)}" for one in self.missing),
+                counted(len(self.diagnostics), "diagnostic"),
+            ),
+        )
+
+    _repr_html_ = table
+
+    def _thumbnail(self) -> bytes | None:
+        return thumbnail([frame.color for frame in self.frames if frame.color is not None])
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the scan has, ready for JSON; no image is read. `inspect` tells far more."""
+        camera = self.frames[0].camera if self.frames else None
+        return {
+            "layout": self.layout,
+            "kind": self._kind,
+            "frames": len(self.frames),
+            "frames_with_poses": sum(frame.world_from_camera is not None for frame in self.frames),
+            "size_px": None if camera is None else [camera.width, camera.height],
+            "frames_held_out": len(self.held_out),
+            "frames_skipped": [one.figures() for one in self.skipped],
+            "missing": [one.figures() for one in self.missing],
+        }
+
+    @property
+    def _kind(self) -> str:
+        return "stereo pairs" if self.is_stereo else "views" if self.is_views else "colour and depth"
+
+    @property
+    def has_poses(self) -> bool:
+        """Return whether any frame has a pose."""
+        return any(frame.world_from_camera is not None for frame in self.frames)
+
+    @property
+    def is_stereo(self) -> bool:
+        """Return whether depth must still be computed from pairs."""
+        return self.rig is not None
+
+    @property
+    def is_views(self) -> bool:
+        """Return whether depth must still be computed from single images with poses, without a rig."""
+        return self.rig is None and not any(frame.depth is not None for frame in self.frames)
+
+
+def _create_camera(
+    intrinsics: Camera | ArrayLike, image: NDArray[np.uint8] | NDArray[np.float32], where: str
+) -> Camera:
+    """Create the camera of an image, or check that a given one fits it."""
+    height, width = image.shape[:2]
+    if not isinstance(intrinsics, Camera):
+        return Camera(width, height, *check_intrinsics(intrinsics, (width, height), where))
+    if (intrinsics.width, intrinsics.height) != (width, height):
+        raise InputError(
+            USAGE_FRAME_INVALID,
+            (
+                "the camera is for images of {intrinsics_width} × {intrinsics_height} px, "
+                "but the image has {width} × {height} px."
+            ),
+            where,
+            intrinsics_width=intrinsics.width,
+            intrinsics_height=intrinsics.height,
+            width=width,
+            height=height,
+        )
+    check_intrinsics((intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy), (width, height), where)
+    return replace(intrinsics, distortion=check_distortion(intrinsics.distortion, where))
+
+
+def _describe_kind(kind: tuple[bool, bool]) -> str:
+    """Describe the images of a frame other than colour."""
+    has_depth, has_right = kind
+    names = [name for name, has in (("depth", has_depth), ("a right image", has_right)) if has]
+    return " and ".join(names) or "neither depth nor a right image"
+
+
+def _check_up(up: ArrayLike) -> WorldUp:
+    """Return the up direction with length 1."""
+    vector = np.asarray(up, np.float64).reshape(-1)
+    length = float(np.linalg.norm(vector))
+    if vector.shape != (3,) or not (np.isfinite(length) and length > 0):
+        raise InputError(USAGE_FRAME_INVALID, "up must be a direction of three numbers.", "scan")
+    x, y, z = (vector / length).tolist()
+    return WorldUp((x, y, z), "given")

@@ -1,0 +1,69 @@
+"""How sharp the images of a scan are: the variance of the Laplacian, which blur takes away.
+
+The measure also falls where there is little to see, so it ranks the frames of one scan and no more.
+
+References
+----------
+Pech-Pacheco, Cristobal, Chamorro-Martinez and Fernandez-Valdivia, "Diatom autofocusing in brightfield
+microscopy: a comparative study", 2000.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stages.diagnostics.errors import InputError
+from stages.scans.model.images import read_color
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import ColorImage, Frame
+
+# Reading more images than this takes longer than a person wants to wait; they are spread over the scan.
+_MOST_FRAMES = 150
+# All are measured at this size, since shrinking takes away blur.
+_WIDTH = 640
+
+
+def least_sharp(frames: Sequence[Frame], share: float = 0.05) -> tuple[list[tuple[Frame, float]], int]:
+    """Return the least sharp frames, and how many were looked at.
+
+    Parameters
+    ----------
+    frames : with colour; those whose images cannot be read are left aside.
+    share : of the frames looked at, rounded up.
+
+    Returns
+    -------
+    The frames, the worst first, each with its sharpness over the median's; and the number of frames measured.
+    None where fewer than two can be compared.
+    """
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _MOST_FRAMES).round().astype(int))
+    threads = workers()
+    found = read_ahead(_sharpness, [frames[i] for i in chosen], threads=threads, ahead=2 * threads)
+    measured = [(i, value) for i, value in zip(chosen.tolist(), found, strict=True) if value is not None]
+    if len(measured) < 2:
+        return [], len(measured)
+    middle = float(np.median([value for _, value in measured]))
+    count = int(np.ceil(share * len(measured)))
+    worst = sorted(measured, key=lambda one: one[1])[:count]
+    return [(frames[i], value / middle if middle > 0 else 1.0) for i, value in worst], len(measured)
+
+
+def _sharpness(frame: Frame) -> float | None:
+    try:
+        color = read_color(frame)
+    except InputError:
+        return None
+    return None if color is None else sharpness(color)
+
+
+def sharpness(color: ColorImage) -> float:
+    """Return the sharpness of an image (h, w, 3), in squared levels."""
+    import cv2
+
+    gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    if gray.shape[1] > _WIDTH:
+        size = (_WIDTH, max(round(gray.shape[0] * _WIDTH / gray.shape[1]), 1))
+        gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    return float(cv2.Laplacian(gray, cv2.CV_64F).var())

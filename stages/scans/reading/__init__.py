@@ -1,1 +1,0 @@
-"""What readers of scan folders share: files, parameters, streams, rigs, views, axes."""

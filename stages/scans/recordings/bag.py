@@ -1,0 +1,109 @@
+"""The records of a ROS 1 bag (format 2.0), as a RealSense `.bag` has them, too.
+
+Each is a header of `name=value`, and data. Messages stand in chunks, and the index of a chunk follows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from stages.diagnostics.errors import InputError
+from stages.scans.codes import RECORDING_WRONG_KIND
+from stages.scans.recordings.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
+from stages.scans.recordings.recording import Recording
+
+_MAGIC = b"#ROSBAG V2.0\n"
+_MESSAGE, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x04", b"\x05", b"\x07"
+_INDEX_ENTRY = np.dtype([("seconds", "<u4"), ("nanoseconds", "<u4"), ("offset", "<u4")])
+# A record's header holds a few names and numbers, a connection the text of its message type.
+_LONGEST_HEADER, _LONGEST_CONNECTION = 1 << 16, 1 << 20
+
+
+class _Record(NamedTuple):
+    fields: Mapping[bytes, bytes]
+    start: int
+    size: int
+
+    @property
+    def end(self) -> int:
+        return self.start + self.size
+
+    def number(self, name: bytes) -> int:
+        return int.from_bytes(self.fields[name], "little")
+
+
+def read_bag(path: Path) -> Recording:
+    """Return the recording in a bag; what follows a damaged record is left out.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is no bag of format 2.0, or is encrypted.
+    """
+    with opened(path) as file:
+        start = file.read(0, min(len(_MAGIC), file.size))
+        if start != _MAGIC:
+            what = "a ROS bag of another version" if start.startswith(b"#ROSBAG") else "no ROS bag"
+            raise InputError(
+                RECORDING_WRONG_KIND, "this is {what}; it must begin with `#ROSBAG V2.0`.", path, what=what
+            )
+        return read_chunked(path, file, len(_MAGIC), _note, _find)
+
+
+def _note(found: Found, chunk: int, span: Span, at: int) -> int:
+    record = _record(span, at)
+    kind = record.fields[b"op"]
+    if record.fields.get(b"encryptor"):
+        raise InputError(RECORDING_WRONG_KIND, "the bag is encrypted, which cannot be read.", found.path)
+    if kind == _CONNECTION and record.size <= _LONGEST_CONNECTION:
+        described = _fields(span.read(record.start, record.size))
+        writer = Writer(record.fields[b"topic"].decode(), described[b"type"].decode(), is_cdr=False)
+        found.writers.setdefault(record.number(b"conn"), writer)
+    elif kind == _CHUNK and chunk == FILE:
+        compression = record.fields[b"compression"].decode("ascii")
+        packed = "" if compression == "none" else compression
+        found.chunks.append(Chunk(record.start, record.size, packed, record.number(b"size")))
+    elif kind == _INDEX and chunk == FILE and len(found.chunks) > 1:
+        entries = np.frombuffer(span.read(record.start, record.size), _INDEX_ENTRY)
+        times = entries["seconds"].astype(np.int64) * 1_000_000_000 + entries["nanoseconds"]
+        indexed = len(found.chunks) - 1
+        found.indexed.add(indexed)
+        found.add(record.number(b"conn"), times, indexed, entries["offset"])
+    return record.end
+
+
+def _find(span: Span, at: int, writers: frozenset[int]) -> tuple[int, int]:
+    record = _record(span, at)
+    # An index may name the connection that stands before its first message.
+    while record.fields[b"op"] == _CONNECTION:
+        record = _record(span, record.end)
+    if record.fields[b"op"] != _MESSAGE or record.number(b"conn") not in writers:
+        raise ValueError("another record is there")
+    return record.start, record.size
+
+
+def _record(span: Span, at: int) -> _Record:
+    length = int.from_bytes(span.read(at, 4), "little")
+    if length > _LONGEST_HEADER:
+        raise ValueError("header too long")
+    block = span.read(at + 4, length + 4)
+    record = _Record(_fields(block[:length]), at + 8 + length, int.from_bytes(block[length:], "little"))
+    if record.end > span.size:
+        raise EOFError
+    return record
+
+
+def _fields(block: bytes) -> dict[bytes, bytes]:
+    fields, at = {}, 0
+    while at < len(block):
+        start = at + 4
+        at = start + int.from_bytes(block[at:start], "little")
+        name, is_there, value = block[start:at].partition(b"=")
+        if not is_there or at > len(block):
+            raise ValueError("not name=value")
+        fields[name] = value
+    return fields

@@ -1,0 +1,130 @@
+"""The records of an MCAP file, as ROS 2 writes them.
+
+Each is an operation code, a length and a body. Messages stand by themselves or in chunks, and the index of a
+chunk follows it.
+
+Reference: the MCAP format specification, version 0 (mcap.dev/spec).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from stages.diagnostics.errors import InputError
+from stages.files import zstd_blocks
+from stages.scans.codes import RECORDING_WRONG_KIND
+from stages.scans.recordings.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
+from stages.scans.recordings.recording import Messages, Recording, as_ros_1, unpacked
+
+_MAGIC = b"\x89MCAP0\r\n"
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7
+_INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
+# An operation code and a length stand before each record; a message begins with its channel and times.
+_PREFIX, _HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
+# What stands before the data of a chunk, and the text of a message type.
+_LONGEST_CHUNK_HEAD, _LONGEST_DESCRIPTION = 1 << 10, 1 << 22
+# How the two ways of ROS to serialise are called, and whether it is ROS 2's.
+_ENCODINGS = {"cdr": True, "ros1": False}
+# Nanoseconds; later times, and offsets beyond it, are damaged.
+_LATEST = 1 << 62
+
+
+def read_mcap(path: Path) -> Recording:
+    """Return the recording in an MCAP file; what follows a damaged record is left out.
+
+    Messages that are not serialised as ROS does have a type that nothing knows.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is none.
+    """
+    with opened(path) as file:
+        if file.read(0, min(len(_MAGIC), file.size)) != _MAGIC:
+            raise InputError(RECORDING_WRONG_KIND, "this is no MCAP file: it must begin with `MCAP0`.", path)
+        recording = read_chunked(path, file, len(_MAGIC), partial(_note, {0: ""}), _find)
+    topics = {
+        name: replace(topic, read=partial(_unpacked, path, topic)) if topic.is_cdr else topic
+        for name, topic in recording.topics.items()
+    }
+    return replace(recording, topics=topics)
+
+
+def _unpacked(path: Path, messages: Messages, number: int, first: int | None) -> bytes:
+    data = messages.read(number, first)
+    if first is not None and data.startswith(zstd_blocks.MAGIC):
+        # The beginning of a packed message is only had from all of it.
+        data = messages.read(number, None)
+    return unpacked(data, f"message {number} of its topic", path)[:first]
+
+
+def _note(schemas: dict[int, str], found: Found, chunk: int, span: Span, at: int) -> int:
+    operation, start, length = _record(span, at)
+    if operation in (_SCHEMA, _CHANNEL) and length <= _LONGEST_DESCRIPTION:
+        _describe(schemas, found, operation, span.read(start, length))
+    elif operation == _MESSAGE and chunk not in found.indexed:
+        writer, _, time, _ = _HEAD.unpack(span.read(start, _HEAD.size))
+        found.add(writer, min(time, _LATEST), chunk, at)
+    elif operation == _CHUNK and chunk == FILE:
+        head = span.read(start, min(length, _LONGEST_CHUNK_HEAD))
+        _, _, size, _ = struct.unpack_from("<QQQI", head)
+        compression, behind = _text(head, 28)
+        (stored,) = struct.unpack_from("<Q", head, behind)
+        if behind + 8 + stored > length:
+            raise EOFError
+        found.chunks.append(Chunk(start + behind + 8, stored, compression, size))
+    elif operation == _INDEX and chunk == FILE and len(found.chunks) > 1:
+        writer, size = struct.unpack("<HI", span.read(start, 6))
+        if 6 + size > length:
+            raise EOFError
+        entries = np.frombuffer(span.read(start + 6, size), _INDEX_ENTRY)
+        indexed = len(found.chunks) - 1
+        found.indexed.add(indexed)
+        times, offsets = (np.minimum(entries[name], _LATEST).astype(np.int64) for name in ("time", "offset"))
+        found.add(writer, times, indexed, offsets)
+    return span.size if operation == _FOOTER else start + length
+
+
+def _describe(schemas: dict[int, str], found: Found, operation: int, body: bytes) -> None:
+    """Note a message type, or a channel whose type is known: those of others are told again in a chunk."""
+    (number,) = struct.unpack_from("<H", body)
+    if operation == _SCHEMA:
+        schemas.setdefault(number, as_ros_1(_text(body, 2)[0]))
+        return
+    (schema,) = struct.unpack_from("<H", body, 2)
+    topic, at = _text(body, 4)
+    encoding, _ = _text(body, at)
+    if schema in schemas:
+        kind = schemas[schema] if encoding in _ENCODINGS else f"{schemas[schema]} as {encoding}"
+        found.writers.setdefault(number, Writer(topic, kind, _ENCODINGS.get(encoding, False)))
+
+
+def _find(span: Span, at: int, writers: frozenset[int]) -> tuple[int, int]:
+    operation, start, length = _record(span, at)
+    writer = _HEAD.unpack(span.read(start, _HEAD.size))[0]
+    if operation != _MESSAGE or writer not in writers or length < _HEAD.size:
+        raise ValueError("another record is there")
+    return start + _HEAD.size, length - _HEAD.size
+
+
+def _record(span: Span, at: int) -> tuple[int, int, int]:
+    """Return operation, start and length of the body of the record at a place."""
+    operation, length = _PREFIX.unpack(span.read(at, _PREFIX.size))
+    start = at + _PREFIX.size
+    if not operation or start + length > span.size:
+        raise EOFError
+    return operation, start, length
+
+
+def _text(data: bytes, at: int) -> tuple[str, int]:
+    """Return the text at a place, and the place behind it."""
+    (length,) = struct.unpack_from("<I", data, at)
+    end = at + 4 + length
+    if end > len(data):
+        raise EOFError
+    return data[at + 4 : end].decode("utf-8", "replace"), end

@@ -1,0 +1,127 @@
+"""The pair of an ordinary ROS recording without depth: a left and a right topic of images.
+
+Rectified images (`image_rect`) have the projections P of their `camera_info`; others K and D, with R and the
+right camera's P for how the two stand. Drivers that leave the baseline out of P send it by `/tf_static`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from stages.diagnostics.collector import collecting, emit
+from stages.diagnostics.errors import InputError
+from stages.scans.calibration import rig_calibration
+from stages.scans.codes import (
+    CAMERA_CALIBRATION_ASSUMED,
+    CAMERA_PAIR_UNCALIBRATED,
+    RECORDING_TOPIC_CHOSEN,
+)
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import StereoRig
+from stages.scans.recordings.images import topic_images
+from stages.scans.recordings.messages import CameraMessage
+from stages.scans.recordings.pixels import is_color
+from stages.scans.recordings.recording import Recording
+from stages.scans.recordings.topics import (
+    ImageTopic,
+    accelerometer_beside,
+    between,
+    camera_message,
+    image_topics,
+)
+from stages.scans.streams.clocked_streams import Pair
+from stages.scans.streams.stereo_rigs import stated_rig
+
+# RealSense numbers its infrared cameras; the left one is the first.
+_SIDES = (("left", "right"), ("infra1", "infra2"), ("infrared1", "infrared2"), ("cam0", "cam1"))
+
+
+def topic_pair(recording: Recording, options: ReadingParams) -> Pair | None:
+    """Return the pair of a ROS recording; None where no two topics are left and right.
+
+    Raises
+    ------
+    InputError
+        If what it says of its cameras is missing or wrong.
+    """
+    couples = _couples(image_topics(recording))
+    if not couples:
+        return None
+    left, right = min(couples, key=_unlikeness)
+    if len(couples) > 1:
+        emit(
+            RECORDING_TOPIC_CHOSEN.warning(
+                "of {count} pairs of topics, {name} is used", count=len(couples), name=left.name
+            )
+        )
+    first, second = (topic_images(one.name, one.topic) for one in (left, right))
+    rig = stated_rig(first, recording.path.parent, options) or _rig(recording, left, right, options)
+    return Pair(first, second, rig, accelerometer_beside(recording, left.frame))
+
+
+def _couples(found: Sequence[ImageTopic]) -> list[tuple[ImageTopic, ImageTopic]]:
+    grey = {one.name: one for one in found if is_color(one.encoding)}
+    couples = []
+    for name, one in grey.items():
+        others = (name.replace(left, right) for left, right in _SIDES if left in name)
+        other = next((grey[word] for word in others if word in grey), None)
+        if other is not None:
+            couples.append((one, other))
+    return couples
+
+
+def _unlikeness(couple: tuple[ImageTopic, ImageTopic]) -> tuple[bool, bool, bool]:
+    """Return by what pairs are ordered, the best first."""
+    left, _ = couple
+    return not left.is_rectified, left.is_compressed, "gray" in left.name
+
+
+def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: ReadingParams) -> StereoRig:
+    first, second = (camera_message(recording, one) for one in (left, right))
+    sides = {"left": first, "right": second}
+    is_rectified = left.is_rectified and bool(first.projection.any() and second.projection.any())
+    document: dict[str, Any] = {"unit": "m"}
+    if not second.projection[0, 3]:
+        right_from_left = between(recording, left.frame, right.frame)
+        if right_from_left is None or not right_from_left[:3, 3].any():
+            right_from_left = np.eye(4)
+            if options.baseline is None:
+                raise InputError(
+                    CAMERA_PAIR_UNCALIBRATED,
+                    (
+                        "how far apart {left_name} and {right_name} are is neither in the right "
+                        "one's camera_info (P[0,3]) nor in /tf_static"
+                    ),
+                    recording.path,
+                    remedy="set scan.baseline=METRES.",
+                    left_name=left.name,
+                    right_name=right.name,
+                )
+        tables = {side: _table(one, is_rectified=is_rectified) for side, one in sides.items()}
+        document |= {**tables, "R": right_from_left[:3, :3], "T": right_from_left[:3, 3]}
+    elif is_rectified:
+        document |= {"P1": first.projection, "P2": second.projection}
+    else:
+        stands = {side: {"R": one.rectification, "P": one.projection} for side, one in sides.items()}
+        document |= {side: _table(one) | stands[side] for side, one in sides.items()}
+    with collecting(forward=False) as diagnostics:
+        rig = rig_calibration.read_rig(
+            recording.path, first.width, first.height, document=document, baseline=options.baseline
+        )
+    # Names of topics say whether images are rectified, and metres are the unit: nothing is assumed.
+    emit(*(one for one in diagnostics if one.code != CAMERA_CALIBRATION_ASSUMED.name))
+    return rig
+
+
+def _table(message: CameraMessage, *, is_rectified: bool = False) -> dict[str, Any]:
+    """Return a camera under the names that calibration files have."""
+    return {
+        "width": message.width,
+        "height": message.height,
+        "distortion_model": None if is_rectified else message.model or None,
+        "K": message.projection[:, :3] if is_rectified else message.matrix,
+        "D": None if is_rectified else message.distortion,
+    }

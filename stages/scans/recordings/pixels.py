@@ -1,0 +1,168 @@
+"""Unpack the pixels of ROS images, whatever their encoding, into RGB colour or a raw depth map."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.errors import InputError
+from stages.files.codes import RECORDING_DAMAGED
+from stages.files.image_bytes import MAX_PIXELS
+from stages.files.images import decode_color, decode_depth
+from stages.scans.codes import RECORDING_ENCODING_UNKNOWN
+from stages.scans.model.scan import ColorImage
+from stages.scans.recordings.messages import ImageMessage, read_compressed, read_image
+
+# In ROS 1 `sensor_msgs/CompressedImage`, in ROS 2 `sensor_msgs/msg/CompressedImage`.
+_COMPRESSED = "CompressedImage"
+_QUANTIZATION = struct.Struct("<iff")
+_PNG = b"\x89PNG\r\n\x1a\n"
+_DEPTHS = {"mono16": "u2", "16uc1": "u2", "z16": "u2", "32fc1": "f4"}
+# Bytes a pixel, and which of OpenCV's conversions makes RGB of it; None for what is RGB.
+_COLORS: dict[str, tuple[int, str | None]] = {
+    "rgb8": (3, None),
+    "bgr8": (3, "COLOR_BGR2RGB"),
+    "8uc3": (3, "COLOR_BGR2RGB"),
+    "rgba8": (4, "COLOR_RGBA2RGB"),
+    "bgra8": (4, "COLOR_BGRA2RGB"),
+    "8uc4": (4, "COLOR_BGRA2RGB"),
+    "mono8": (1, "COLOR_GRAY2RGB"),
+    "8uc1": (1, "COLOR_GRAY2RGB"),
+    "y8": (1, "COLOR_GRAY2RGB"),
+    # ROS's yuv422 has the colour first; RealSense calls the other order by its camera's name.
+    "yuv422": (2, "COLOR_YUV2RGB_UYVY"),
+    "uyvy": (2, "COLOR_YUV2RGB_UYVY"),
+    "yuv422_yuy2": (2, "COLOR_YUV2RGB_YUYV"),
+    "yuyv": (2, "COLOR_YUV2RGB_YUYV"),
+    "yuy2": (2, "COLOR_YUV2RGB_YUYV"),
+}
+
+
+def is_depth(encoding: str) -> bool:
+    """Say whether images of an encoding can be depth maps."""
+    return encoding.lower() in _DEPTHS
+
+
+def is_color(encoding: str) -> bool:
+    """Say whether images of an encoding can be shown as colour or grey."""
+    return encoding.lower() in _COLORS
+
+
+def color_in(data: bytes, kind: str, source: Path | str, *, is_cdr: bool = False) -> ColorImage:
+    """Return the image of a message as (h, w, 3) uint8 RGB.
+
+    Parameters
+    ----------
+    kind : the message type; compressed images are told by it.
+    source : stands in messages.
+    is_cdr : it is ROS 2's.
+
+    Raises
+    ------
+    InputError
+        If the message is damaged, the encoding is not known, or the data is not of the stated size.
+    """
+    if kind.endswith(_COMPRESSED):
+        return decode_color(read_compressed(data, source, is_cdr=is_cdr)[1], source)
+    return _color(read_image(data, source, is_cdr=is_cdr), source)
+
+
+def depth_in(data: bytes, kind: str, source: Path | str, *, is_cdr: bool = False) -> NDArray[Any]:
+    """Return the depth map of a message, (h, w) uint16 or float32 as stored; for the rest as `color_in`."""
+    if kind.endswith(_COMPRESSED):
+        return _compressed_depth(*read_compressed(data, source, is_cdr=is_cdr), source)
+    return _depth(read_image(data, source, is_cdr=is_cdr), source)
+
+
+def _color(image: ImageMessage, source: Path | str) -> ColorImage:
+    import cv2
+
+    known = _COLORS.get(image.encoding.lower())
+    if known is None:
+        raise InputError(
+            RECORDING_ENCODING_UNKNOWN,
+            "colour is encoded as {encoding!r}, which is not known",
+            source,
+            remedy="record it as rgb8.",
+            encoding=image.encoding[:20],
+        )
+    size, conversion = known
+    pixels = _rows(image, size, source).reshape(image.height, image.width, size)
+    if conversion is None:
+        return pixels
+    if size == 2 and image.width % 2:
+        raise InputError(
+            RECORDING_DAMAGED,
+            "a {encoding} image cannot be {image_width} pixels wide.",
+            source,
+            encoding=image.encoding,
+            image_width=image.width,
+        )
+    return cast(ColorImage, cv2.cvtColor(pixels, getattr(cv2, conversion)))
+
+
+def _depth(image: ImageMessage, source: Path | str) -> NDArray[Any]:
+    kind = _DEPTHS.get(image.encoding.lower())
+    if kind is None:
+        raise InputError(
+            RECORDING_ENCODING_UNKNOWN,
+            "depth is encoded as {encoding!r}; 16-bit (16UC1, mono16) or float (32FC1) is expected.",
+            source,
+            encoding=image.encoding[:20],
+        )
+    stored = np.dtype(kind).newbyteorder(">" if image.is_big_endian else "<")
+    rows = _rows(image, stored.itemsize, source)
+    return cast("NDArray[Any]", rows.view(stored).astype(kind))
+
+
+def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any]:
+    # Before the PNG stand a code and two numbers that only float depth is packed with.
+    start = data.find(_PNG, 0, 64)
+    if start < 0:
+        raise InputError(
+            RECORDING_ENCODING_UNKNOWN,
+            "depth is compressed as {form!r}; `compressedDepth png` is known.",
+            source,
+            remedy="Record it uncompressed.",
+            form=form[:40],
+        )
+    stored = decode_depth(data[start:], source)
+    if "32fc1" not in form.lower():
+        return stored
+    if start != _QUANTIZATION.size or stored.dtype != np.uint16:
+        raise InputError(RECORDING_DAMAGED, "the depth's quantization is missing before its image.", source)
+    _, factor, offset = _QUANTIZATION.unpack_from(data)
+    # What is stored is factor / depth + offset, 0 where depth is missing.
+    with np.errstate(all="ignore"):
+        inverse = stored.astype(np.float32) - np.float32(offset)
+        depth: NDArray[np.float32] = np.float32(factor) / np.where(inverse > 0, inverse, np.float32(1))
+    depth[(stored == 0) | ~(inverse > 0)] = 0
+    return depth
+
+
+def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint8]:
+    """Return (h, w · size) bytes, what fills up the rows left out."""
+    width, height, used = image.width, image.height, image.width * size
+    if not 0 < width * height <= MAX_PIXELS:
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the image claims to be {width}×{height} pixels; it is damaged.",
+            source,
+            width=width,
+            height=height,
+        )
+    if image.step < used or len(image.data) < image.step * height:
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the image does not hold the {width}×{height} pixels of {size} bytes that it claims.",
+            source,
+            width=width,
+            height=height,
+            size=size,
+        )
+    rows = image.data[: image.step * height].reshape(height, image.step)
+    return np.ascontiguousarray(rows[:, :used])

@@ -1,0 +1,76 @@
+"""What a RealSense `.bag` says, which the maker's library wrote up to version 2.57.
+
+Topics are `/device_0/sensor_0/Depth_0/…`: `image/data`, `info/camera_info` and `tf/0`, which takes points of
+a reference stream to this one; of a sensor `option/Depth_Units/value`, in metres.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+
+from stages.scans.model.scan import Pose
+from stages.scans.recordings.images import topic_images
+from stages.scans.recordings.messages import (
+    CameraMessage,
+    read_camera_info,
+    read_float,
+    read_image,
+    read_transform,
+)
+from stages.scans.recordings.realsense.streams import (
+    MOST_OPTIONS,
+    RealSense,
+    RealSenseStream,
+    accelerometers_of,
+)
+from stages.scans.recordings.recording import Recording
+
+_IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data")
+
+
+def realsense_bag(bag: Recording) -> RealSense | None:
+    """Return what a RealSense recording says; None if the bag has no images of one."""
+    streams = {}
+    for name, topic in bag.topics.items():
+        matched = _IMAGES.fullmatch(name)
+        if matched is not None:
+            stream, sensor, kind = matched.groups()
+            streams[stream] = RealSenseStream(kind.lower(), sensor, topic_images(stream, topic))
+    if not streams:
+        return None
+    return RealSense(
+        bag.path,
+        streams,
+        partial(_camera, bag),
+        partial(_units, bag),
+        partial(_places, bag),
+        accelerometers_of(bag),
+    )
+
+
+def _camera(bag: Recording, name: str) -> CameraMessage | None:
+    info = bag.topics.get(f"{name}/info/camera_info")
+    return None if info is None else read_camera_info(info.read(0, None), f"{bag.path}: {name}")
+
+
+def _units(bag: Recording, stream: RealSenseStream) -> list[float]:
+    # Older recorders leave the blank in the option's name.
+    names = (f"{stream.sensor}/option/{option}/value" for option in ("Depth_Units", "Depth Units"))
+    option = next((bag.topics[name] for name in names if name in bag.topics), None)
+    if option is not None:
+        return [
+            read_float(option.read(number, None), bag.path)
+            for number in range(min(len(option.times), MOST_OPTIONS))
+        ]
+    image = read_image(bag.topics[f"{stream.images.name}/image/data"].read(0, None), bag.path)
+    return [read_float(image.rest, bag.path)] if len(image.rest) == 4 else []
+
+
+def _places(bag: Recording, name: str) -> dict[str, Pose]:
+    start = f"{name}/tf/"
+    return {
+        topic.removeprefix(start): read_transform(bag.topics[topic].read(0, None), bag.path)
+        for topic in bag.topics
+        if topic.startswith(start)
+    }

@@ -1,0 +1,289 @@
+"""Read ScanNet's `.sens` files: a whole scan in one, colour and depth of each frame compressed for itself.
+
+The file is indexed without reading the images; each is read when asked for. Little-endian throughout.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.codes import MACHINE_BUSY
+from stages.diagnostics.errors import InputError
+from stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
+from stages.files.image_bytes import MAX_PIXELS
+from stages.files.images import decode_color
+from stages.files.opening import opened
+from stages.scans.codes import RECORDING_ENCODING_UNKNOWN, RECORDING_WRONG_KIND
+from stages.scans.model.scan import ColorImage
+
+_FORMAT_VERSION = 4
+_LONGEST_NAME = 1 << 16
+_MATRIX = struct.Struct("<16f")
+_SETTINGS = struct.Struct("<iiIIIIfQ")
+_FRAME = struct.Struct("<16fQQQQ")
+_RAW_COLOR, _PNG_COLOR, _JPEG_COLOR = 0, 1, 2
+_RAW_DEPTH, _ZLIB_DEPTH = 0, 1
+# Between units of a kilometre and of a nanometre; other numbers are damaged.
+_SCALES = (1e-3, 1e9)
+# No coder makes an image much larger than its pixels; a blob that claims more is damaged.
+_LARGEST_PIXEL, _LARGEST_OVERHEAD = 8, 1 << 20
+
+
+@dataclass(frozen=True)
+class Blob:
+    """Where the bytes of an image are."""
+
+    start: int
+    size: int
+
+
+@dataclass(frozen=True, eq=False)
+class SensFrame:
+    """One frame of the index.
+
+    Attributes
+    ----------
+    pose : (4, 4) float64 as stored, world-from-camera; -inf where tracking was lost.
+    color, depth : where the images are; a colour of size 0 is none.
+    """
+
+    pose: NDArray[np.float64]
+    color: Blob
+    depth: Blob
+
+
+@dataclass(frozen=True, eq=False)
+class Sens:
+    """What a `.sens` file holds.
+
+    Attributes
+    ----------
+    color_matrix, depth_matrix : (4, 4) float64 camera matrices, for images of `color_size` and `depth_size`.
+    color_extrinsic, depth_extrinsic : (4, 4) float64, the identity in the data set.
+    color_coder, depth_coder : how images are compressed, by the format's numbers.
+    color_size, depth_size : (width, height), pixels.
+    depth_scale : what one metre is in the depth maps' units.
+    promised : number of frames the header states; `frames` are those that are whole.
+    """
+
+    path: Path
+    color_matrix: NDArray[np.float64]
+    color_extrinsic: NDArray[np.float64]
+    depth_matrix: NDArray[np.float64]
+    depth_extrinsic: NDArray[np.float64]
+    color_coder: int
+    depth_coder: int
+    color_size: tuple[int, int]
+    depth_size: tuple[int, int]
+    depth_scale: float
+    promised: int
+    frames: Sequence[SensFrame]
+
+
+def read_sens(path: Path) -> Sens:
+    """Read the header and the index of a `.sens` file.
+
+    Frames after the first that is cut off or damaged cannot be found, and are left out.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, its header is cut short or damaged, it is compressed in a way that is not
+        known, or not one frame is whole.
+    """
+    try:
+        with opened(path) as file:
+            return _read(file, path.stat().st_size, path)
+    except OSError as error:
+        raise InputError(
+            FILE_UNREADABLE, "the file cannot be read ({strerror}).", path, strerror=error.strerror
+        ) from error
+
+
+def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
+    """Return a colour image, (h, w, 3) uint8 RGB; `name` stands in messages.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or does not decode.
+    """
+    data = _bytes(sens.path, blob, name)
+    if sens.color_coder != _RAW_COLOR:
+        return decode_color(data, f"{sens.path}: {name}")
+    width, height = sens.color_size
+    if len(data) != 3 * width * height:
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the image does not hold {width}×{height} pixels.",
+            f"{sens.path}: {name}",
+            width=width,
+            height=height,
+        )
+    return np.frombuffer(data, np.uint8).reshape(height, width, 3)
+
+
+def read_depth(sens: Sens, blob: Blob, name: str) -> NDArray[np.uint16]:
+    """Return a depth map, (h, w) uint16 in the file's own unit; `name` stands in messages.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or does not decompress to the size the header states.
+    """
+    data = _bytes(sens.path, blob, name)
+    width, height = sens.depth_size
+    size = 2 * width * height
+    if sens.depth_coder == _ZLIB_DEPTH:
+        try:
+            # One byte more shows that there is more; a blob of nothing but zeros could fill the memory.
+            data = zlib.decompressobj().decompress(data, size + 1)
+        except zlib.error as error:
+            raise InputError(
+                RECORDING_DAMAGED, "the depth map does not decompress; it is damaged.", f"{sens.path}: {name}"
+            ) from error
+    if len(data) != size:
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the depth map does not hold {width}×{height} pixels.",
+            f"{sens.path}: {name}",
+            width=width,
+            height=height,
+        )
+    return np.frombuffer(data, "<u2").reshape(height, width).astype(np.uint16)
+
+
+def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
+    version, name_size = struct.unpack("<IQ", _exactly(file, 12, path))
+    if version != _FORMAT_VERSION:
+        raise InputError(
+            RECORDING_WRONG_KIND,
+            "version {format_version} of the format is expected, and this states {version}.",
+            path,
+            format_version=_FORMAT_VERSION,
+            version=version,
+        )
+    if name_size > _LONGEST_NAME:
+        raise InputError(
+            RECORDING_DAMAGED,
+            "its header is damaged: a sensor name of {name_size} bytes.",
+            path,
+            name_size=name_size,
+        )
+    _exactly(file, name_size, path)
+    color_matrix, color_extrinsic, depth_matrix, depth_extrinsic = (
+        _matrix(_exactly(file, _MATRIX.size, path)) for _ in range(4)
+    )
+    settings = _SETTINGS.unpack(_exactly(file, _SETTINGS.size, path))
+    color_coder, depth_coder, color_width, color_height, width, height, scale, promised = settings
+    if color_coder not in (_RAW_COLOR, _PNG_COLOR, _JPEG_COLOR):
+        raise InputError(
+            RECORDING_ENCODING_UNKNOWN,
+            "colour is compressed in way {color_coder}; raw, PNG and JPEG are known.",
+            path,
+            color_coder=color_coder,
+        )
+    if depth_coder not in (_RAW_DEPTH, _ZLIB_DEPTH):
+        raise InputError(
+            RECORDING_ENCODING_UNKNOWN,
+            "depth is compressed in way {depth_coder}; raw and zlib are known.",
+            path,
+            depth_coder=depth_coder,
+        )
+    if color_width * color_height > MAX_PIXELS or not 0 < width * height <= MAX_PIXELS:
+        raise InputError(
+            RECORDING_DAMAGED,
+            (
+                "its header is damaged: colour of {color_width}×{color_height} and depth of "
+                "{width}×{height} pixels."
+            ),
+            path,
+            color_width=color_width,
+            color_height=color_height,
+            width=width,
+            height=height,
+        )
+    if not _SCALES[0] <= scale <= _SCALES[1]:
+        raise InputError(
+            RECORDING_DAMAGED, "its header is damaged: {scale:g} depth units a metre.", path, scale=scale
+        )
+    limits = [
+        _LARGEST_PIXEL * pixels + _LARGEST_OVERHEAD for pixels in (color_width * color_height, width * height)
+    ]
+    frames = _frames(file, file_size, promised, limits)
+    if not frames:
+        raise InputError(
+            RECORDING_DAMAGED,
+            "of {promised} frames it promises, not one is whole",
+            path,
+            remedy="copy it again.",
+            promised=promised,
+        )
+    return Sens(
+        path=path,
+        color_matrix=color_matrix,
+        color_extrinsic=color_extrinsic,
+        depth_matrix=depth_matrix,
+        depth_extrinsic=depth_extrinsic,
+        color_coder=color_coder,
+        depth_coder=depth_coder,
+        color_size=(color_width, color_height),
+        depth_size=(width, height),
+        depth_scale=scale,
+        promised=promised,
+        frames=frames,
+    )
+
+
+def _frames(file: BinaryIO, file_size: int, promised: int, limits: Sequence[int]) -> list[SensFrame]:
+    """Return the frames up to the first that is not whole, or whose colour or depth is above its limit."""
+    frames: list[SensFrame] = []
+    while len(frames) < promised:
+        header = file.read(_FRAME.size)
+        if len(header) < _FRAME.size:
+            break
+        *_, color_size, depth_size = _FRAME.unpack(header)
+        start = file.tell()
+        end = start + color_size + depth_size
+        if end > file_size or color_size > limits[0] or not 0 < depth_size <= limits[1]:
+            break
+        pose = _matrix(header[: _MATRIX.size])
+        frames.append(SensFrame(pose, Blob(start, color_size), Blob(start + color_size, depth_size)))
+        file.seek(end)
+    return frames
+
+
+def _matrix(data: bytes) -> NDArray[np.float64]:
+    return np.array(_MATRIX.unpack(data)).reshape(4, 4)
+
+
+def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
+    data = file.read(size)
+    if len(data) < size:
+        raise InputError(RECORDING_DAMAGED, "the file ends within its header", path, remedy="copy it again.")
+    return data
+
+
+def _bytes(path: Path, blob: Blob, name: str) -> bytes:
+    try:
+        with opened(path) as file:
+            file.seek(blob.start)
+            data = file.read(blob.size)
+    except OSError as error:
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the image cannot be read ({strerror}).",
+            f"{path}: {name}",
+            strerror=error.strerror,
+        ) from error
+    if len(data) < blob.size:
+        raise InputError(MACHINE_BUSY, "the file was cut short since it was opened.", f"{path}: {name}")
+    return data

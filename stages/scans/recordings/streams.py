@@ -1,0 +1,160 @@
+"""Which topics of an ordinary ROS recording are depth and colour: images with a `camera_info` beside them.
+
+Depth is 16-bit millimetres or float metres, as ROS has it. Depth that is aligned to colour wins; otherwise
+`/tf_static` says how the two cameras stand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import takewhile
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.errors import InputError
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.codes import CAMERA_LENS_UNKNOWN, RECORDING_TOPIC_CHOSEN
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera
+from stages.scans.recordings.images import topic_images
+from stages.scans.recordings.pixels import is_color, is_depth
+from stages.scans.recordings.recording import Recording
+from stages.scans.recordings.topics import (
+    ImageTopic,
+    accelerometer_beside,
+    between,
+    camera_message,
+    has_camera,
+    image_topics,
+)
+from stages.scans.streams.clocked_streams import Stream, Streams, extrinsics_unknown, stated_depth_camera
+
+# What the drivers of RealSense, Kinect and ZED call depth as the colour camera sees it.
+_ALIGNED = ("aligned_depth", "depth_registered", "depth_to_rgb")
+_LIKE_OPENCV = ("plumb_bob", "rational_polynomial", "none", "")
+_FISHEYE = ("equidistant", "fisheye")
+_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+# A fisheye bends lines without coefficients, too.
+_UNBENT = (0.0, 0.0, 0.0, 0.0)
+# Grey images in 16 bits are depth only where the name says so: infrared has them too.
+_SURELY_DEPTH = ("16uc1", "32fc1")
+_NOT_DEPTH = ("infra", "/ir", "confidence", "disparity")
+_NOT_COLOR = (*_NOT_DEPTH, "depth")
+# The Kinect's colour moved to the depth camera, where its depth can see it.
+_COLOR_IN_DEPTH = "rgb_to_depth"
+
+
+def topic_streams(recording: Recording, options: ReadingParams) -> Streams | None:
+    """Return depth and colour of a ROS recording; None where it has no images of depth.
+
+    Raises
+    ------
+    InputError
+        If what it says of its cameras is missing or wrong.
+    """
+    found = image_topics(recording)
+    depths = [one for one in found if _is_depth(one)]
+    if not depths:
+        return None
+    depth = min(depths, key=lambda one: (not _is_aligned(one), "depth" not in one.name, one.is_compressed))
+    if len(depths) > 1:
+        emit(
+            RECORDING_TOPIC_CHOSEN.warning(
+                "of {count} topics of depth, {name} is used", count=len(depths), name=depth.name
+            )
+        )
+    scale = options.depth_scale or (1.0 if depth.encoding.lower() == "32fc1" else 1000.0)
+    maps = topic_images(depth.name, depth.topic)
+    stated = stated_depth_camera(maps, recording.path.parent, options)
+    seen = Stream(maps, stated or _recorded_camera(recording, depth))
+    colors = [one for one in found if _is_color(one)]
+    accelerometer = accelerometer_beside(recording, depth.frame)
+    if not colors:
+        return Streams(seen, None, scale, None, accelerometer)
+    color = min(colors, key=lambda one: _unlikeness(one, depth))
+    color_from_depth = None
+    is_one_view = _is_aligned(depth) or color.frame == depth.frame
+    if not is_one_view:
+        color_from_depth = between(recording, depth.frame, color.frame)
+        if color_from_depth is None:
+            emit(extrinsics_unknown(depth.name, color.name))
+    return Streams(
+        seen,
+        Stream(
+            topic_images(color.name, color.topic),
+            seen.camera
+            if is_one_view and not has_camera(recording, color)
+            else _recorded_camera(recording, color),
+        ),
+        scale,
+        color_from_depth,
+        accelerometer,
+    )
+
+
+def _is_aligned(depth: ImageTopic) -> bool:
+    return any(word in depth.name for word in _ALIGNED)
+
+
+def _is_depth(images: ImageTopic) -> bool:
+    name = images.name.lower()
+    is_named = "depth" in name.replace(_COLOR_IN_DEPTH, "")
+    is_other = any(word in name for word in _NOT_DEPTH)
+    return is_depth(images.encoding) and (
+        is_named or (images.encoding.lower() in _SURELY_DEPTH and not is_other)
+    )
+
+
+def _is_color(images: ImageTopic) -> bool:
+    name = images.name.lower().replace(_COLOR_IN_DEPTH, "")
+    return is_color(images.encoding) and not any(word in name for word in _NOT_COLOR)
+
+
+def _unlikeness(color: ImageTopic, depth: ImageTopic) -> tuple[object, ...]:
+    """Return by what topics of colour are ordered, the one that goes with the depth first."""
+    return (
+        # Of several cameras, the colour is that of the depth's: their topics begin alike.
+        -_shared(color.name.split("/"), depth.name.split("/")),
+        color.frame != depth.frame,
+        "right" in color.name,
+        "gray" in color.name or "mono" in color.encoding,
+        not color.is_rectified,
+        color.is_compressed,
+    )
+
+
+def _shared(name: list[str], other: list[str]) -> int:
+    """Return how many parts of two names are the same before they part."""
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(name, other, strict=False)))
+
+
+def _recorded_camera(recording: Recording, images: ImageTopic) -> Camera:
+    """Return the camera of a topic as the `camera_info` beside it states it."""
+    message = camera_message(recording, images)
+    # K and D are of the image as it was taken, P of the rectified one.
+    is_rectified = images.is_rectified and message.projection.any()
+    matrix = message.projection if is_rectified else message.matrix
+    distortion = () if is_rectified or not any(message.distortion) else message.distortion
+    is_fisheye = message.model in _FISHEYE and not is_rectified
+    if distortion and message.model not in (*_LIKE_OPENCV, *_FISHEYE):
+        raise InputError(
+            CAMERA_LENS_UNKNOWN,
+            (
+                "the lens of {images_name} is described as {model!r}; plumb_bob, "
+                "rational_polynomial and equidistant are known."
+            ),
+            recording.path,
+            images_name=images.name,
+            model=message.model[:40],
+        )
+    if is_fisheye:
+        distortion = (message.distortion or _UNBENT)[: len(_UNBENT)]
+    if len(distortion) not in ((len(_UNBENT),) if is_fisheye else _COEFFICIENTS):
+        raise InputError(
+            CAMERA_LENS_UNKNOWN,
+            "the lens of {images_name} has {distortion_count} coefficients, not 4, 5, 8, 12 or 14.",
+            recording.path,
+            images_name=images.name,
+            distortion_count=len(distortion),
+        )
+    camera = calibration.matrix_camera(matrix, distortion, message.width, message.height, recording.path)
+    return replace(camera, fisheye=is_fisheye)

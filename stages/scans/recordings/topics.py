@@ -1,0 +1,169 @@
+"""What a ROS recording says of its topics of images: what they show, their cameras, and how these stand."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.errors import InputError
+from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
+from stages.scans.model.poses import inverted
+from stages.scans.model.scan import Pose
+from stages.scans.recordings.messages import (
+    COMPRESSED_IMAGE,
+    IMAGE,
+    IMU,
+    CameraMessage,
+    read_acceleration,
+    read_camera_info,
+    read_compressed,
+    read_frame,
+    read_image,
+    read_transforms,
+)
+from stages.scans.recordings.pixels import is_depth
+from stages.scans.recordings.recording import Messages, Recording
+from stages.scans.streams.clocked_streams import Accelerometer
+
+# A tree of frames is sent anew now and then; a robot has some hundreds of them.
+_MOST_TRANSFORMS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class ImageTopic:
+    """A topic of images, what its first one is encoded as, and the frame its camera stands in."""
+
+    name: str
+    topic: Messages
+    encoding: str
+    frame: str
+
+    @property
+    def is_compressed(self) -> bool:
+        """Whether images have to be decoded."""
+        return self.topic.kind == COMPRESSED_IMAGE
+
+    @property
+    def place(self) -> str:
+        """The name without what is done to the images: what `camera_info` stands beside."""
+        name = self.name.rpartition("/")[0] if self.is_compressed else self.name
+        return name.rpartition("/")[0]
+
+    @property
+    def is_rectified(self) -> bool:
+        """Whether the name says so: `image_rect_color`, `color/rect/image`."""
+        return re.search(r"[/_]rect", "/".join(self.name.split("/")[-3:])) is not None
+
+
+def image_topics(recording: Recording) -> Sequence[ImageTopic]:
+    """Return the topics of images whose first can be read, by name."""
+    found = (_image_topic(recording, name, topic) for name, topic in sorted(recording.topics.items()))
+    return [one for one in found if one is not None]
+
+
+def _image_topic(recording: Recording, name: str, topic: Messages) -> ImageTopic | None:
+    if topic.kind not in (IMAGE, COMPRESSED_IMAGE):
+        return None
+    try:
+        first = topic.read(0, None)
+        frame = read_frame(first, recording.path, is_cdr=topic.is_cdr).lstrip("/")
+        if topic.kind == IMAGE:
+            return ImageTopic(
+                name, topic, read_image(first, recording.path, is_cdr=topic.is_cdr).encoding, frame
+            )
+        form, _ = read_compressed(first, recording.path, is_cdr=topic.is_cdr)
+        # `16UC1; compressedDepth png`, or `rgb8; jpeg compressed bgr8`, or only `jpeg`.
+        encoding = form.split(";")[0].strip()
+        return ImageTopic(name, topic, encoding if is_depth(encoding) else "bgr8", frame)
+    except InputError:
+        return None
+
+
+def has_camera(recording: Recording, images: ImageTopic) -> bool:
+    """Say whether a `camera_info` stands beside a topic of images."""
+    return f"{images.place}/camera_info" in recording.topics
+
+
+def camera_message(recording: Recording, images: ImageTopic) -> CameraMessage:
+    """Return the `camera_info` beside a topic of images.
+
+    Raises
+    ------
+    InputError
+        If there is none or it is damaged.
+    """
+    info = recording.topics.get(f"{images.place}/camera_info")
+    if info is None:
+        raise InputError(
+            CAMERA_INTRINSICS_GUESSED,
+            "there is no {place}/camera_info, which would say what camera {images_name} is of",
+            recording.path,
+            remedy="set scan.intrinsics=fx,fy,cx,cy.",
+            place=images.place,
+            images_name=images.name,
+        )
+    return read_camera_info(info.read(0, None), f"{recording.path}: {images.name}", is_cdr=info.is_cdr)
+
+
+def between(recording: Recording, first: str, second: str) -> Pose | None:
+    """Return what takes points of the first frame to the second, by `/tf_static`; None if it does not say.
+
+    Raises
+    ------
+    InputError
+        If a transform is damaged.
+    """
+    parents: dict[str, tuple[str, Pose]] = {}
+    tree = recording.topics.get("/tf_static")
+    for number in range(0 if tree is None else min(len(tree.times), _MOST_TRANSFORMS)):
+        assert tree is not None
+        transforms = read_transforms(tree.read(number, None), recording.path, is_cdr=tree.is_cdr)
+        for parent, child, pose in transforms:
+            parents[child.lstrip("/")] = parent.lstrip("/"), pose
+    of_first, of_second = (_root(frame, parents) for frame in (first, second))
+    if of_first is None or of_second is None or of_first[0] != of_second[0]:
+        return None
+    return np.asarray(inverted(of_second[1]) @ of_first[1])
+
+
+def accelerometer_beside(recording: Recording, frame: str) -> Accelerometer | None:
+    """Return the accelerometer of a recording; the camera that stands in `frame` is the one it is beside.
+
+    Of several topics it is one that says so in its name, or the first.
+    """
+    topics = {name: one for name, one in recording.topics.items() if one.kind == IMU}
+    if not topics:
+        return None
+    name = min(topics, key=lambda one: ("accel" not in one, "gyro" in one, one))
+    topic = topics[name]
+    try:
+        own = read_frame(topic.read(0, None), recording.path, is_cdr=topic.is_cdr).lstrip("/")
+        stands = between(recording, own, frame)
+    except InputError:
+        stands = None
+    return Accelerometer(
+        name, topic.times, partial(acceleration, topic), None if stands is None else stands[:3, :3]
+    )
+
+
+def acceleration(topic: Messages, number: int) -> NDArray[np.float64]:
+    """Return a reading of an accelerometer's topic; InputError where it is damaged."""
+    return read_acceleration(topic.read(number, None), topic.file(number), is_cdr=topic.is_cdr)
+
+
+def _root(frame: str, parents: dict[str, tuple[str, Pose]]) -> tuple[str, Pose] | None:
+    """Return the root of a frame's tree, and what takes points of the frame to it; None if it is a ring."""
+    root_from_frame: Pose = np.eye(4)
+    seen = {frame}
+    while frame in parents:
+        frame, step = parents[frame]
+        root_from_frame = np.asarray(step @ root_from_frame)
+        if frame in seen:
+            return None
+        seen.add(frame)
+    return frame, root_from_frame

@@ -1,0 +1,161 @@
+"""The rig of a pair layout: from its calibration file, or from what the person states."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.diagnostic import Diagnostic
+from stages.files import documents
+from stages.files.noting import note, only_looking
+from stages.scans.calibration import rig_calibration
+from stages.scans.calibration.camera_files import document_of
+from stages.scans.calibration.discovery import (
+    parts_of_calibration,
+    places_of_calibrations,
+    rigs_beside,
+    warn_of_rejected,
+)
+from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
+from stages.scans.image_folders.image_files import first_existing, has
+from stages.scans.model.lacking import calibration_missing
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Camera, StereoRig
+from stages.scans.streams.clocked_streams import Images
+
+_OPENCV_FILES = ("intrinsics.yml", "extrinsics.yml")
+# ROS's calibrator writes a file a camera.
+_ROS_FILES = (
+    ("left.yaml", "right.yaml"),
+    ("left_camera_info.yaml", "right_camera_info.yaml"),
+    ("camera_info_left.yaml", "camera_info_right.yaml"),
+)
+
+
+def rig_of(
+    folder: Path, options: ReadingParams, size: tuple[int, int], names: Sequence[str]
+) -> tuple[StereoRig, tuple[Diagnostic, ...]]:
+    """Return the rig, and the diagnostics of a calibration that is missing.
+
+    Parameters
+    ----------
+    folder, options : of the scan.
+    size : of the images, (width, height) in pixels.
+    names : calibration files to look for in the folder, the preferred first.
+
+    Raises
+    ------
+    InputError
+        If the calibration cannot be read.
+    """
+    stated = options.camera(*size)
+    path = options.file("calibration", folder) or first_existing(folder, *names)
+    if path is not None:
+        document = _with_other_half(path)
+        rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+    elif stated is not None and options.baseline is not None:
+        beside = rig_calibration.with_baseline(np.eye(4), options.baseline)
+        return StereoRig(stated, stated, beside, rectified=True), ()
+    elif (several := _in_halves(folder) or _in_parts(folder)) is not None:
+        document, path = several
+        rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+    elif found := rigs_beside(folder, *size, options.baseline):
+        rig, path, diagnostics = found[0]
+        if len(found) > 1:
+            lacking = calibration_missing(
+                "{files} all state one",
+                remedy="name the right one with scan.calibration=FILE",
+                files=", ".join(one.name for _, one, _ in found[:5]),
+            )
+            return uncalibrated(size), (lacking,)
+        note(path)
+        emit(
+            CAMERA_CALIBRATION_ASSUMED.warning(
+                "the calibration is read from {file}, which lies beside the images",
+                file=path.relative_to(folder).as_posix(),
+            ),
+            *diagnostics,
+        )
+    else:
+        warn_of_rejected(folder, *size, rig_calibration.read_rig)
+        half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
+        lacking = calibration_missing(
+            "{file} is missing{half}",
+            remedy="name one with scan.calibration=FILE, or set scan.intrinsics=fx,fy,cx,cy and "
+            "scan.baseline=METRES for a rectified pair",
+            file=names[0],
+            half=half,
+        )
+        return uncalibrated(size), (lacking,)
+    return (rig if stated is None else replace(rig, left=stated, right=stated)), ()
+
+
+def _in_halves(folder: Path) -> tuple[dict[str, Any], Path] | None:
+    """Return a calibration in two files, as OpenCV's sample and ROS write it, and the second of them."""
+    for place in places_of_calibrations(folder):
+        for pair in (_OPENCV_FILES, *_ROS_FILES):
+            if has(place, *pair):
+                first, second = (documents.read_document(place / name) for name in pair)
+                table = first | second if pair == _OPENCV_FILES else {"left": first, "right": second}
+                if place != folder:
+                    emit(
+                        CAMERA_CALIBRATION_ASSUMED.warning(
+                            "the calibration is read from the files in {folder}/", folder=place.name
+                        )
+                    )
+                return table, place / pair[1]
+    return None
+
+
+def _in_parts(folder: Path) -> tuple[dict[str, Any], Path] | None:
+    """Return a calibration of which each matrix is a file, and the folder of these."""
+    for place in places_of_calibrations(folder):
+        with only_looking():
+            table, files = parts_of_calibration(place)
+        if rig_calibration.states_a_pair(table):
+            for path in files:
+                note(path)
+            emit(
+                CAMERA_CALIBRATION_ASSUMED.warning(
+                    "the calibration is read from {files}, a matrix each",
+                    files=", ".join(path.relative_to(folder).as_posix() for path in files),
+                )
+            )
+            return table, place
+    return None
+
+
+def _with_other_half(path: Path) -> dict[str, Any] | None:
+    """Return what a calibration and the file of its other half say, where OpenCV wrote them as two files."""
+    for half, other in (("extrinsics", "intrinsics"), ("intrinsics", "extrinsics")):
+        beside = path.with_name(path.name.replace(half, other))
+        if half in path.name and path.is_file() and beside.is_file():
+            return (document_of(beside) or {}) | (document_of(path) or {}) or None
+    return None
+
+
+def stated_rig(left: Images, folder: Path, options: ReadingParams) -> StereoRig | None:
+    """Return the rig of a recorded pair that the user states; None if not.
+
+    Raises
+    ------
+    InputError
+        If the calibration file cannot be read, or the first left image, whose size it is for.
+    """
+    if options.calibration is None and (options.intrinsics is None or options.baseline is None):
+        return None
+    height, width = left.color(0).shape[:2]
+    rig, _ = rig_of(folder, options, (width, height), ())
+    return rig
+
+
+def uncalibrated(size: tuple[int, int]) -> StereoRig:
+    """Return the rig of pairs of which only the size is known: every other number is NaN."""
+    camera = Camera(*size, math.nan, math.nan, math.nan, math.nan)
+    return StereoRig(camera, camera, np.full((4, 4), math.nan), rectified=False)

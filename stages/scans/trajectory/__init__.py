@@ -1,0 +1,1 @@
+"""Poses: trajectory files, files of one pose each, and times."""

@@ -1,0 +1,44 @@
+"""Poses in a file a frame: a damaged one costs its frame, many end the scan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from stages.diagnostics.errors import InputError
+from stages.scans.codes import POSE_INVALID
+from stages.scans.model.scan import Pose, SkippedFrame
+from stages.scans.trajectory import files as trajectories
+
+# Of more, something is wrong with all of them: the form is another one.
+_MOST_DAMAGED = 0.1
+
+
+def read_pose_files(files: Mapping[str, Path]) -> tuple[dict[str, Pose | None], list[SkippedFrame]]:
+    """Return the pose of each frame, None where tracking was lost, and the frames whose file is damaged.
+
+    Parameters
+    ----------
+    files : that are there, by the frame's name.
+
+    Raises
+    ------
+    InputError
+        If more than a tenth of them are damaged: that of the first.
+    """
+    read = {name: _pose_or_fault(path) for name, path in files.items()}
+    poses = {name: pose for name, pose in read.items() if not isinstance(pose, InputError)}
+    faults = {name: fault for name, fault in read.items() if isinstance(fault, InputError)}
+    if len(faults) > _MOST_DAMAGED * len(files):
+        raise next(iter(faults.values()))
+    return poses, [
+        SkippedFrame(name, POSE_INVALID.warning("its pose is damaged: {reason}", reason=str(error)))
+        for name, error in faults.items()
+    ]
+
+
+def _pose_or_fault(path: Path) -> Pose | InputError | None:
+    try:
+        return trajectories.read_pose(path)
+    except InputError as error:
+        return error

@@ -1,0 +1,75 @@
+"""The pose of each frame from a trajectory with times: by the times, or in order where the person says so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from stages.diagnostics.errors import InputError
+from stages.scans.codes import POSE_TRAJECTORY_UNREADABLE, RECORDING_CLOCKS_DIFFER
+from stages.scans.model.reading_params import ReadingParams
+from stages.scans.model.scan import Pose
+from stages.scans.trajectory import files as trajectories
+from stages.scans.trajectory.files import Trajectory
+
+
+def poses_at(
+    path: Path,
+    moments: Sequence[int],
+    names: Sequence[str],
+    tolerance: int,
+    options: ReadingParams,
+    read: Callable[[Path], Trajectory] = trajectories.read_trajectory,
+) -> list[Pose | None]:
+    """Return the pose of each frame; None where none is near enough in time.
+
+    Parameters
+    ----------
+    path : of the trajectory.
+    moments, names : of the frames, nanoseconds, and how messages call them.
+    tolerance : nanoseconds.
+    read : reads the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, its poses have no times, or none of them is near a frame.
+    """
+    trajectory = read(path)
+    if options.poses_by_order:
+        return trajectories.match(trajectory, names, path)
+    if trajectory.timestamps is None:
+        raise InputError(
+            POSE_TRAJECTORY_UNREADABLE,
+            (
+                "its poses have no timestamps, which are needed to find a frame's pose; "
+                "scan.poses_by_order=true takes them in the order of the frames."
+            ),
+            path,
+        )
+    if not len(trajectory):
+        raise InputError(POSE_TRAJECTORY_UNREADABLE, "the trajectory file holds no poses.", path)
+    ordered = trajectories.in_order(trajectory)
+    poses = [trajectories.interpolate(ordered, moment, tolerance) for moment in moments]
+    if moments and all(pose is None for pose in poses):
+        times = trajectory.timestamps.tolist()
+        start, end = (end / 1e9 for end in (min(times), max(times)))
+        first, last = (end / 1e9 for end in (min(moments), max(moments)))
+        offered = " As many are frames: scan.poses_by_order=true pairs them in order."
+        raise InputError(
+            RECORDING_CLOCKS_DIFFER,
+            (
+                "none of its {times_count} poses is within {tolerance:g} s of a frame: they "
+                "are of {start:.3f} to {end:.3f} s, the frames of {first:.3f} to {last:.3f} "
+                "s.{offered}"
+            ),
+            path,
+            times_count=len(times),
+            tolerance=tolerance / 1000000000.0,
+            start=start,
+            end=end,
+            first=first,
+            last=last,
+            offered=offered if len(times) == len(moments) else "",
+        )
+    return poses

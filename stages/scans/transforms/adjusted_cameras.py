@@ -1,0 +1,120 @@
+"""What `adjust` left of a scan, given to its frames: better poses, and a colour camera.
+
+{
+"accepted": true,                          false: nothing was better, and frames stay as they are
+"color_camera": {"width": 640, "fx": …},   null where the given one stays
+"color_from_depth": [[…], …],              4x4, metres; null likewise
+"names": {"0": "000000", …},               of adjusted frames, by their place in the scan
+"poses": {"0": [[…], …], …},               4x4 world_from_camera, metres, by the same
+"shutter_turns": {"0": […], …}             rotation vectors, radians: how cameras turn from the first row to
+                                           the last one; null, or missing, where rows are read at once
+}
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.errors import InputError
+from stages.files import documents
+from stages.scans.calibration import camera_files as calibration
+from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID, POSE_MISSING
+from stages.scans.model.poses import matrix_of, rigid, turn_of
+from stages.scans.model.scan import Camera, Frame, Pose, Scan
+
+
+def with_adjusted(scan: Scan, path: Path) -> Scan:
+    """Return a scan with what a cameras.json of `adjust` says of its frames, which it knows by their names.
+
+    Raises
+    ------
+    InputError
+        If the file is no such file, or of none of the frames.
+    """
+    document = documents.read_json(path)
+    if not isinstance(document, dict) or not calibration.is_of_adjust(document):
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "a cameras.json of `scanloom adjust` is expected.", path)
+    poses = _poses(document, path)
+    camera = _color_camera(document, path)
+    turns = _turns(document, path)
+    frames = [_adjusted(frame, poses.get(frame.name), camera, turns.get(frame.name)) for frame in scan.frames]
+    if poses and not any(frame.name in poses for frame in scan.frames):
+        raise InputError(
+            CAMERA_ADJUSTED_MISMATCH,
+            "it is of another scan: none of its frames is one of the {frames_count} here.",
+            path,
+            frames_count=len(frames),
+        )
+    posed = any(frame.world_from_camera is not None for frame in frames)
+    missing = tuple(one for one in scan.missing if not (posed and one.code == POSE_MISSING.name))
+    return replace(scan, frames=frames, missing=missing)
+
+
+def _adjusted(
+    frame: Frame,
+    pose: Pose | None,
+    camera: tuple[Camera, Pose] | None,
+    turn: NDArray[np.float64] | None,
+) -> Frame:
+    if pose is not None:
+        frame = replace(frame, world_from_camera=pose)
+    if turn is not None:
+        frame = replace(frame, shutter_turn=turn)
+    if camera is not None and frame.color is not None and frame.depth is not None:
+        frame = replace(frame, color_camera=camera[0], color_from_depth=camera[1])
+    return frame
+
+
+def _poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
+    names, poses = document.get("names"), document.get("poses")
+    if not isinstance(names, dict) or not isinstance(poses, dict) or set(names) != set(poses):
+        raise InputError(
+            CAMERA_ADJUSTED_MISMATCH,
+            "it lacks the names of its frames",
+            path,
+            remedy="run `scanloom adjust` again.",
+        )
+    if not all(isinstance(name, str) for name in names.values()):
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "a frame's name is no text.", path)
+    return {names[place]: _pose(poses[place], f"frame {names[place]}", path) for place in poses}
+
+
+def _turns(document: dict[str, Any], path: Path) -> dict[str, NDArray[np.float64]]:
+    names, turns = document["names"], document.get("shutter_turns")
+    if turns is None:
+        return {}
+    if not isinstance(turns, dict) or not set(turns) <= set(names):
+        raise InputError(
+            CAMERA_ADJUSTED_MISMATCH,
+            "it lacks the names of its frames",
+            path,
+            remedy="run `scanloom adjust` again.",
+        )
+    return {names[place]: turn_of(turns[place], path, f"frame {names[place]}") for place in turns}
+
+
+def _color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] | None:
+    table = document.get("color_camera")
+    if table is None:
+        return None
+    if not isinstance(table, dict):
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "color_camera must be a table of names and values.", path)
+    width, height = table.get("width"), table.get("height")
+    if not isinstance(width, int) or not isinstance(height, int) or not 0 < width * height <= 1 << 27:
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "color_camera needs its width and height in pixels.", path
+        )
+    camera = calibration.camera_from_table(table, width, height, path)
+    return camera, _pose(document.get("color_from_depth"), "color_from_depth", path)
+
+
+def _pose(value: object, where: str, path: Path) -> Pose:
+    pose = rigid(matrix_of(value, path, where), path, where)
+    if pose is None:
+        raise InputError(CAMERA_ADJUSTED_MISMATCH, "{place} is not finite.", path, place=where)
+    return pose

@@ -1,0 +1,99 @@
+"""Metres for scans whose lengths are none: poses found from photos alone have a unit of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.diagnostics.collector import emit
+from stages.scans.codes import SCALE_NOT_METRIC
+from stages.scans.model.scan import Frame, Pose, Scan, StereoRig
+from stages.scans.model.world import Scale
+from stages.scans.params import ScanParams
+from stages.scans.transforms.tag_scale import scale_by_tags
+
+# Lengths that are metres are corrected by per cents, and not by more.
+_CORRECTION = 0.1
+
+
+def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
+    """Return a scan in metres, if something says how long a unit of it is; else warn that it is not metric.
+
+    All its lengths are multiplied, depth too, so that what fits still does. Where depth is measured in metres
+    and poses come from another file, these alone are.
+
+    Raises
+    ------
+    InputError
+        If the scale has to be found in the images, and cannot be.
+    """
+    scale = _scale(scan, options, folder)
+    if scale is None:
+        if not scan.is_metric:
+            emit(
+                SCALE_NOT_METRIC.warning(
+                    "this scan has no metric scale: a unit of its world is taken for a metre, and lengths of "
+                    "all results are such units",
+                    remedy="scan.scale=METRES_PER_UNIT, scan.known_distance='MEASURED METRES' or "
+                    "scan.tag_size=METRES give metres",
+                )
+            )
+        return scan
+    factor = scale.metres_per_unit
+    if options.poses is not None and scan.is_metric and not scan.is_views:
+        frames = [_moved(frame, factor) for frame in scan.frames]
+        return replace(scan, frames=frames, scale=scale)
+    is_stated = options.depth_scale is not None or options.poses is not None
+    if scan.is_metric and not is_stated and abs(factor - 1) > _CORRECTION:
+        emit(
+            SCALE_NOT_METRIC.warning(
+                "lengths of layout {layout} are metres, and are multiplied by {factor:.4g}",
+                layout=scan.layout,
+                factor=factor,
+            )
+        )
+    return replace(
+        scan,
+        frames=[_scaled(frame, factor) for frame in scan.frames],
+        rig=None if scan.rig is None else _scaled_rig(scan.rig, factor),
+        box=None if scan.box is None else scan.box * factor,
+        is_metric=True,
+        scale=scale,
+    )
+
+
+def _scale(scan: Scan, options: ScanParams, folder: Path) -> Scale | None:
+    stated = options.stated_scale()
+    if stated is not None:
+        return Scale(stated, "given" if options.scale is not None else "a known distance")
+    if options.tag_size is not None:
+        return scale_by_tags(scan.frames, options.tag_size, options.tag_family, folder)
+    return None
+
+
+def _moved(frame: Frame, factor: float) -> Frame:
+    pose = frame.world_from_camera
+    return frame if pose is None else replace(frame, world_from_camera=_scaled_pose(pose, factor))
+
+
+def _scaled(frame: Frame, factor: float) -> Frame:
+    apart, near_and_far, depth = frame.color_from_depth, frame.depth_range, frame.depth
+    return replace(
+        _moved(frame, factor),
+        depth=depth * np.float32(factor) if isinstance(depth, np.ndarray) else depth,
+        depth_scale=frame.depth_scale / factor,
+        color_from_depth=None if apart is None else _scaled_pose(apart, factor),
+        depth_range=None if near_and_far is None else (near_and_far[0] * factor, near_and_far[1] * factor),
+    )
+
+
+def _scaled_rig(rig: StereoRig, factor: float) -> StereoRig:
+    return replace(rig, right_from_left=_scaled_pose(rig.right_from_left, factor))
+
+
+def _scaled_pose(pose: Pose, factor: float) -> Pose:
+    scaled: Pose = pose.copy()
+    scaled[:3, 3] *= factor
+    return scaled

@@ -1,0 +1,286 @@
+"""How long a unit of a scan's world is, by tags of known size that several of its photos show.
+
+Corners of a tag are placed in the world by the poses of the photos; how long its edges are there, and how
+long they are, tells the scale.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.diagnostics.collector import emit
+from stages.diagnostics.errors import InputError
+from stages.scans.codes import SCALE_TAGS_UNRELIABLE
+from stages.scans.model.images import read_photo
+from stages.scans.model.poses import inverted
+from stages.scans.model.prefetch import read_ahead, workers
+from stages.scans.model.scan import Camera, ColorImage, Frame, Pose, scaled
+from stages.scans.model.tags import FAMILIES, find_tags
+from stages.scans.model.world import Scale
+
+Floats = NDArray[np.float64]
+
+# Photos that are looked at, spread over the scan, and their longer side; larger ones are made smaller.
+_MOST_PHOTOS = 60
+_LONGEST_SIDE = 2400
+# Photos of these are looked at for tags of other families, to say which there are.
+_LOOKED_AT = 12
+# Views whose couples are tried for where a tag is.
+_TRIED = 12
+# A view agrees where corners land so near to where it shows them: a share of an edge, or pixels if these are
+# more.
+_OFF_SHARE, _OFF_PX = 0.08, 2.0
+# Weights follow from depths, depths from places: three rounds settle them.
+_ROUNDS = 3
+# Rays that meet at a smaller angle do not say where, degrees.
+_LEAST_ANGLE_DEG = 2.0
+# Tags that differ by a larger share are not of one size; by the smaller one, a warning is due.
+_DISAGREE, _DOUBTFUL = 0.05, 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A photo's pinhole camera, where it stands, and the corners (4, 2) of tags in it by their numbers."""
+
+    camera: Camera
+    camera_from_world: Pose
+    tags: Mapping[int, Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class _Tag:
+    """A tag in the world: its edges (4,), units, and the places of the views that agree."""
+
+    number: int
+    edges: Floats
+    views: tuple[int, ...]
+
+
+def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Path) -> Scale:
+    """Return the scale of the world of the frames' poses.
+
+    Parameters
+    ----------
+    edge : of the tags' black squares, metres.
+    family : one of `stages.scans.model.tags.FAMILIES`.
+
+    Raises
+    ------
+    InputError
+        If no tag is seen from two places, or tags disagree.
+    """
+    posed = [frame for frame in frames if frame.color is not None and frame.world_from_camera is not None]
+    if not posed:
+        raise InputError(
+            SCALE_TAGS_UNRELIABLE, "tags are looked for in photos with poses, and there are none.", folder
+        )
+    chosen = _spread(posed, _MOST_PHOTOS)
+    views = [view for view in _looked_at(chosen, family) if view is not None]
+    seen = sorted({number for view in views for number in view.tags})
+    if not seen:
+        raise InputError(SCALE_TAGS_UNRELIABLE, _none_found(chosen, family), folder)
+    tags = [tag for number in seen if (tag := _placed(number, views)) is not None]
+    if not tags:
+        named = ", ".join(map(str, seen[:8])) + (" …" if len(seen) > 8 else "")
+        raise InputError(
+            SCALE_TAGS_UNRELIABLE,
+            (
+                "tags are seen in its photos ({named}), but none in two from different "
+                "places whose poses agree where it is."
+            ),
+            folder,
+            named=named,
+        )
+    tags = _agreeing(tags, edge, folder)
+    factors = np.array([edge / tag.edges.mean() for tag in tags])
+    factor = float(np.median(factors))
+    compared = factors if len(tags) > 1 else edge / tags[0].edges
+    spread = float(np.abs(compared / factor - 1).max())
+    if spread > _DOUBTFUL:
+        emit(
+            SCALE_TAGS_UNRELIABLE.warning(
+                "the scale by tags is known to {spread:.1%} only: so far their sizes differ", spread=spread
+            )
+        )
+    which = f"tag {tags[0].number}" if len(tags) == 1 else f"{len(tags)} tags"
+    count = len({view for tag in tags for view in tag.views})
+    return Scale(factor, f"{which} of {edge:g} m in {count} photos", spread)
+
+
+def _spread(frames: Sequence[Frame], most: int) -> list[Frame]:
+    places = np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))
+    return [frames[at] for at in places]
+
+
+def _looked_at(frames: Sequence[Frame], family: str) -> list[_View | None]:
+    threads = workers()
+    return list(read_ahead(partial(_look, family), frames, threads=threads, ahead=threads + 1))
+
+
+def _look(family: str, frame: Frame) -> _View | None:
+    """Return a photo with its tags; None where it cannot be read, which the stage that uses it tells."""
+    photo = _photo(frame)
+    if photo is None:
+        return None
+    image, camera = photo
+    pose = frame.world_from_camera
+    assert pose is not None
+    apart = np.eye(4) if frame.color_from_depth is None else frame.color_from_depth
+    return _View(camera, apart @ inverted(pose), find_tags(image, family))
+
+
+def _photo(frame: Frame) -> tuple[ColorImage, Camera] | None:
+    import cv2
+
+    try:
+        image, camera, _ = read_photo(frame)
+    except InputError:
+        return None
+    share = _LONGEST_SIDE / max(camera.width, camera.height)
+    if share >= 1:
+        return image, camera
+    camera = scaled(camera, round(share * camera.width), round(share * camera.height))
+    small = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8), camera
+
+
+def _none_found(frames: Sequence[Frame], family: str) -> str:
+    """Say that there are no tags of a family, and of which there are: in two photos the same."""
+    threads = workers()
+    looked_at = read_ahead(_of_any_family, _spread(frames, _LOOKED_AT), threads=threads, ahead=threads + 1)
+    counts = Counter(tag for found in looked_at for tag in found)
+    others = [other for other in FAMILIES if any(one == other and n > 1 for (one, _), n in counts.items())]
+    advice = (
+        f"there are such of {' and '.join(others)}: scan.tag_family={others[0]}"
+        if others
+        else "scan.tag_family=NAME says of which family they are, if it is another"
+    )
+    return f"no tag of {family} is found in the {len(frames)} photos looked at; {advice}."
+
+
+def _of_any_family(frame: Frame) -> list[tuple[str, int]]:
+    photo = _photo(frame)
+    if photo is None:
+        return []
+    return [(family, number) for family in FAMILIES for number in find_tags(photo[0], family)]
+
+
+def _placed(number: int, views: Sequence[_View]) -> _Tag | None:
+    """Return a tag where most views agree that it is; None where not two do, or from one place only."""
+    places = [at for at, view in enumerate(views) if number in view.tags]
+    own = [views[at] for at in places]
+    tried = np.unique(np.linspace(0, len(own) - 1, _TRIED).round().astype(int)).tolist() if own else []
+    best: list[int] = []
+    for couple in itertools.combinations(tried, 2):
+        if _angle([own[at] for at in couple], number) < _LEAST_ANGLE_DEG:
+            continue
+        agreeing = _agree(_corners([own[at] for at in couple], number), own, number)
+        if len(agreeing) > len(best):
+            best = agreeing
+    if len(best) > 1:
+        best = _agree(_corners([own[at] for at in best], number), own, number)
+    if len(best) < 2 or _angle([own[at] for at in best], number) < _LEAST_ANGLE_DEG:
+        return None
+    corners = _corners([own[at] for at in best], number)
+    edges = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    return _Tag(number, edges, tuple(places[at] for at in best))
+
+
+def _rays(view: _View, number: int) -> Floats:
+    """Return the rays (4, 3) to a tag's corners, of z = 1, in camera axes."""
+    camera, pixels = view.camera, view.tags[number]
+    x = (pixels[:, 0] - camera.cx) / camera.fx
+    y = (pixels[:, 1] - camera.cy) / camera.fy
+    return np.stack([x, y, np.ones(4)], axis=1)
+
+
+def _angle(views: Sequence[_View], number: int) -> float:
+    """Return the largest angle between rays to the middle of a tag, degrees."""
+    rays = np.array([_rays(view, number).mean(axis=0) @ view.camera_from_world[:3, :3] for view in views])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return math.degrees(math.acos(float(np.clip((rays @ rays.T).min(), -1, 1))))
+
+
+def _corners(views: Sequence[_View], number: int) -> Floats:
+    """Return the corners (4, 3) of a tag in the world, by least squares of pixels in the views."""
+    turns = np.array([view.camera_from_world[:3, :3] for view in views])
+    shifts = np.array([view.camera_from_world[:3, 3] for view in views])
+    rays = np.array([_rays(view, number) for view in views])
+    focal = np.array([view.camera.fx for view in views])
+    # x − X / Z = 0 and y − Y / Z = 0, multiplied by Z: linear in the place, and off by Z times what is meant.
+    rows = rays[:, :, :2, None] * turns[:, None, 2:3] - turns[:, None, :2]
+    right = shifts[:, None, :2] - rays[:, :, :2] * shifts[:, None, 2:3]
+    corners = np.zeros((4, 3))
+    weights = np.broadcast_to(focal[:, None], rays.shape[:2])
+    for _ in range(_ROUNDS):
+        for at in range(4):
+            weight = np.repeat(weights[:, at], 2)
+            corners[at] = np.linalg.lstsq(
+                weight[:, None] * rows[:, at].reshape(-1, 3), weight * right[:, at].reshape(-1), rcond=None
+            )[0]
+        depth = np.einsum("nj,kj->nk", turns[:, 2], corners) + shifts[:, 2:3]
+        weights = focal[:, None] / np.maximum(np.abs(depth), np.finfo(np.float64).tiny)
+    return corners
+
+
+def _agree(corners: Floats, views: Sequence[_View], number: int) -> list[int]:
+    """Return the places of the views that show a tag's corners near enough to where they are."""
+    places = []
+    for at, view in enumerate(views):
+        seen = corners @ view.camera_from_world[:3, :3].T + view.camera_from_world[:3, 3]
+        if (seen[:, 2] <= 0).any():
+            continue
+        focal = np.array((view.camera.fx, view.camera.fy))
+        shown = seen[:, :2] / seen[:, 2:] * focal + (view.camera.cx, view.camera.cy)
+        pixels = view.tags[number]
+        edge = float(np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1).mean())
+        if np.linalg.norm(shown - pixels, axis=1).max() < max(_OFF_SHARE * edge, _OFF_PX):
+            places.append(at)
+    return places
+
+
+def _agreeing(tags: Sequence[_Tag], edge: float, folder: Path) -> list[_Tag]:
+    """Return the tags that are of one size, with a warning that names others, if they are fewer."""
+    square = [tag for tag in tags if np.ptp(tag.edges) < 2 * _DISAGREE * tag.edges.mean()]
+    if not square:
+        edges = tags[0].edges
+        raise InputError(
+            SCALE_TAGS_UNRELIABLE,
+            (
+                "by the poses, edges of tag {number} are {min:.4g} to {max:.4g} units long: "
+                "that is no square, and tells no scale."
+            ),
+            folder,
+            number=tags[0].number,
+            min=edges.min(),
+            max=edges.max(),
+        )
+    sizes = np.array([tag.edges.mean() for tag in square])
+    same = np.abs(sizes / np.median(sizes) - 1) <= _DISAGREE
+    if len(square) > 1 and np.count_nonzero(same) <= len(square) / 2:
+        told = ", ".join(f"tag {tag.number} {edge / tag.edges.mean():.4g}" for tag in square[:8])
+        raise InputError(
+            SCALE_TAGS_UNRELIABLE,
+            "the tags do not agree how many metres a unit is: {told}. Are they of one size?",
+            folder,
+            told=told,
+        )
+    kept = [tag for tag, is_same in zip(square, same, strict=True) if is_same]
+    others = [tag.number for tag in tags if tag not in kept]
+    if others:
+        emit(
+            SCALE_TAGS_UNRELIABLE.warning(
+                "tags left out of the scale, of another size than most tags or no squares: {numbers}",
+                numbers=", ".join(map(str, others)),
+            )
+        )
+    return kept

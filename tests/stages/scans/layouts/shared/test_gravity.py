@@ -1,0 +1,114 @@
+"""What an accelerometer beside the camera says is up goes with the frames, whatever their poses are."""
+
+import numpy as np
+import pytest
+from recordings import Reading, Recording, transform
+from scipy.spatial.transform import Rotation
+from tiny_recordings import INTERVAL, LINKS, START, depth_stream, recording, ros_bag
+
+from stages.diagnostics.collector import collecting
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+from stages.scans.transforms.up import known_up
+
+ACCEL = "/device_0/sensor_2/Accel_0/imu/data"
+# In the second pose of the tiny world, too, y of the camera is y of the world, which then is down.
+UP = np.array((0.0, -1.0, 0.0))
+
+
+def readings(up=UP, *, length=9.81, count=12, shake=0.0, **more):
+    """Readings over the time of two frames, of a camera that is shaken."""
+    shaken = np.random.default_rng(4).normal(0, max(shake, 1e-12), (count, 3))
+    times = np.linspace(START - INTERVAL // 2, START + 2 * INTERVAL, count).astype(int).tolist()
+    return [
+        Reading(time, length * np.asarray(up) + off, **more) for time, off in zip(times, shaken, strict=True)
+    ]
+
+
+def of_realsense(**more) -> Recording:
+    return recording(readings={ACCEL: readings(**more)})
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3"])
+def test_up_is_in_the_axes_of_the_depth_camera(tmp_path, kind, trajectory):
+    made = of_realsense(shake=0.3)
+    file = made.write(tmp_path / "take.bag") if kind == "bag" else made.write_db3(tmp_path / "take.db3")
+    scan = read_scan(file, trajectory)
+    assert len(scan.frames) == 2
+    for frame in scan.frames:
+        assert np.degrees(np.arccos(frame.up @ UP)) < 3
+    known = known_up(scan)
+    assert known.source == "gravity of the IMU"
+    assert known.direction @ UP > np.cos(np.radians(3))
+
+
+def test_it_is_turned_as_the_recording_says_the_two_stand(tmp_path):
+    # A unit that is rolled by a quarter turn in the camera: its x is the camera's y.
+    made = of_realsense(up=(-1.0, 0.0, 0.0))
+    quarter = tuple(Rotation.from_euler("z", 90, degrees=True).as_quat())
+    made.streams = [depth_stream(from_reference=((0, 0, 0), quarter))]
+    place = transform((0.01, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    made.others[f"{ACCEL.removesuffix('/imu/data')}/tf/1"] = ("geometry_msgs/Transform", place)
+    scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
+    np.testing.assert_allclose(scan.frames[0].up, UP, atol=1e-6)
+
+
+def test_of_any_camera_the_tree_of_frames_says_it(tmp_path):
+    turn = Rotation.from_euler("xyz", (20, -50, 130), degrees=True)
+    made = ros_bag(links=[*LINKS, ("depth_optical", "imu", (0.0, 0.1, 0.0), tuple(turn.as_quat()))])
+    made.readings = {"/imu": readings(up=turn.inv().apply(UP)), "/gyro": readings(up=(1, 0, 0))}
+    scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
+    np.testing.assert_allclose(scan.frames[0].up, UP, atol=1e-6)
+    # A single frame stands at the origin of its own world.
+    assert known_up(scan).source == "gravity of the IMU"
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        ({"length": 2.0}, "reads 2 m/s² (median), which is not gravity"),
+        ({"variance": -1.0}, None),
+        ({"up": (np.nan, 0, 0)}, None),
+        ({"up": (1e300, 1e300, 0)}, None),
+    ],
+)
+def test_what_is_not_gravity_is_not_used(tmp_path, made, words):
+    scan = read_scan(of_realsense(**made).write(tmp_path / "take.bag"), complete=False)
+    assert all(frame.up is None for frame in scan.frames)
+    assert [words in text for text in map(str, scan.diagnostics)] == ([True] if words else [])
+
+
+def test_a_unit_that_nothing_joins_to_the_camera_is_told(tmp_path):
+    made = ros_bag(links=LINKS)
+    made.readings = {"/imu": readings()}
+    scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
+    assert scan.frames[0].up is None
+    assert any(
+        "how /imu stands to the camera is not in the recording" in text for text in map(str, scan.diagnostics)
+    )
+
+
+def test_a_jolt_is_left_out(tmp_path):
+    made = of_realsense()
+    half = START + INTERVAL // 2
+    jolts = [Reading(START - INTERVAL // 2 + n, (30.0, 0.0, 0.0)) for n in range(5)]
+    made.readings = {ACCEL: jolts + [one for one in readings(count=40) if one.time > half]}
+    scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
+    assert all(frame.up is None or frame.up @ UP > 0.999 for frame in scan.frames)
+    assert scan.frames[1].up is not None
+
+
+def test_poses_that_turn_it_over_are_told(tmp_path, trajectory):
+    scan = read_scan(of_realsense().write(tmp_path / "take.bag"), trajectory)
+    second = scan.frames[1]
+    second.world_from_camera[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    with collecting() as found:
+        assert known_up(scan) is None
+    assert "does not go with the poses" in str(found[0])
+
+
+def test_poses_from_a_file_are_in_another_world_but_gravity_is_measured(tmp_path, trajectory):
+    assert trajectory.poses is not None
+    scan = read_scan(of_realsense().write(tmp_path / "take.bag"), ScanParams(poses=trajectory.poses))
+    assert scan.up is None
+    assert known_up(scan) is not None

@@ -1,0 +1,102 @@
+"""How many threads are used is said once, for our own code, the kernels and the libraries."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from itertools import islice
+
+import pytest
+
+from stages.scans.model.prefetch import both, read_ahead, workers
+from stages.scans.model.threads import VARIABLE, environment_of, threads_to_use
+
+# Threads while a mesh is simplified, at the most, and the result.
+SCRIPT = """
+import hashlib, threading, time
+from pathlib import Path
+import numpy as np
+import stages
+from stages.surface.mesh import Mesh
+u, v = np.meshgrid(np.arange(260), np.arange(260))
+height = 0.3 * np.sin(u / 9) * np.cos(v / 7)
+vertices = np.stack([u, v, height], -1).reshape(-1, 3).astype(float)
+at = (u[:-1, :-1] + 260 * v[:-1, :-1]).ravel()
+faces = np.stack([np.stack([at, at + 1, at + 261], -1), np.stack([at, at + 261, at + 260], -1)], 1)
+most, going = 0, True
+def count():
+    global most
+    while going:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        most = max(most, int(next(line for line in lines if line.startswith("Threads")).split()[1]))
+        time.sleep(0.002)
+counter = threading.Thread(target=count)
+before = len(list(Path("/proc/self/task").iterdir()))
+counter.start()
+light = stages.simplify(Mesh(vertices, faces.reshape(-1, 3).astype(np.int32)), ratio=0.2).mesh
+going = False
+counter.join()
+print(most - before, hashlib.sha256(light.vertices.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [("1", 1), ("7", 7), ("0", None), ("-1", None), ("many", None), ("", None), ("²", None)],
+)
+def test_what_is_said_counts_if_it_is_a_number(monkeypatch: pytest.MonkeyPatch, said: str, meant: int | None):
+    monkeypatch.setenv(VARIABLE, said)
+    assert threads_to_use() == (meant or os.cpu_count())
+    assert workers() <= threads_to_use()
+
+
+def test_libraries_are_told_by_their_own_names():
+    told = environment_of(3)
+    assert set(told.values()) == {"3"}
+    assert {VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"} <= told.keys()
+
+
+@pytest.mark.parametrize(("said", "others"), [("1", False), ("2", True)])
+def test_with_one_thread_nothing_goes_on_beside(monkeypatch: pytest.MonkeyPatch, said: str, others: bool):
+    monkeypatch.setenv(VARIABLE, said)
+    beside, here = both(threading.get_ident, threading.get_ident)
+    assert (beside != here) is others
+
+
+@pytest.mark.parametrize(("threads", "others"), [(1, False), (2, True)])
+def test_one_thread_that_works_ahead_is_the_callers(threads: int, others: bool):
+    def worked(item: int) -> tuple[int, int]:
+        return item, threading.get_ident()
+
+    found = list(read_ahead(worked, range(9), threads=threads, ahead=4))
+    assert [item for item, _ in found] == list(range(9))
+    assert (threading.get_ident() not in {where for _, where in found}) is others
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_what_fails_ahead_is_raised_in_its_turn(threads: int):
+    results = read_ahead(lambda item: 6 // (3 - item), range(9), threads=threads, ahead=5)
+    assert list(islice(results, 3)) == [2, 3, 6]
+    with pytest.raises(ZeroDivisionError):
+        next(results)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
+def test_the_kernels_use_as_many_and_come_to_the_same():
+    found = {}
+    for count in ("1", "6"):
+        done = subprocess.run(
+            [sys.executable, "-c", SCRIPT],
+            env=os.environ | environment_of(int(count)),
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        found[count] = done.stdout.split()
+    # That which counts, and that which the caller waits for; of six, the caller's work is one's.
+    assert int(found["1"][0]) <= 3
+    assert int(found["6"][0]) >= 6
+    assert found["1"][1] == found["6"][1]
