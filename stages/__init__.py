@@ -14,6 +14,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+if __name__ == "stages":
+    # Imported from the top of a checkout: the modules are those of `scanloom.stages`, not second copies.
+    import_module("scanloom").add_alias(__name__)
+
 # For editors and type checkers. `PYTHONPATH=.:docs python -m making.keywords` writes these imports and
 # `__all__` from `_NAMES_OF`, from which names are fetched while the program runs.
 if TYPE_CHECKING:

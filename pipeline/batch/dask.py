@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import scanloom
 from pipeline.batch.claims import Claims
 from pipeline.batch.codes import BATCH_DASK
 from pipeline.batch.one import Task
@@ -36,8 +37,8 @@ SYSTEMS = {
     "oar": "OARCluster",
     "htcondor": "HTCondorCluster",
 }
-_ROOT = Path(__file__).parents[2]
-_CODE = "from pipeline.batch.one import main; main()"
+_ROOT = Path(scanloom.__file__).parents[1]
+_CODE = "from scanloom.pipeline.batch.one import main; main()"
 # Seconds that a scheduler may take to answer.
 _PATIENCE = 10
 # Seconds that no task ends for, after which it is looked for workers.

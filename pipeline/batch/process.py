@@ -14,11 +14,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import scanloom
 from stages.scans.model.threads import environment_of
 
-# Where the packages lie that are imported, installed or not: what is there goes before all else.
-_ROOT = Path(__file__).parents[2]
-_CODE = "from pipeline.batch.child import main; main()"
+# The folder that scanloom is imported from, installed or not: Python searches it first.
+_ROOT = Path(scanloom.__file__).parents[1]
+_CODE = "from scanloom.pipeline.batch.child import main; main()"
 # Seconds that an interrupted job gets to put its drafts away, and the system to end a process.
 _PATIENCE = 10.0
 

@@ -1,4 +1,4 @@
-"""What `from stages import …` gives, when it is fetched, and that nothing else takes its place."""
+"""What `import scanloom` gives, when it is fetched, and that nothing else takes its place."""
 
 import ast
 import subprocess
@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-import stages
-from stages.files.written_by import installed_version
+import scanloom
+from scanloom import stages
+from scanloom.stages.files.written_by import installed_version
 
 ROOT = Path(stages.__file__).parent
 TREE = ast.parse((ROOT / "__init__.py").read_text(encoding="utf-8"))
@@ -39,19 +40,30 @@ def test_every_name_is_that_of_its_module(name):
 
 
 def test_importing_the_package_imports_nothing_else():
-    code = "import sys, stages; print([n for n in sys.modules if n.startswith('stages.') or n == 'numpy'])"
-    assert in_new_process(code) == "[]"
+    listed = "[name for name in sys.modules if name.startswith('scanloom.') or name == 'numpy']"
+    assert in_new_process(f"import sys, scanloom; print({listed})") == "[]"
+    assert in_new_process(f"import sys, scanloom.stages; print({listed})") == "['scanloom.stages']"
 
 
 def test_a_star_gives_all_names():
-    assert in_new_process("from stages import *; print(simplify.__name__, Mesh.__name__)") == "simplify Mesh"
+    for package in ("scanloom", "scanloom.stages"):
+        code = f"from {package} import *; print(simplify.__name__, Mesh.__name__)"
+        assert in_new_process(code) == "simplify Mesh"
 
 
 def test_a_name_that_is_not_there_is_an_error_of_the_usual_kind():
-    with pytest.raises(AttributeError, match="'stages' has no attribute 'simplfy'"):
+    with pytest.raises(AttributeError, match=r"'scanloom\.stages' has no attribute 'simplfy'"):
         stages.simplfy  # noqa: B018
+    with pytest.raises(AttributeError, match="'scanloom' has no attribute 'simplfy'"):
+        scanloom.simplfy  # noqa: B018
     with pytest.raises(ImportError, match="cannot import name 'simplfy'"):
-        from stages import simplfy  # noqa: F401
+        from scanloom import simplfy  # noqa: F401
+
+
+def test_the_top_has_the_same_names_and_the_packages():
+    assert scanloom.__all__ == stages.__all__
+    assert set(dir(scanloom)) == {*stages.__all__, "stages", "pipeline", "cli"}
+    assert all(getattr(scanloom, name) is getattr(stages, name) for name in stages.__all__)
 
 
 def test_no_room_has_the_name_of_a_function():
@@ -59,8 +71,10 @@ def test_no_room_has_the_name_of_a_function():
     entries = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or path.is_dir()}
     assert entries.isdisjoint(stages.__all__)
     code = (
-        "import stages, stages.simplification.simplify, stages.cleaning.clean, stages.inspecting.inspect; "
-        "print(all(callable(one) for one in (stages.simplify, stages.clean, stages.inspect)))"
+        "import scanloom; from scanloom import stages; from importlib import import_module; "
+        "names = ('simplification.simplify', 'cleaning.clean', 'inspecting.inspect'); "
+        "[import_module(f'scanloom.stages.{name}') for name in names]; "
+        "print(all(callable(getattr(stages, name.split('.')[1])) for name in names))"
     )
     assert in_new_process(code) == "True"
 
@@ -79,7 +93,7 @@ def test_version_is_that_of_the_installed_distribution(monkeypatch):
 def test_no_file_of_the_package_asks_the_package_for_a_name(path):
     # Where a name of the package is fetched while the package is being imported, the order decides.
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module == "stages":
+        if isinstance(node, ast.ImportFrom) and node.module in ("scanloom", "scanloom.stages"):
             assert [alias.name for alias in node.names] == ["_kernels"]
         elif isinstance(node, ast.Import):
-            assert "stages" not in [alias.name for alias in node.names]
+            assert {"scanloom", "scanloom.stages"}.isdisjoint(alias.name for alias in node.names)
