@@ -14,7 +14,9 @@ RUN apt-get update \
     && python3 -m venv /build
 WORKDIR /source
 COPY pyproject.toml README.md LICENSE ./
+COPY packaging packaging
 COPY kernels kernels
+COPY scanloom scanloom
 COPY stages stages
 COPY pipeline pipeline
 COPY cli cli

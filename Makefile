@@ -11,6 +11,10 @@ KERNEL_SOURCES := $(shell find kernels/src -name '*.rs') kernels/Cargo.toml kern
 # Tests start hundreds of Pythons: what they compile of our sources is kept, whatever the surroundings say.
 unexport PYTHONDONTWRITEBYTECODE
 
+# Links to the packages under their installed names, `scanloom.stages` and so on: mypy does not follow `__path__`.
+TYPES := build/types/scanloom
+PACKAGE_LINKS := $(addprefix $(TYPES)/,stages pipeline cli)
+
 # Where npm puts what pages are made of and checked with; its own list there is written last.
 PAGE := stages/picturing/page
 PACKAGES := $(PAGE)/node_modules/.package-lock.json
@@ -98,17 +102,21 @@ ruff:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-mypy:
+mypy: $(PACKAGE_LINKS)
 	$(BIN)/mypy
 
+$(PACKAGE_LINKS):
+	@mkdir -p $(TYPES)
+	@ln -sfn ../../../$(@F) $@
+
 # What the Python of Windows lacks is an error there.
-mypy-windows: $(READY)
+mypy-windows: $(READY) $(PACKAGE_LINKS)
 	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/windows
 
 # When one of both sides has changed. With the settings of mypy it would spoil mypy's cache.
 stubtest: $(STUBS_FIT)
-$(STUBS_FIT): stages/_kernels.pyi $(READY)
-	$(BIN)/python -m mypy.stubtest stages._kernels
+$(STUBS_FIT): stages/_kernels.pyi $(READY) | $(PACKAGE_LINKS)
+	MYPYPATH=build/types $(BIN)/python -m mypy.stubtest scanloom.stages._kernels
 	@touch $@
 
 clippy:

@@ -35,8 +35,9 @@ import importlib, sys
 from pathlib import Path
 rooms = ("stages", "pipeline", "cli")
 files = [path for room in rooms for path in Path(room).rglob("*.py") if "node_modules" not in path.parts]
-others = {"pipeline.cache.posix", "cli.__main__"}
-names = {".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in files} - others
+others = {"pipeline.cache.posix"}
+names = {".".join(("scanloom", *path.with_suffix("").parts)).removesuffix(".__init__") for path in files}
+names -= others
 for name in sorted(names):
     importlib.import_module(name)
 assert all(sys.modules[name] is None for name in MISSING_MODULES)
@@ -114,7 +115,8 @@ def test_the_image_fits_the_project() -> None:
 
 
 def test_the_image_is_made_of_what_the_wheel_needs() -> None:
-    needed = {"pyproject.toml", "README.md", "LICENSE", "kernels", "cli", "pipeline", "stages"}
+    needed = {"pyproject.toml", "README.md", "LICENSE", "packaging", "kernels", "scanloom"}
+    needed |= {"cli", "pipeline", "stages"}
     copied = re.findall(r"^COPY (?!--from)(.*) \S+$", DOCKERFILE, re.MULTILINE)
     assert set(" ".join(copied).split()) == needed
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()

@@ -1,38 +1,100 @@
-"""What a user installs: three packages, the kernels and the command, and nothing else."""
+"""The wheel: one package, the kernels and the command, and nothing else."""
 
+import base64
+import csv
+import hashlib
+import os
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
+from hostile_folders import CODE, make_hostile
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("stages", "pipeline", "cli")
 
 
-def test_the_wheel_holds_what_a_user_installs(tmp_path: Path) -> None:
-    # One test: two at the same time would build in the same folder.
-    command = [sys.executable, "-m", "maturin", "build", "--release", "--quiet", "--out", str(tmp_path)]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False)
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel, once: two builds at the same time would use the same folder."""
+    folder = tmp_path_factory.mktemp("wheel")
+    words = ["--no-build-isolation", "--no-deps", "--disable-pip-version-check", "--quiet", "--wheel-dir"]
+    command = [sys.executable, "-m", "pip", "wheel", *words, str(folder), str(ROOT)]
+    environment = {
+        **os.environ,
+        "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+    }
+    result = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=900, check=False
+    )
     assert result.returncode == 0, result.stderr
-    (wheel,) = tmp_path.glob("*.whl")
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+def test_the_wheel_holds_one_package(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
 
     tops = {name.split("/")[0] for name in names}
-    assert {top for top in tops if not top.endswith((".dist-info", ".libs"))} == {"stages", "pipeline", "cli"}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"scanloom"}
+    assert {name.split("/")[1] for name in names if name.startswith("scanloom/")} == {
+        "__init__.py",
+        "py.typed",
+        *PACKAGES,
+    }
 
-    assert {"stages/py.typed", "stages/_kernels.pyi"} <= names
-    assert any(name.startswith("stages/_kernels.") and name.endswith((".so", ".pyd")) for name in names)
+    assert "scanloom/stages/_kernels.pyi" in names
+    kernels = [name for name in names if name.startswith("scanloom/stages/_kernels.")]
+    assert any(name.endswith((".so", ".pyd")) for name in kernels)
     assert any(name.endswith("entry_points.txt") for name in names)
     assert any(name.endswith("LICENSE") for name in names)
 
-    rooms = ("stages", "pipeline", "cli")
-    sources = {p.relative_to(ROOT).as_posix() for room in rooms for p in (ROOT / room).rglob("*.py")}
-    assert sources <= names
+    sources = {p.relative_to(ROOT).as_posix() for one in PACKAGES for p in (ROOT / one).rglob("*.py")}
+    assert {f"scanloom/{source}" for source in sources} <= names
 
     page = ROOT / "stages" / "picturing" / "page"
     shown = {page / "library.js", page / "LICENSES.txt", *(page / "tiles").iterdir()}
-    assert {path.relative_to(ROOT).as_posix() for path in shown} <= names
+    assert {f"scanloom/{path.relative_to(ROOT).as_posix()}" for path in shown} <= names
     assert not any("node_modules" in name for name in names)
+
+
+def test_the_record_of_the_wheel_is_right(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (record,) = [name for name in archive.namelist() if name.endswith(".dist-info/RECORD")]
+        rows = list(csv.reader(archive.read(record).decode().splitlines()))
+        assert sorted(name for name, *_ in rows) == sorted(archive.namelist())
+        for name, hashed, size in rows:
+            if name != record:
+                content = archive.read(name)
+                digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).decode().rstrip("=")
+                assert (hashed, int(size)) == (f"sha256={digest}", len(content)), name
+
+
+def test_the_installed_wheel_works_beside_modules_of_the_same_names(wheel: Path, tmp_path: Path) -> None:
+    installed = tmp_path / "installed"
+    words = ["--no-deps", "--disable-pip-version-check", "--quiet", "--target", str(installed), str(wheel)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *words], check=True)
+    folder = make_hostile(tmp_path / "project")
+
+    environment = {**os.environ, "PYTHONPATH": str(installed)}
+    done = subprocess.run(
+        [sys.executable, folder / CODE],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[0] == str(installed / "scanloom" / "__init__.py")
+
+    environment["PYTHONPATH"] = os.pathsep.join([".", str(installed)])
+    script = [installed / "bin" / "scanloom", "check", "mesh.ply", "--json"]
+    done = subprocess.run(
+        [sys.executable, *script], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

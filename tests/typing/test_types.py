@@ -3,10 +3,23 @@
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 CALLS = Path(__file__).with_name("calls.py")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def packages() -> None:
+    """Link the packages for mypy, as `make mypy` does."""
+    folder = ROOT / "build" / "types" / "scanloom"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("stages", "pipeline", "cli"):
+        with suppress(FileExistsError):
+            (folder / name).symlink_to(Path("..", "..", "..", name))
 
 
 def test_type_checkers_pass_good_calls_and_refuse_bad_ones():
