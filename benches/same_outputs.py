@@ -3,7 +3,7 @@
     python benches/same_outputs.py FIRST SECOND [--data DATA] [--keep FOLDER] [--only 'methods/*'] [--quick]
 
 FIRST and SECOND are checkouts with their kernels built, both run by the Python that runs this. It uses what
-both sides share, whatever they look like inside: the command line, and names that `stages` exports. Each job
+both sides share, whatever they look like inside: the command line, and names of `scanloom`. Each job
 (see outputs/jobs.py) is run on both sides; files are compared by their bytes, archives by their members, JSON
 value by value. Seconds, dates and keys of the cache are left out. It prints a Markdown table with the seconds
 of both sides, what differs, and exits with 1 if that is not in EXPECTED.
@@ -171,7 +171,7 @@ def side(checkout: Path, work: Path) -> Side:
     command = [
         sys.executable,
         "-c",
-        "import stages, cli.app; print(stages.__file__, cli.app.__file__, sep='\\n')",
+        "from scanloom import cli, stages; print(stages.__file__, cli.__file__, sep='\\n')",
     ]
     with tempfile.TemporaryDirectory() as elsewhere:
         found = subprocess.run(

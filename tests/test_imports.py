@@ -1,4 +1,4 @@
-"""Imports go one way, cli → pipeline → stages → stages._kernels, and only to what is declared; no circles."""
+"""Imports go one way, cli → pipeline → stages → kernels, and only to what is declared; no circles."""
 
 import ast
 import re
@@ -51,19 +51,20 @@ HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
 def graph() -> Graph:
     """Who imports whom in our own Python."""
     # Type checkers alone read the generated module of keywords, which has the types of all rooms.
-    return python_graph(ROOT, ROOMS) | {KEYWORDS: set()}
+    return python_graph(ROOT, ROOMS, inside="scanloom") | {KEYWORDS: set()}
 
 
 def imported(path: Path) -> set[str]:
-    """First names of everything a module imports, wherever in it."""
+    """First names of everything a module imports, wherever in it; of our own, `scanloom.stages` and so on."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            names |= {alias.name.split(".")[0] for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names.add((node.module or "").split(".")[0])
-    return names
+            is_ours = node.module == "scanloom"
+            names |= {f"scanloom.{alias.name}" for alias in node.names} if is_ours else {node.module or ""}
+    return {".".join(name.split(".")[: 2 if name.startswith("scanloom.") else 1]) for name in names}
 
 
 @cache
@@ -85,7 +86,7 @@ def in_extras() -> set[str]:
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_imports_go_one_way_and_are_declared(path):
     room = path.relative_to(ROOT).parts[0]
-    allowed = set(ROOMS[: ROOMS.index(room) + 1])
+    allowed = {"scanloom", *(f"scanloom.{one}" for one in ROOMS[: ROOMS.index(room) + 1])}
     of_extras = OF_EXTRAS.get(path.relative_to(ROOT).as_posix(), {})
     assert set(of_extras.values()) <= in_extras()
     others = imported(path) - set(sys.stdlib_module_names) - LATER - TYPES_ONLY - declared() - set(of_extras)
@@ -93,7 +94,7 @@ def test_imports_go_one_way_and_are_declared(path):
 
 
 def test_python_has_no_circle_of_files_or_rooms(graph: Graph):
-    assert len(graph["stages"]) > 20
+    assert len(graph["scanloom.stages"]) > 20
     found = circles(graph)
     assert not found, "\n".join(["a circle of imports", *found])
 
@@ -114,9 +115,10 @@ def test_what_rust_s_comments_draw_is_no_program():
 
 
 def test_stages_alone_knows_the_kernels(graph: Graph):
-    using = {module.split(".")[0] for module, imported in graph.items() if "stages._kernels" in imported}
+    kernels = "scanloom.stages._kernels"
+    using = {module.split(".")[1] for module, imported in graph.items() if kernels in imported}
     assert using == {"stages"}
-    assert not graph["stages._kernels"]
+    assert not graph[kernels]
 
 
 def test_the_top_of_stages_can_be_read_at_a_glance():
@@ -268,7 +270,10 @@ def test_what_only_type_checkers_have_is_imported_for_them_alone():
         assert here.isdisjoint({*TYPES_ONLY, KEYWORDS}), path
 
 
-@pytest.mark.parametrize("module", ["stages", "pipeline.run.run", "cli.app; cli.app.app()"])
+@pytest.mark.parametrize(
+    "module",
+    ["scanloom", "scanloom.stages", "scanloom.pipeline.run.run", "scanloom.cli.app; scanloom.cli.app.app()"],
+)
 def test_importing_is_light(module):
     code = f"import sys, {module}; print([name for name in {HEAVY!r} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

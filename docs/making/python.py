@@ -1,4 +1,4 @@
-"""What `stages` and `stages.lod` hand out, by rooms: signatures and docstrings."""
+"""Public names of `scanloom` and `stages.lod`, by rooms: signatures and docstrings."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _place(entry: tuple[str, Any]) -> tuple[int, bool, str]:
 
 
 def _room(thing: Any) -> str:
-    package, *below = thing.__module__.split(".")
+    package, *below = thing.__module__.removeprefix("scanloom.").split(".")
     # A name for several types says it is of typing; there is one, for what is taken as a mesh.
     return str(below[0]) if package == "stages" else "surface"
 

@@ -111,10 +111,11 @@ def test_expected_differences_are_those_of_job_and_name():
 
 def checkout(folder: Path, vertices: int) -> Path:
     """A program that writes a file and prints where it runs, in place of ours."""
-    for package in ("stages", "cli"):
-        (folder / package).mkdir(parents=True)
-        (folder / package / "__init__.py").write_text("")
-    (folder / "cli" / "app.py").write_text(
+    ours = folder / "scanloom"
+    for package in (ours, ours / "stages", ours / "cli"):
+        package.mkdir(parents=True)
+        (package / "__init__.py").write_text("")
+    (ours / "cli" / "app.py").write_text(
         "import json, os, sys\n"
         f"open(sys.argv[1], 'w').write('{vertices} vertices')\n"
         "out = os.path.abspath(sys.argv[1])\n"

@@ -14,14 +14,16 @@ from pathlib import Path
 Graph = dict[str, set[str]]
 
 
-def python_graph(root: Path, packages: Iterable[str]) -> Graph:
+def python_graph(root: Path, packages: Iterable[str], *, inside: str = "") -> Graph:
     """Imports between the modules of some packages, wherever they stand: in functions and for types, too.
 
     A compiled module is there by its stub. A string that is the name of a module counts as an import, since
-    that is how modules are imported late and by name.
+    that is how modules are imported late and by name. The packages are imported from the package `inside`, if
+    one is given, wherever their folders are.
     """
     files = [path for package in packages for path in (root / package).rglob("*.py*")]
-    modules = {dotted(path.relative_to(root)): path for path in files if path.suffix in (".py", ".pyi")}
+    sources = [path for path in files if path.suffix in (".py", ".pyi")]
+    modules = {dotted(inside / path.relative_to(root)): path for path in sources}
     return {
         name: set(python_imports(ast.parse(path.read_text(encoding="utf-8")), modules)) - {name}
         for name, path in modules.items()

@@ -106,7 +106,7 @@ LINES = (
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy the checkout and add a stage to it."""
     root = tmp_path_factory.mktemp("checkout")
-    for folder in ("stages", "pipeline", "cli"):
+    for folder in ("scanloom", "stages", "pipeline", "cli"):
         ignored = shutil.ignore_patterns("node_modules", "__pycache__")
         shutil.copytree(ROOT / folder, root / folder, ignore=ignored)
     (root / "stages" / "area").mkdir()

@@ -216,7 +216,7 @@ def opening_calls(nodes: list[ast.AST]) -> Iterator[str]:
 
 def imported_from_ours(nodes: list[ast.AST]) -> set[str]:
     imports = (node for node in nodes if isinstance(node, ast.ImportFrom))
-    ours = (node for node in imports if (node.module or "").startswith(("stages.", "pipeline.", "cli.")))
+    ours = (node for node in imports if (node.module or "").startswith("scanloom."))
     return {alias.name for node in ours for alias in node.names}
 
 

@@ -225,7 +225,7 @@ json.dump({
 def six(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What a copy of this package says that has one folder and one row more."""
     copy = tmp_path_factory.mktemp("six")
-    for package in ("stages", "pipeline", "cli"):
+    for package in ("scanloom", "stages", "pipeline", "cli"):
         shutil.copytree(ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
     for kernels in (ROOT / "stages").glob("_kernels*.so"):
         (copy / "stages" / kernels.name).symlink_to(kernels)
