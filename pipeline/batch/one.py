@@ -1,4 +1,4 @@
-"""Work on one job of a queue, for an engine that says which: a process that `pipeline.batch.dask` starts.
+"""Work on one job of a queue that an engine chose: a process that `pipeline.batch.dask` starts.
 
 Where its stdin ends, whoever started it is gone; the job is then given back, for the engine to have it run
 elsewhere.

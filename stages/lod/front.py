@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 class Region(Protocol):
-    """A part of space, such as Sphere and Box of `stages`."""
+    """A part of space, such as `scanloom.Sphere` and `scanloom.Box`."""
 
     def holds(self, points: Floats) -> NDArray[np.bool_]:
         """Return which of the points (n, 3) lie within it."""

@@ -149,7 +149,7 @@ def simplify(
     lock : (n,) bool or vertex indices: these vertices stay to the bit. Others may collapse into them.
     importance : (n,) float above 0, factor of the squared error around each vertex; or, where bounds are
         proven, at least 1, which they are divided by.
-    regions : Sphere and Box of `stages`, which lock the vertices they hold, or give them importance.
+    regions : `scanloom.Sphere` and `scanloom.Box`: they lock their vertices, or give them importance.
     record : keep all collapses, so that every mesh on the way can be had again.
     partial : Ctrl-C gives out what there is by then, instead of raising KeyboardInterrupt.
     progress : called about ten times a second with the triangles that are gone and those that have to go;

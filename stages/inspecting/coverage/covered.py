@@ -108,7 +108,7 @@ class Coverage:
 
     @property
     def kinds(self) -> NDArray[np.int8]:
-        """Return which of `stages.inspecting.coverage.kinds.THIN` each vertex is, (n,); -1 for well seen."""
+        """Return the index of each vertex in `coverage.kinds.THIN`, (n,); -1 for well seen."""
         return self.covered.kinds[self._probes]
 
     @cached_property
