@@ -26,9 +26,9 @@ from bounds import diagonal, worst
 from peers.tools import OURS, Tool
 from simplify import installed, results
 
-from stages.simplification.certified.details import CertifiedDetails
-from stages.simplification.simplify import Simplified, simplify
-from stages.surface.mesh import Mesh
+from scanloom.stages.simplification.certified.details import CertifiedDetails
+from scanloom.stages.simplification.simplify import Simplified, simplify
+from scanloom.stages.surface.mesh import Mesh
 
 MESHES = ("horse.ply", "fandisk.obj", "stanford-bunny.obj", "redkitchen_fused_vertexcolor.ply")
 HEAD = (

@@ -15,8 +15,8 @@ from pathlib import Path
 import meshes
 from markdown_tables import print_head, print_row
 
-from stages.simplification.simplify import simplify
-from stages.texturing.bake import bake
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.texturing.bake import bake
 
 COLUMNS = (
     "mesh",

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.cleaning.clean import clean
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Floats, Located, Surface, bounding_box, interpolated
-from stages.surface.topology import areas
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Floats, Located, Surface, bounding_box, interpolated
+from scanloom.stages.surface.topology import areas
 
 MESHES = (
     "camelhead.off",

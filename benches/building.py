@@ -21,9 +21,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame, Pose
+from scanloom.stages._open3d import open3d
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
 Floats = NDArray[np.float64]
 

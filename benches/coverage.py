@@ -32,20 +32,20 @@ from typing import Any
 import numpy as np
 from markdown_tables import print_head, print_row
 
-from stages.cleaning.clean import CleanParams, clean
-from stages.cleaning.clean_in_pieces import clean_in_pieces
-from stages.fusion.fuse import fuse, fuse_to_file
-from stages.fusion.params import FuseParams
-from stages.inspecting.coverage.coverage import coverage
-from stages.inspecting.coverage.evidence import measured_by
-from stages.inspecting.coverage.kinds import THIN
-from stages.inspecting.coverage.views import read_view
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Frame, Scan
-from stages.scans.read import read_scan
-from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.pieces import Pieces, table_of
-from stages.surface.piecewise import Piecewise
+from scanloom.stages.cleaning.clean import CleanParams, clean
+from scanloom.stages.cleaning.clean_in_pieces import clean_in_pieces
+from scanloom.stages.fusion.fuse import fuse, fuse_to_file
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.inspecting.coverage.coverage import coverage
+from scanloom.stages.inspecting.coverage.evidence import measured_by
+from scanloom.stages.inspecting.coverage.kinds import THIN
+from scanloom.stages.inspecting.coverage.views import read_view
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.formats.ply import read_ply, write_ply
+from scanloom.stages.surface.pieces import Pieces, table_of
+from scanloom.stages.surface.piecewise import Piecewise
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 FIRST, PLACES, TIMES = 8, 3, 3

@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.fusion.fuse import fuse
-from stages.scans.model.scan import Scan
-from stages.scans.read import read_scan
-from stages.surface.formats.ply import read_ply
-from stages.surface.raycasting import Surface
+from scanloom.stages._open3d import open3d
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.raycasting import Surface
 
 sys.path.insert(0, str(Path(__file__).parent))
 from building import make_building, scene_of

@@ -26,16 +26,16 @@ from typing import Any
 
 import numpy as np
 
-from stages._open3d import open3d
-from stages.comparing.compare import compare
-from stages.fusion.fuse import fuse
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.scan import Scan
-from stages.scans.read import read_scan
-from stages.stereo.depth import DepthMap, depth_scan
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Mesh
-from stages.surface.topology import topology
+from scanloom.stages._open3d import open3d
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.depth import DepthMap, depth_scan
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import topology
 
 sys.path[:0] = [str(Path(__file__).parents[1] / "tests" / "made")]
 

@@ -25,10 +25,10 @@ import cv2
 import meshes
 import numpy as np
 
-from stages.comparing.compare import compare
-from stages.simplification.certified.details import CertifiedDetails
-from stages.simplification.simplify import Simplified, simplify
-from stages.surface.mesh import Colors, Mesh
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.simplification.certified.details import CertifiedDetails
+from scanloom.stages.simplification.simplify import Simplified, simplify
+from scanloom.stages.surface.mesh import Colors, Mesh
 
 PAPER = {4: 0.84, 16: 0.92}
 # L and S_max, over e. Nothing on the unit sphere is longer than its diagonal: no limit.

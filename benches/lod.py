@@ -48,14 +48,14 @@ from numpy.typing import NDArray
 from peers import native
 from trimesh.triangles import points_to_barycentric
 
-from stages import lod
-from stages._open3d import open3d
-from stages.lod import Hierarchy, View
-from stages.lod.measures import global_limit
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.topology import topology
+from scanloom.stages import lod
+from scanloom.stages._open3d import open3d
+from scanloom.stages.lod import Hierarchy, View
+from scanloom.stages.lod.measures import global_limit
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.topology import topology
 
 MESHES = {
     "horse": "horse.ply",

@@ -11,11 +11,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.cleaning.clean import clean
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import InputError
-from stages.surface.mesh import Colors, Mesh
-from stages.surface.mesh_files import read_mesh
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface.mesh import Colors, Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
 
 Floats = np.ndarray
 Sampler = Callable[[Colors, Floats, Floats], Colors]

@@ -48,16 +48,16 @@ from normal_mesh_rates import print_rates
 from simplify import edge_lengths, smallest_angles, unit_normals
 from simplify_speed import hills
 
-from stages.cleaning.clean import clean
-from stages.comparing.compare import compare
-from stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION, SCALAR, NormalMesh
-from stages.normal_meshes.remesh import remesh
-from stages.picturing.viewpoints import viewpoints
-from stages.scans.read import read_scan
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Surface, bounding_box
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION, SCALAR, NormalMesh
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.picturing.viewpoints import viewpoints
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.topology import topology
 
 PARTS = ("models", "folds", "rates", "colors", "growth")
 SIZES = (10_000, 100_000, 1_000_000)

@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.comparing.distance_map import distance_map
-from stages.normal_meshes.normal_mesh import NormalMesh
-from stages.picturing.render import Model, write_png
-from stages.picturing.viewpoints import Viewpoint
-from stages.scans.model.scan import ColorImage
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.comparing.distance_map import distance_map
+from scanloom.stages.normal_meshes.normal_mesh import NormalMesh
+from scanloom.stages.picturing.render import Model, write_png
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box
 
 INK, PAPER = (38, 52, 74), (242, 244, 247)
 HEAD_PX = 32

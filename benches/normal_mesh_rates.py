@@ -25,9 +25,9 @@ from peers.draco import decoded, encoded
 from peers.tools import OURS, TOOLS, Missing, Tool, package
 from rate_distortion import File, Original, frontier, size_at, smallest
 
-from stages.normal_meshes.normal_mesh import decode
-from stages.normal_meshes.remesh import remesh
-from stages.surface.mesh import Mesh
+from scanloom.stages.normal_meshes.normal_mesh import decode
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.surface.mesh import Mesh
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ import numpy as np
 import trimesh
 from markdown_tables import print_head, print_row
 
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.surface.texture import Texture
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.surface.texture import Texture
 
 SIZES = (250_000, 1_000_000)
 

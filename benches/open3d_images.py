@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from stages._open3d import open3d
-from stages.frames.matching_color import read_matching_color
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame
+from scanloom.stages._open3d import open3d
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame
 
 # What pipelines that want colours see where a frame has none.
 _GREY = 128

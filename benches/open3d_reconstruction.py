@@ -29,10 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 from open3d_images import legacy_camera, legacy_image, read_images
 
-from stages._open3d import open3d
-from stages.registration.odometry import one_thread_each
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Camera, Frame, Pose
+from scanloom.stages._open3d import open3d
+from scanloom.stages.registration.odometry import one_thread_each
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
 _FRAGMENT_FRAMES = 100
 _KEY_FRAMES_EVERY = 5

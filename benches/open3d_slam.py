@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from open3d_images import read_images
 
-from stages._open3d import open3d
-from stages.registration.odometry import one_thread_each
-from stages.scans.model.scan import Frame, Pose
+from scanloom.stages._open3d import open3d
+from scanloom.stages.registration.odometry import one_thread_each
+from scanloom.stages.scans.model.scan import Frame, Pose
 
 # Metres.
 _VOXEL, _NEAREST, _FARTHEST, _REACH = 0.0058, 0.1, 3.0, 0.07

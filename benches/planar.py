@@ -17,8 +17,8 @@ import numpy as np
 from markdown_tables import print_head, print_row
 from revolved import REDUCTIONS
 
-from stages import compare, planar_patches, simplify
-from stages.surface.mesh import Mesh
+from scanloom import compare, planar_patches, simplify
+from scanloom.stages.surface.mesh import Mesh
 
 RUNS = 3
 # Below the 9° between two sectors of the cone, none takes in what is thin enough of the next near the apex.

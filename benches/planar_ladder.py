@@ -18,8 +18,8 @@ import trimesh
 from markdown_tables import print_head, print_row
 from revolved import bottle, cone, cup
 
-from stages import simplify
-from stages.surface.mesh import Mesh
+from scanloom import simplify
+from scanloom.stages.surface.mesh import Mesh
 
 BOUNDS = np.geomspace(1e-6, 1e-1, 10)
 

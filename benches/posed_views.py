@@ -24,19 +24,19 @@ import numpy as np
 from markdown_tables import print_head, print_row
 from numpy.typing import NDArray
 
-from stages.adjusting.adjust import adjust
-from stages.cleaning.clean import clean
-from stages.fusion.fuse import fuse
-from stages.scans.model.images import read_color, read_depth, read_seen
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Frame, Scan, pinhole
-from stages.scans.read import read_scan
-from stages.stereo.agreement import agreeing_views
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.posed_views import posed_views
-from stages.stereo.views_depth import views_depth
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.adjusting.adjust import adjust
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.scans.model.images import read_color, read_depth, read_seen
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Frame, Scan, pinhole
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.agreement import agreeing_views
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.posed_views import posed_views
+from scanloom.stages.stereo.views_depth import views_depth
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 SCANS = {
     "7-Scenes' kitchen, every third": ("rgbd/7scenes_redkitchen", 3),

@@ -16,11 +16,10 @@ from pathlib import Path
 
 from markdown_tables import print_head, print_row
 
-import stages
-from pipeline.config import Config
-from pipeline.quality import QUALITIES
-from pipeline.run.run import run
-from stages import Mesh
+from scanloom import Mesh, stages
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.quality import QUALITIES
+from scanloom.pipeline.run.run import run
 
 HOLD_OUT = 10
 COLUMNS = (

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.comparing.compare import CompareParams, compare_surfaces
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.comparing.compare import CompareParams, compare_surfaces
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box
 
 # A coder's result may reach beyond the original's box by this share of it.
 MARGIN = 0.02

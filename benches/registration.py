@@ -36,23 +36,23 @@ from open3d_images import legacy_camera, legacy_image, read_images
 from open3d_reconstruction import reconstruction_system
 from open3d_slam import dense_slam
 
-from stages._open3d import open3d
-from stages.adjusting.adjust import adjust
-from stages.adjusting.look import look
-from stages.comparing.compare import compare
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import InputError
-from stages.frames.rigid_pose import require_rigid_pose
-from stages.fusion.fuse import fuse
-from stages.registration.motion import angle
-from stages.registration.register import register
-from stages.registration.registered import Registration
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Frame, Pose
-from stages.scans.read import read_scan
-from stages.scans.trajectory.files import read_tum
-from stages.stereo.depth import DepthMap, depth_scan
-from stages.surface.mesh import Mesh
+from scanloom.stages._open3d import open3d
+from scanloom.stages.adjusting.adjust import adjust
+from scanloom.stages.adjusting.look import look
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.rigid_pose import require_rigid_pose
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.registration.motion import angle
+from scanloom.stages.registration.register import register
+from scanloom.stages.registration.registered import Registration
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Frame, Pose
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.trajectory.files import read_tum
+from scanloom.stages.stereo.depth import DepthMap, depth_scan
+from scanloom.stages.surface.mesh import Mesh
 
 # Open3D's examples cut depth here, in metres.
 _TRUNCATION = 4.0

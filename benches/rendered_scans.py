@@ -23,18 +23,18 @@ import cv2
 import numpy as np
 from markdown_tables import print_head, print_row
 
-from pipeline.config import Config
-from pipeline.run.run import run
-from stages.comparing.seen import seen_from
-from stages.scans.model.images import read_photo
-from stages.scans.model.scan import ColorImage
-from stages.scans.read import read_scan
-from stages.surface.color import color_at
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Surface
-from stages.surface.topology import areas
-from stages.texturing.texture import texture
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import run
+from scanloom.stages.comparing.seen import seen_from
+from scanloom.stages.scans.model.images import read_photo
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.texturing.texture import texture
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 MOST_LEVELS, PLACES = 10, 400_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh import Mesh
 
 
 def revolved(profile: NDArray[np.float64], around: int, *, ends: tuple[bool, bool] = (True, True)) -> Mesh:

@@ -268,7 +268,7 @@ def step_leaves(
     for name, path in places.items():
         words = [word.replace(f"{{{name}}}", str(path)) for word in words]
     is_snippet = words[:1] and words[0].endswith(".py")
-    command = [str(SNIPPETS / words[0]), *words[1:]] if is_snippet else ["-m", "cli.app", *words]
+    command = [str(SNIPPETS / words[0]), *words[1:]] if is_snippet else ["-m", "scanloom.cli.app", *words]
     name = f"{number} {words[0] if words else 'nothing'}"
     try:
         done = subprocess.run(

@@ -24,19 +24,19 @@ from typing import Any
 
 from markdown_tables import print_head, print_row
 
-from pipeline.batch.claims import Claims
-from pipeline.batch.heartbeat import Watch
-from pipeline.batch.queue import Job, Settings, new_queue, standing_queue
-from pipeline.batch.records import Records
-from pipeline.batch.supply import Supply
-from pipeline.cache.digest import file_digest
+from scanloom.pipeline.batch.claims import Claims
+from scanloom.pipeline.batch.heartbeat import Watch
+from scanloom.pipeline.batch.queue import Job, Settings, new_queue, standing_queue
+from scanloom.pipeline.batch.records import Records
+from scanloom.pipeline.batch.supply import Supply
+from scanloom.pipeline.cache.digest import file_digest
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "made")]
 
 from small_scans import write_small_scans  # noqa: E402
 
-SCANLOOM = [sys.executable, "-m", "cli.app"]
+SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
 WORKER = [*SCANLOOM, "worker", "--quiet", "--jobs", "1", "--threads", "1"]
 # Seconds between two kills.
 SOONEST, LATEST = 2.0, 6.0

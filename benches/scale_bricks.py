@@ -23,11 +23,11 @@ from typing import Any
 from building import make_building
 from markdown_tables import print_head, print_row
 
-from pipeline.cache.digest import file_digest
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.read import read_scan
+from scanloom.pipeline.cache.digest import file_digest
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.read import read_scan
 
-SCANLOOM = [sys.executable, "-m", "cli.app"]
+SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
 VOXEL_SIZE = 0.01
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from markdown_tables import print_head, print_row
 from simplify_speed import hills
 
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Material, Mesh, Texture
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Material, Mesh, Texture
 
 SIZES = (10_000, 100_000, 1_000_000)
 _ROWS = 50

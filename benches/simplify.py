@@ -40,11 +40,11 @@ import numpy as np
 from peers.results import Row, summary, verdicts
 from peers.tools import OURS, TOOLS, Missing, Tool
 
-from stages.comparing.compare import compare
-from stages.surface.edges import edges_of
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
-from stages.surface.topology import Topology, topology
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.surface.edges import edges_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.topology import Topology, topology
 
 # A call that takes longer counts as failed.
 PATIENCE_S = 300

@@ -83,9 +83,9 @@ from typing import Any
 
 import numpy as np
 
-from stages.simplification.simplify import Simplified, simplify
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import bounding_box
+from scanloom.stages.simplification.simplify import Simplified, simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import bounding_box
 
 SIZES = (10_000, 100_000, 1_000_000, 2_000_000, 5_000_000)
 SHUFFLED = 1_000_000

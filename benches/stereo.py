@@ -19,10 +19,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.scans.model.scan import Camera, StereoRig
-from stages.scans.read import read_scan
-from stages.stereo.depth import depth, depth_scan
-from stages.stereo.disparity import stereo_disparity
+from scanloom.stages.scans.model.scan import Camera, StereoRig
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.depth import depth, depth_scan
+from scanloom.stages.stereo.disparity import stereo_disparity
 
 Image = np.ndarray
 

@@ -17,16 +17,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.fusion.fuse import fuse
-from stages.picturing.render import render, write_png
-from stages.picturing.viewpoints import Viewpoint
-from stages.scans.model.images import read_color, read_right
-from stages.scans.model.scan import Camera, Scan
-from stages.scans.read import read_scan
-from stages.stereo.depth import DepthMap, depth_scan
-from stages.surface.mesh import Mesh
-from stages.surface.topology import topology
+from scanloom.stages._open3d import open3d
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.picturing.render import render, write_png
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.scans.model.images import read_color, read_right
+from scanloom.stages.scans.model.scan import Camera, Scan
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.depth import DepthMap, depth_scan
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import topology
 
 # The lane along the path, and what lies beside it, metres to the right of the left camera.
 STRIPS = {"lane": (-1.5, 1.5), "left side": (-6.0, -3.0), "right side": (3.0, 6.0)}

@@ -7,8 +7,8 @@ after one gain and bias a channel, SSIM, gradient energy over the photo's, share
 count, seconds of the stage that made the colours, the size of the textured mesh, and how visible borders of
 photos are in it (`seam_ratio`, and `seam_ratio_over_photos` in brackets). Of several ratios the first has all
 rows, the others that of the texture alone. Photos are placed against each mesh (see
-`stages.comparing.left_out`). With --open3d Open3D's `project_images_to_albedo` is there, too, with the same
-cameras, on `bake`'s charts in one image of 2048²; it takes minutes.
+`scanloom.stages.comparing.left_out`). With --open3d Open3D's `project_images_to_albedo` is there, too, with
+the same cameras, on `bake`'s charts in one image of 2048²; it takes minutes.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from pathlib import Path
 import numpy as np
 from markdown_tables import print_head, print_row
 
-from pipeline.artifacts.adjusted_cameras import AdjustedCameras
-from pipeline.artifacts.poses import Poses
-from pipeline.config import Config
-from pipeline.evaluation.held_out import like_neighbours
-from pipeline.run.run import RunResult, run
-from stages._open3d import open3d
-from stages.comparing.left_out import left_out
-from stages.progress import silent
-from stages.scans.model.scan import Frame, Scan
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Image, Material, Mesh, Texture
-from stages.surface.mesh_files import read_mesh
-from stages.surface.topology import areas
-from stages.texturing.bake import bake
-from stages.texturing.pages import Pages, fitted
-from stages.texturing.photos import photo_of
+from scanloom.pipeline.artifacts.adjusted_cameras import AdjustedCameras
+from scanloom.pipeline.artifacts.poses import Poses
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.evaluation.held_out import like_neighbours
+from scanloom.pipeline.run.run import RunResult, run
+from scanloom.stages._open3d import open3d
+from scanloom.stages.comparing.left_out import left_out
+from scanloom.stages.progress import silent
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.texturing.bake import bake
+from scanloom.stages.texturing.pages import Pages, fitted
+from scanloom.stages.texturing.photos import photo_of
 
 COLUMNS = (
     "scan",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from stages.surface.edges import components, edges_of
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.edges import components, edges_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box
 
 # Lengths over the bounding box's diagonal: places that count as one, and how far from a border of the
 # original a border may lie and still be that one, simplified.

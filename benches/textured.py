@@ -35,16 +35,16 @@ from peers import native
 from peers.tools import pointer
 from texture_soundness import soundness
 
-from stages.cleaning.clean import clean
-from stages.comparing.compare import compare
-from stages.diagnostics.errors import ScanloomError
-from stages.files.image_bytes import decoded_image
-from stages.simplification.simplify import simplify
-from stages.surface.color import has_color
-from stages.surface.convert import as_mesh, to_open3d, to_open3d_legacy, with_vertex_colors
-from stages.surface.mesh import Image, Material, Mesh
-from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.texturing.bake import bake
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.errors import ScanloomError
+from scanloom.stages.files.image_bytes import decoded_image
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.color import has_color
+from scanloom.stages.surface.convert import as_mesh, to_open3d, to_open3d_legacy, with_vertex_colors
+from scanloom.stages.surface.mesh import Image, Material, Mesh
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.texturing.bake import bake
 
 Simplifier = Callable[[Mesh, int], tuple[Callable[[], Any], Callable[[Any], Mesh]]]
 

@@ -21,13 +21,13 @@ import cv2
 import numpy as np
 from markdown_tables import print_head, print_row
 
-from stages.fusion.fuse import fuse
-from stages.fusion.upsampling import upsampled
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.scan import Camera, Frame, Scan, scaled
-from stages.scans.read import read_scan
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.fusion.upsampling import upsampled
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, scaled
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 PHONE = Camera(256, 192, 187.0, 187.0, 127.5, 95.5)

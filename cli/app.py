@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cli import interrupts
+from scanloom.cli import interrupts
 
 if __name__ == "__main__":
     # The imports below take a moment, in which Ctrl-C may come.
@@ -22,11 +22,11 @@ from typing import Annotated, Any
 
 import typer
 
-from cli import errors, exit_codes
-from cli.options import with_options
-from cli.output import one_line, to_json, with_schema
-from stages import __version__
-from stages.diagnostics.errors import ScanloomError, is_lack_of_memory
+from scanloom.cli import errors, exit_codes
+from scanloom.cli.options import with_options
+from scanloom.cli.output import one_line, to_json, with_schema
+from scanloom.stages import __version__
+from scanloom.stages.diagnostics.errors import ScanloomError, is_lack_of_memory
 
 # What the help lists under each heading, in this order. Each is a function in the file of its name in
 # cli/commands/, imported when it is meant: all of them take twice as long as one.
@@ -97,7 +97,7 @@ def _add_groups(made: typer.Typer) -> None:
 
 
 def _function(file: str, name: str) -> Callable[..., None]:
-    function: Callable[..., None] = getattr(import_module(f"cli.commands.{file}"), name)
+    function: Callable[..., None] = getattr(import_module(f"scanloom.cli.commands.{file}"), name)
     return function
 
 
@@ -109,7 +109,7 @@ def _meant(arguments: Sequence[str]) -> str:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from stages.inspecting.machine import kernels_build
+        from scanloom.stages.inspecting.machine import kernels_build
 
         typer.echo(f"scanloom {__version__}\nkernels {kernels_build()}")
         raise typer.Exit

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import stages
-from cli.mesh_arguments import write_file
-from cli.output import Output, lines_of
-from stages import BakeParams, Mesh
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import ScanloomError
-from stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
+from scanloom import stages
+from scanloom.cli.mesh_arguments import write_file
+from scanloom.cli.output import Output, lines_of
+from scanloom.stages import BakeParams, Mesh
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import ScanloomError
+from scanloom.stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
 
 # Formats that hold texture coordinates and an image.
 TEXTURED_SUFFIXES = (".glb", ".obj", ".ply")

@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, T
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-from stages.progress import Progress
+from scanloom.stages.progress import Progress
 
 
 class _RateColumn(ProgressColumn):

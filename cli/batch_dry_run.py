@@ -6,20 +6,20 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.output import Output, size_of, table_of
-from stages.diagnostics.errors import ScanloomError
+from scanloom.cli.output import Output, size_of, table_of
+from scanloom.stages.diagnostics.errors import ScanloomError
 
 if TYPE_CHECKING:
-    from pipeline.batch.queue import Job, Settings
-    from pipeline.config import Config
-    from pipeline.run.dry_run import DryRun
+    from scanloom.pipeline.batch.queue import Job, Settings
+    from scanloom.pipeline.config import Config
+    from scanloom.pipeline.run.dry_run import DryRun
 
 
 def tell_dry_run(
     target: Path, what: Settings, queued: tuple[Job, ...], config: Config, more: dict[str, Any], out: Output
 ) -> None:
     """Print what a batch would do, scan by scan; what cannot be read is a row, too."""
-    from pipeline.run.dry_run import DryRun, foresee
+    from scanloom.pipeline.run.dry_run import DryRun, foresee
 
     found: list[DryRun | ScanloomError] = []
     with out.progress("scans", "scans") as progress:

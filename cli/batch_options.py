@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.codes import BATCH_OPTIONS_CONFLICT
-from cli.output import Output, size_of
-from cli.run_options import LIMITS_PANEL
-from stages.diagnostics.errors import UsageError
+from scanloom.cli.codes import BATCH_OPTIONS_CONFLICT
+from scanloom.cli.output import Output, size_of
+from scanloom.cli.run_options import LIMITS_PANEL
+from scanloom.stages.diagnostics.errors import UsageError
 
 if TYPE_CHECKING:
-    from pipeline.batch.queue import Queue
-    from pipeline.batch.told import Tell
-    from pipeline.batch.worker import Worker
+    from scanloom.pipeline.batch.queue import Queue
+    from scanloom.pipeline.batch.told import Tell
+    from scanloom.pipeline.batch.worker import Worker
 
 AUTO = "auto"
 # Seconds; an option that should be for ever says so in another way.
@@ -83,9 +83,9 @@ def worker_of(
     stay: bool = True,
 ) -> Worker:
     """Return the worker that options come to."""
-    from pipeline.batch.sizing import expected_needs, jobs_at_once, memory_to_use
-    from pipeline.batch.worker import Worker
-    from stages.scans.model.threads import threads_to_use
+    from scanloom.pipeline.batch.sizing import expected_needs, jobs_at_once, memory_to_use
+    from scanloom.pipeline.batch.worker import Worker
+    from scanloom.stages.scans.model.threads import threads_to_use
 
     cores = threads_to_use()
     there = memory if memory is not None else memory_to_use()

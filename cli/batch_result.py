@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from cli.batch_watch import summary_text, tell_warnings
-from cli.exit_codes import BAD_INPUT
-from cli.output import Output
-from pipeline.batch.codes import BATCH_SCANS_NOT_DONE
-from stages.diagnostics.collector import emit
+from scanloom.cli.batch_watch import summary_text, tell_warnings
+from scanloom.cli.exit_codes import BAD_INPUT
+from scanloom.cli.output import Output
+from scanloom.pipeline.batch.codes import BATCH_SCANS_NOT_DONE
+from scanloom.stages.diagnostics.collector import emit
 
 if TYPE_CHECKING:
-    from pipeline.batch.queue import Queue
+    from scanloom.pipeline.batch.queue import Queue
 
 
 def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
@@ -29,8 +29,8 @@ def tell_batch(queue: Queue, out: Output, more: Mapping[str, Any]) -> None:
     typer.Exit
         With the code of input that cannot be read, if no scan can be.
     """
-    from pipeline.batch.outputs import write_outputs
-    from pipeline.batch.summary import summary_of
+    from scanloom.pipeline.batch.outputs import write_outputs
+    from scanloom.pipeline.batch.summary import summary_of
 
     summary = summary_of(queue)
     written = [path.name for path in write_outputs(summary, queue.out.resolve().name)]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from cli.output import Output, table_of
-from cli.passing_bar import PassingBar
-from cli.rendering import as_typed
-from pipeline.batch.records import DONE, RUNNING, WAITING, Record
-from pipeline.batch.summary import Summary
-from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, Told
-from stages.diagnostics.diagnostic import Severity
+from scanloom.cli.output import Output, table_of
+from scanloom.cli.passing_bar import PassingBar
+from scanloom.cli.rendering import as_typed
+from scanloom.pipeline.batch.records import DONE, RUNNING, WAITING, Record
+from scanloom.pipeline.batch.summary import Summary
+from scanloom.pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, Told
+from scanloom.stages.diagnostics.diagnostic import Severity
 
 
 @contextmanager

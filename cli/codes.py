@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.diagnostic import Code
 
 BATCH_OPTIONS_CONFLICT = Code(
     "batch.options-conflict",

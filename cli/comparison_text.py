@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from cli.output import table_of
-from stages.printing import place_in_words
+from scanloom.cli.output import table_of
+from scanloom.stages.printing import place_in_words
 
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
 _MEASURES = {"maximum": "maximum", "mean": "mean", "rms": "RMS"}

@@ -15,7 +15,7 @@ _LONGEST = 70
 
 def stage_names() -> list[str]:
     """Return the names of all stages."""
-    from pipeline.graph import STAGES
+    from scanloom.pipeline.graph import STAGES
 
     return [stage.name for stage in STAGES]
 
@@ -25,8 +25,8 @@ def settings(incomplete: str) -> list[tuple[str, str]]:
 
     That is a section; then its parameters; then values: all there are, or else the default.
     """
-    from pipeline.config import Config
-    from stages.params import describe_all, get_hint, get_value
+    from scanloom.pipeline.config import Config
+    from scanloom.stages.params import describe_all, get_hint, get_value
 
     section, dot, key = incomplete.partition(".")
     types = Config.types()

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import Deviations
-from stages._opencv import require_opencv
-from stages.comparing.palette import colors_of
-from stages.picturing.render import Model, write_png
-from stages.picturing.spots import spots
-from stages.picturing.viewpoints import viewpoints
-from stages.surface.cloud import is_cloud
-from stages.surface.raycasting import Surface
+from scanloom.stages import Deviations
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.comparing.palette import colors_of
+from scanloom.stages.picturing.render import Model, write_png
+from scanloom.stages.picturing.spots import spots
+from scanloom.stages.picturing.viewpoints import viewpoints
+from scanloom.stages.surface.cloud import is_cloud
+from scanloom.stages.surface.raycasting import Surface
 
 # Of a cloud, so many points are drawn.
 _MOST_SPOTS = 400_000

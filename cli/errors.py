@@ -7,14 +7,20 @@ from dataclasses import dataclass
 
 import typer
 
-from cli.codes import USAGE_OPTION_INVALID
-from cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
-from cli.interrupts import SENTENCE
-from cli.rendering import render
-from stages.diagnostics.codes import MACHINE_BUG, MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
-from stages.diagnostics.diagnostic import Code, Diagnostic
-from stages.diagnostics.errors import InputError, ScanloomError, UsageError, bug_explained, is_lack_of_memory
-from stages.files.codes import FILE_PATH_INVALID
+from scanloom.cli.codes import USAGE_OPTION_INVALID
+from scanloom.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
+from scanloom.cli.interrupts import SENTENCE
+from scanloom.cli.rendering import render
+from scanloom.stages.diagnostics.codes import MACHINE_BUG, MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
+from scanloom.stages.diagnostics.diagnostic import Code, Diagnostic
+from scanloom.stages.diagnostics.errors import (
+    InputError,
+    ScanloomError,
+    UsageError,
+    bug_explained,
+    is_lack_of_memory,
+)
+from scanloom.stages.files.codes import FILE_PATH_INVALID
 
 # What typer raises for a wrong command line; its base class has no public name of its own.
 TyperUsageError: type[Exception] = next(k for k in typer.BadParameter.__mro__ if k.__name__ == "UsageError")

@@ -10,7 +10,7 @@ import os
 import signal
 from types import FrameType
 
-from cli.exit_codes import INTERRUPTED
+from scanloom.cli.exit_codes import INTERRUPTED
 
 SENTENCE = "Interrupted; what was finished is kept."
 

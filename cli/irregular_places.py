@@ -9,10 +9,10 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from cli.mesh_arguments import write_file
-from cli.output import Output
-from stages import Checked, Mesh
-from stages.cleaning.check import CLASSES
+from scanloom.cli.mesh_arguments import write_file
+from scanloom.cli.output import Output
+from scanloom.stages import Checked, Mesh
+from scanloom.stages.cleaning.check import CLASSES
 
 SavePlaces = Annotated[
     Path | None,

@@ -9,16 +9,16 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.output import Output
-from cli.paths import require_file
-from stages import Mesh, MeshError
-from stages.diagnostics.collector import changing, emit
-from stages.diagnostics.diagnostic import Diagnostic, Where
-from stages.surface.cloud import is_cloud
-from stages.surface.cloud_files import read_mesh_or_cloud
-from stages.surface.codes import MESH_LEFT_OUT
-from stages.surface.mesh_files import lost_with, standing
+from scanloom import stages
+from scanloom.cli.output import Output
+from scanloom.cli.paths import require_file
+from scanloom.stages import Mesh, MeshError
+from scanloom.stages.diagnostics.collector import changing, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.surface.cloud import is_cloud
+from scanloom.stages.surface.cloud_files import read_mesh_or_cloud
+from scanloom.stages.surface.codes import MESH_LEFT_OUT
+from scanloom.stages.surface.mesh_files import lost_with, standing
 
 MeshFile = Annotated[
     Path, typer.Argument(metavar="IN", help="Mesh file: PLY, OBJ, OFF, STL, glTF or GLB.", show_default=False)

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.baked import baked_text
-from cli.mesh_arguments import tell_written
-from cli.output import Output, lines_of, table_of
-from stages import NormalMesh
+from scanloom.cli.baked import baked_text
+from scanloom.cli.mesh_arguments import tell_written
+from scanloom.cli.output import Output, lines_of, table_of
+from scanloom.stages import NormalMesh
 
 SaveLevels = Annotated[
     Path | None,

@@ -18,11 +18,11 @@ from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin, get_t
 
 import typer
 
-from cli.codes import MACHINE_LIBRARY_WARNING
-from cli.output import Output
-from cli.rendering import option_name
-from stages.diagnostics.collector import listening
-from stages.params import (
+from scanloom.cli.codes import MACHINE_LIBRARY_WARNING
+from scanloom.cli.output import Output
+from scanloom.cli.rendering import option_name
+from scanloom.stages.diagnostics.collector import listening
+from scanloom.stages.params import (
     Described,
     describe_all,
     described,

@@ -14,12 +14,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from cli.exit_codes import DONE, FAILED
-from cli.rendering import render
-from pipeline.run.schema import SCHEMA
-from stages.diagnostics.diagnostic import Diagnostic, Severity
-from stages.printing import counted, name_and_value
-from stages.progress import Progress, silent
+from scanloom.cli.exit_codes import DONE, FAILED
+from scanloom.cli.rendering import render
+from scanloom.pipeline.run.schema import SCHEMA
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
+from scanloom.stages.printing import counted, name_and_value
+from scanloom.stages.progress import Progress, silent
 
 # Control characters, among them line breaks and terminal escapes, and the line separators of Unicode.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
@@ -116,7 +116,7 @@ class Output:
         if self.quiet or not sys.stderr.isatty():
             yield silent
             return
-        from cli.bar import bar
+        from scanloom.cli.bar import bar
 
         with bar(label, unit) as update:
             yield update

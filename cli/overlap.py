@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stages import Mesh
-from stages.comparing.codes import COMPARE_MESHES_APART
-from stages.comparing.measurable import gap_of_unrelated
-from stages.diagnostics.collector import emit
+from scanloom.stages import Mesh
+from scanloom.stages.comparing.codes import COMPARE_MESHES_APART
+from scanloom.stages.comparing.measurable import gap_of_unrelated
+from scanloom.stages.diagnostics.collector import emit
 
 
 def require_overlap(file: Path, mesh: Mesh, other_file: Path, other: Mesh) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from cli.output import Output
-from stages.progress import Progress, silent
+from scanloom.cli.output import Output
+from scanloom.stages.progress import Progress, silent
 
 
 class PassingBar:

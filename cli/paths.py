@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.codes import FILE_PATH_INVALID
-from stages.files.moving import move
-from stages.surface.codes import USAGE_EXTENSION_UNKNOWN
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.codes import FILE_PATH_INVALID
+from scanloom.stages.files.moving import move
+from scanloom.stages.surface.codes import USAGE_EXTENSION_UNKNOWN
 
-# What stages.surface.mesh_files.write_mesh can write.
+# What scanloom.stages.surface.mesh_files.write_mesh can write.
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from cli.paths import require_new_file
+from scanloom.cli.paths import require_new_file
 
 
 def plot_option(what: str) -> Any:
@@ -24,7 +24,7 @@ def require_plot(path: Path | None) -> None:
     """Check that a plot can be drawn, and written there, before the work starts; nothing for None."""
     if path is None:
         return
-    from stages.picturing.plots import SUFFIXES, require_plots
+    from scanloom.stages.picturing.plots import SUFFIXES, require_plots
 
     require_new_file(path, SUFFIXES)
     require_plots()

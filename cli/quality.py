@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.quality import QUALITIES, STANDARD
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.collector import emit
-from stages.params import flatten, get_value
+from scanloom.pipeline.quality import QUALITIES, STANDARD
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.params import flatten, get_value
 
 if TYPE_CHECKING:
-    from pipeline.config import Config
+    from scanloom.pipeline.config import Config
 
 QualityOption = Annotated[
     str | None,
@@ -34,7 +34,7 @@ def config_of(file: Path | None, quality: str | None) -> Config:
 
     What the file keeps from the quality that was asked for is a warning.
     """
-    from pipeline.config import Config
+    from scanloom.pipeline.config import Config
 
     if file is None:
         return Config.of(STANDARD if quality is None else quality)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
 
 
 def option_name(field_name: str) -> str:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli import completing
-from cli.codes import BATCH_OPTIONS_CONFLICT
-from cli.quality import config_of
-from stages.diagnostics.errors import UsageError
+from scanloom.cli import completing
+from scanloom.cli.codes import BATCH_OPTIONS_CONFLICT
+from scanloom.cli.quality import config_of
+from scanloom.stages.diagnostics.errors import UsageError
 
 if TYPE_CHECKING:
-    from pipeline.config import Config
+    from scanloom.pipeline.config import Config
 
 LIMITS_PANEL = "What it may take"
 
@@ -116,7 +116,7 @@ def run_config(
     report: bool | None,
 ) -> Config:
     """Return the configuration that options come to, checked as far as it can be without a scan."""
-    from stages.simplification.auto import chosen
+    from scanloom.stages.simplification.auto import chosen
 
     config = config_of(file, quality)
     switched = {"report.page": page, "report.enabled": report}
@@ -135,7 +135,7 @@ def bytes_or_none(size: str | None, option: str) -> int | None:
     UsageError
         If it is no size, or none at all.
     """
-    from pipeline.cache.cache_size import bytes_of
+    from scanloom.pipeline.cache.cache_size import bytes_of
 
     if size is None:
         return None

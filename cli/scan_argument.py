@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.paths import require_scan
-from pipeline.skipped import emit_skipped
-from stages import Scan, ScanParams
+from scanloom import stages
+from scanloom.cli.paths import require_scan
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.stages import Scan, ScanParams
 
 ScanFolder = Annotated[
     Path,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from cli import interrupts
+from scanloom.cli import interrupts
 
 # Threads of OpenBLAS, which NumPy multiplies with, spin for some 20 ms after each product, in the way of
 # those that have work; 2⁴ turns are the least it knows. It is read where NumPy is loaded.
@@ -18,6 +18,6 @@ def main() -> None:
     interrupts.leave_at_once()
     os.environ.setdefault(*_SPIN)
     os.environ.setdefault(*_QUIET)
-    from cli.app import main as run
+    from scanloom.cli.app import main as run
 
     run()

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from cli.output import Output
-from cli.passing_bar import PassingBar
-from pipeline.graph import find_stage
-from pipeline.run.events import (
+from scanloom.cli.output import Output
+from scanloom.cli.passing_bar import PassingBar
+from scanloom.pipeline.graph import find_stage
+from scanloom.pipeline.run.events import (
     Event,
     Events,
     RunStarted,
@@ -20,8 +20,8 @@ from pipeline.run.events import (
     StageStarted,
     Waiting,
 )
-from stages.printing import at_most
-from stages.progress import Progress
+from scanloom.stages.printing import at_most
+from scanloom.stages.progress import Progress
 
 # A figure in metres in such a line.
 _IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")

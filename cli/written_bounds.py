@@ -9,9 +9,9 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from cli.output import Output
-from stages import Mesh
-from stages.surface.formats.ply import write_ply
+from scanloom.cli.output import Output
+from scanloom.stages import Mesh
+from scanloom.stages.surface.formats.ply import write_ply
 
 SaveBounds = Annotated[
     Path | None,

@@ -15,7 +15,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
 from making import finder, written  # noqa: E402
 
-from stages import __version__  # noqa: E402
+from scanloom import __version__  # noqa: E402
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

@@ -6,26 +6,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from pipeline.cache.cache_size import CacheParams
-from pipeline.evaluation.params import ReportParams
-from pipeline.quality import QUALITIES
-from pipeline.sections import Sections
-from pipeline.steps.bake import BakeSection
-from pipeline.steps.coverage import CoverageSection
-from pipeline.steps.export import ExportSection
-from pipeline.steps.lod import LodSection
-from pipeline.steps.remesh import RemeshSection
-from pipeline.steps.texture import TextureSection
-from pipeline.steps.tiles import TilesSection
-from pipeline.steps.upright import UprightSection
-from stages.adjusting.adjust import AdjustParams
-from stages.cleaning.clean import CleanParams
-from stages.comparing.compare import CompareParams
-from stages.fusion.params import FuseParams
-from stages.registration.params import RegisterParams
-from stages.scans.params import ScanParams
-from stages.simplification.simplify import SimplifyParams
-from stages.stereo.depth import DepthParams
+from scanloom.pipeline.cache.cache_size import CacheParams
+from scanloom.pipeline.evaluation.params import ReportParams
+from scanloom.pipeline.quality import QUALITIES
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.steps.bake import BakeSection
+from scanloom.pipeline.steps.coverage import CoverageSection
+from scanloom.pipeline.steps.export import ExportSection
+from scanloom.pipeline.steps.lod import LodSection
+from scanloom.pipeline.steps.remesh import RemeshSection
+from scanloom.pipeline.steps.texture import TextureSection
+from scanloom.pipeline.steps.tiles import TilesSection
+from scanloom.pipeline.steps.upright import UprightSection
+from scanloom.stages.adjusting.adjust import AdjustParams
+from scanloom.stages.cleaning.clean import CleanParams
+from scanloom.stages.comparing.compare import CompareParams
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.registration.params import RegisterParams
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.simplification.simplify import SimplifyParams
+from scanloom.stages.stereo.depth import DepthParams
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stages.scans.model.scan import Scan
+from scanloom.stages.scans.model.scan import Scan
 
 # What the process holds before any frame is read: the interpreter and the libraries.
 BASE_BYTES = 300_000_000

@@ -6,8 +6,8 @@ import contextlib
 import errno
 from collections.abc import Iterator
 
-from stages.diagnostics.codes import MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
-from stages.diagnostics.errors import StageError, is_lack_of_memory
+from scanloom.stages.diagnostics.codes import MACHINE_DISK_FAILED, MACHINE_OUT_OF_MEMORY
+from scanloom.stages.diagnostics.errors import StageError, is_lack_of_memory
 
 _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
 # ERROR_ACCESS_DENIED and ERROR_SHARING_VIOLATION: what Windows says of files that are open elsewhere.

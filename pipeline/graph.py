@@ -17,9 +17,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from pipeline.sections import Sections
-from pipeline.stage import AnyStage
-from pipeline.steps import (
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import AnyStage
+from scanloom.pipeline.steps import (
     adjust,
     bake,
     clean,
@@ -36,8 +36,8 @@ from pipeline.steps import (
     tiles,
     upright,
 )
-from stages.scans.model.scan import Scan
-from stages.stereo.depth import DepthParams
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.stereo.depth import DepthParams
 
 STAGES: tuple[AnyStage, ...] = (
     depth.STAGE,
@@ -57,7 +57,8 @@ STAGES: tuple[AnyStage, ...] = (
     report.STAGE,
 )
 
-# Sources without a value, which decide results that mention them. See `pipeline.cache.digest.label_digests`.
+# Sources without a value, which decide results that mention them. See
+# `scanloom.pipeline.cache.digest.label_digests`.
 LABELS = ("names", "times", "world")
 
 

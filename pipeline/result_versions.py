@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pipeline.sections import Sections
+from scanloom.pipeline.sections import Sections
 
 Versions = Callable[[Mapping[str, Any], Sections], Mapping[str, int]]
 

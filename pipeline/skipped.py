@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from stages.diagnostics.collector import emit
-from stages.printing import counted
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.printing import counted
+from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
 
 
 def emit_skipped(skipped: Sequence[Mapping[str, Any]]) -> None:

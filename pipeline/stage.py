@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from pipeline.cache.entry import Entry, Recipe
-from pipeline.expectation import Cost
-from pipeline.sections import Sections
-from stages.progress import Progress
-from stages.scans.model.scan import Scan
+from scanloom.pipeline.cache.entry import Entry, Recipe
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.sections import Sections
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.scan import Scan
 
 Inputs = TypeVar("Inputs")
 Params = TypeVar("Params")

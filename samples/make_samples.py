@@ -24,9 +24,9 @@ import numpy as np
 from scene import Scene
 from sensors import measure_depth, photograph
 
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame, Pose, StereoRig
-from stages.surface.formats.ply import write_ply
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, StereoRig
+from scanloom.stages.surface.formats.ply import write_ply
 
 SEED = 7
 LEFT = Camera(480, 360, 432.4, 431.8, 243.1, 176.2, (-0.112, 0.041, 0.0006, -0.0004))

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.surface.mesh import Mesh
+from scanloom.stages._open3d import open3d
+from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scene import Floats, Scene
 
-from stages.scans.model.scan import Camera, Pose
+from scanloom.stages.scans.model.scan import Camera, Pose
 
 _FINE = 2  # rays a pixel and direction: keeps fine texture from aliasing
 _BLUR = 0.55  # pixels, standard deviation of the lens's blur

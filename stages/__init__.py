@@ -1,6 +1,6 @@
 """Stages of the scan pipeline, as plain functions on in-memory data.
 
->>> from stages import clean, depth, fuse, read_scan, simplify
+>>> from scanloom import clean, depth, fuse, read_scan, simplify
 >>> fused = fuse(read_scan("my_scan"))
 >>> light = simplify(clean(fused.mesh).mesh, ratio=0.1).mesh
 
@@ -21,67 +21,73 @@ if __name__ == "stages":
 # For editors and type checkers. `PYTHONPATH=.:docs python -m making.keywords` writes these imports and
 # `__all__` from `_NAMES_OF`, from which names are fetched while the program runs.
 if TYPE_CHECKING:
-    from stages.adjusting.adjust import AdjustParams, adjust
-    from stages.adjusting.adjusted import Adjusted
-    from stages.cleaning.check import Checked, CheckParams, check
-    from stages.cleaning.clean import Cleaned, CleanParams, clean
-    from stages.cleaning.repair import Repaired, RepairParams, repair
-    from stages.comparing.align import Alignment, align
-    from stages.comparing.certify import Certificate, CertifyParams, certify
-    from stages.comparing.change import ChangeParams, Changes, changes
-    from stages.comparing.compare import CompareParams, Comparison, compare
-    from stages.comparing.deviations import DeviationParams, Deviations, deviations
-    from stages.diagnostics.collector import DiagnosticWarning, collecting
-    from stages.diagnostics.diagnostic import Diagnostic, Severity
-    from stages.diagnostics.errors import InputError, MeshError, ScanloomError, StageError, UsageError
-    from stages.exporting.export import Exported, ExportParams, export
-    from stages.exporting.presets import preset
-    from stages.fusion.fuse import Fused, fuse
-    from stages.fusion.params import FuseParams
-    from stages.inspecting.coverage.coverage import coverage
-    from stages.inspecting.coverage.covered import Coverage
-    from stages.inspecting.coverage.params import CoverageParams
-    from stages.inspecting.coverage.place import Place
-    from stages.inspecting.inspect import inspect
-    from stages.inspecting.inspection import Inspection
-    from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
-    from stages.normal_meshes.remesh import RemeshParams, remesh
-    from stages.picturing.compare_views import ViewComparison, ViewsParams, compare_views
-    from stages.picturing.render import Viewpoint, render
-    from stages.picturing.show import Page, show
-    from stages.picturing.viewpoints import viewpoints
-    from stages.registration.params import RegisterParams
-    from stages.registration.register import register
-    from stages.registration.registered import Registration
-    from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
-    from stages.scans.params import ScanParams
-    from stages.scans.read import read_scan
-    from stages.simplification.certified.params import CertifiedParams
-    from stages.simplification.jia01.params import Jia01Params
-    from stages.simplification.planar.params import PatchParams, PlanarParams
-    from stages.simplification.planar.patches import Patches
-    from stages.simplification.planar.run import planar_patches
-    from stages.simplification.records.load import load_record
-    from stages.simplification.records.record import CollapseRecord
-    from stages.simplification.records.steps import ReplayParams
-    from stages.simplification.regions import Box, Sphere
-    from stages.simplification.seams.params import SeamsParams
-    from stages.simplification.simplify import Simplified, SimplifyParams, simplify
-    from stages.simplification.tradeoff import Tradeoff, TradeoffParams, tradeoff
-    from stages.stereo.completed_scan import completed_scan
-    from stages.stereo.depth import DepthParams, depth, depth_scan
-    from stages.stereo.depth_map import DepthMap
-    from stages.stereo.disparity import Disparity, stereo_disparity
-    from stages.stereo.params import SgbmParams
-    from stages.stereo.views_depth import views_depth
-    from stages.surface.cloud_files import read_cloud
-    from stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
-    from stages.surface.mesh import Mesh
-    from stages.surface.mesh_files import read_mesh, write_mesh
-    from stages.surface.texture import Image, Material, Texture
-    from stages.surface.topology import Topology, topology
-    from stages.texturing.bake import Baked, BakeParams, bake
-    from stages.texturing.texture import Textured, TextureParams, texture
+    from scanloom.stages.adjusting.adjust import AdjustParams, adjust
+    from scanloom.stages.adjusting.adjusted import Adjusted
+    from scanloom.stages.cleaning.check import Checked, CheckParams, check
+    from scanloom.stages.cleaning.clean import Cleaned, CleanParams, clean
+    from scanloom.stages.cleaning.repair import Repaired, RepairParams, repair
+    from scanloom.stages.comparing.align import Alignment, align
+    from scanloom.stages.comparing.certify import Certificate, CertifyParams, certify
+    from scanloom.stages.comparing.change import ChangeParams, Changes, changes
+    from scanloom.stages.comparing.compare import CompareParams, Comparison, compare
+    from scanloom.stages.comparing.deviations import DeviationParams, Deviations, deviations
+    from scanloom.stages.diagnostics.collector import DiagnosticWarning, collecting
+    from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
+    from scanloom.stages.diagnostics.errors import (
+        InputError,
+        MeshError,
+        ScanloomError,
+        StageError,
+        UsageError,
+    )
+    from scanloom.stages.exporting.export import Exported, ExportParams, export
+    from scanloom.stages.exporting.presets import preset
+    from scanloom.stages.fusion.fuse import Fused, fuse
+    from scanloom.stages.fusion.params import FuseParams
+    from scanloom.stages.inspecting.coverage.coverage import coverage
+    from scanloom.stages.inspecting.coverage.covered import Coverage
+    from scanloom.stages.inspecting.coverage.params import CoverageParams
+    from scanloom.stages.inspecting.coverage.place import Place
+    from scanloom.stages.inspecting.inspect import inspect
+    from scanloom.stages.inspecting.inspection import Inspection
+    from scanloom.stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
+    from scanloom.stages.normal_meshes.remesh import RemeshParams, remesh
+    from scanloom.stages.picturing.compare_views import ViewComparison, ViewsParams, compare_views
+    from scanloom.stages.picturing.render import Viewpoint, render
+    from scanloom.stages.picturing.show import Page, show
+    from scanloom.stages.picturing.viewpoints import viewpoints
+    from scanloom.stages.registration.params import RegisterParams
+    from scanloom.stages.registration.register import register
+    from scanloom.stages.registration.registered import Registration
+    from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+    from scanloom.stages.scans.params import ScanParams
+    from scanloom.stages.scans.read import read_scan
+    from scanloom.stages.simplification.certified.params import CertifiedParams
+    from scanloom.stages.simplification.jia01.params import Jia01Params
+    from scanloom.stages.simplification.planar.params import PatchParams, PlanarParams
+    from scanloom.stages.simplification.planar.patches import Patches
+    from scanloom.stages.simplification.planar.run import planar_patches
+    from scanloom.stages.simplification.records.load import load_record
+    from scanloom.stages.simplification.records.record import CollapseRecord
+    from scanloom.stages.simplification.records.steps import ReplayParams
+    from scanloom.stages.simplification.regions import Box, Sphere
+    from scanloom.stages.simplification.seams.params import SeamsParams
+    from scanloom.stages.simplification.simplify import Simplified, SimplifyParams, simplify
+    from scanloom.stages.simplification.tradeoff import Tradeoff, TradeoffParams, tradeoff
+    from scanloom.stages.stereo.completed_scan import completed_scan
+    from scanloom.stages.stereo.depth import DepthParams, depth, depth_scan
+    from scanloom.stages.stereo.depth_map import DepthMap
+    from scanloom.stages.stereo.disparity import Disparity, stereo_disparity
+    from scanloom.stages.stereo.params import SgbmParams
+    from scanloom.stages.stereo.views_depth import views_depth
+    from scanloom.stages.surface.cloud_files import read_cloud
+    from scanloom.stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
+    from scanloom.stages.surface.mesh import Mesh
+    from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+    from scanloom.stages.surface.texture import Image, Material, Texture
+    from scanloom.stages.surface.topology import Topology, topology
+    from scanloom.stages.texturing.bake import Baked, BakeParams, bake
+    from scanloom.stages.texturing.texture import Textured, TextureParams, texture
 
     __version__: str
 
@@ -155,7 +161,7 @@ _NAMES_OF = {
     "texturing.bake": ("Baked", "BakeParams", "bake"),
     "texturing.texture": ("TextureParams", "Textured", "texture"),
 }
-_MODULE_OF = {name: f"stages.{module}" for module, names in _NAMES_OF.items() for name in names}
+_MODULE_OF = {name: f"scanloom.stages.{module}" for module, names in _NAMES_OF.items() for name in names}
 
 __all__ = [
     "AdjustParams",
@@ -284,7 +290,7 @@ if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
         if name == "__version__":
-            value = import_module("stages.files.written_by").installed_version()
+            value = import_module("scanloom.stages.files.written_by").installed_version()
         elif name in _MODULE_OF:
             value = getattr(import_module(_MODULE_OF[name]), name)
         else:

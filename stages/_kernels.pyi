@@ -1,4 +1,4 @@
-"""Mesh kernels in Rust. Private: `stages.simplification.simplify` is the way in."""
+"""Mesh kernels in Rust. Private: `scanloom.stages.simplification.simplify` is the way in."""
 
 from collections.abc import Callable, Sequence
 from typing import TypeAlias, final

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.codes import MACHINE_LIBRARY_MISSING
-from stages.diagnostics.errors import StageError, is_lack_of_memory
-from stages.files.room import require_room
+from scanloom.stages.diagnostics.codes import MACHINE_LIBRARY_MISSING
+from scanloom.stages.diagnostics.errors import StageError, is_lack_of_memory
+from scanloom.stages.files.room import require_room
 
 # The system libraries Open3D links to, and the Debian package that brings each.
 _DEBIAN_PACKAGES = {

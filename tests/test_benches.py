@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.scans.model.poses import inverted
-from stages.surface.mesh import Mesh
-from stages.surface.topology import topology
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import topology
 
 ROOT = Path(__file__).resolve().parents[1]
 MAP = np.arange(8 * 16 * 3, dtype=np.uint8).reshape(8, 16, 3) % 200
@@ -239,7 +239,7 @@ def test_growth_is_relative_to_n_log_n(speed: ModuleType):
 def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
     meshes: ModuleType, at_a_bound: ModuleType, monkeypatch: pytest.MonkeyPatch
 ):
-    from stages.simplification.simplify import simplify
+    from scanloom.stages.simplification.simplify import simplify
 
     globe = meshes.globe(12, MAP)
     light = simplify(globe, ratio=0.2).mesh
@@ -263,7 +263,7 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
 
 
 def test_finding_more_than_is_proven_is_an_error(meshes: ModuleType, at_a_bound: ModuleType):
-    from stages.simplification.simplify import simplify
+    from scanloom.stages.simplification.simplify import simplify
 
     globe = meshes.globe(12, MAP)
     ours = simplify(globe, max_shape=0.02, max_color=40)
@@ -409,7 +409,7 @@ def reconstruction() -> ModuleType:
 
 def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float, float]:
     """Largest distance, metres, and angle, radians, to true poses, in the first camera's world."""
-    from stages.registration.motion import angle
+    from scanloom.stages.registration.motion import angle
 
     first = inverted(truth[0].world_from_camera)
     off = [inverted(poses[i]) @ first @ frame.world_from_camera for i, frame in enumerate(truth)]

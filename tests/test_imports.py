@@ -43,7 +43,7 @@ OF_EXTRAS = {
     "stages/picturing/plots.py": {"matplotlib": "matplotlib"},
 }
 # Generated; no module imports it while the program runs.
-KEYWORDS = "stages.params.keywords"
+KEYWORDS = "scanloom.stages.params.keywords"
 HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
 
 

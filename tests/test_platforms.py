@@ -35,15 +35,15 @@ import importlib, sys
 from pathlib import Path
 rooms = ("stages", "pipeline", "cli")
 files = [path for room in rooms for path in Path(room).rglob("*.py") if "node_modules" not in path.parts]
-others = {"pipeline.cache.posix"}
+others = {"scanloom.pipeline.cache.posix"}
 names = {".".join(("scanloom", *path.with_suffix("").parts)).removesuffix(".__init__") for path in files}
 names -= others
 for name in sorted(names):
     importlib.import_module(name)
 assert all(sys.modules[name] is None for name in MISSING_MODULES)
-assert "pipeline.cache.windows" in sys.modules and "pipeline.cache.posix" not in sys.modules
+assert "scanloom.pipeline.cache.windows" in sys.modules and "scanloom.pipeline.cache.posix" not in sys.modules
 print(len(names))
-from stages.inspecting.machine import machine
+from scanloom.stages.inspecting.machine import machine
 told = machine()
 assert told["memory_total_bytes"] == 8 << 30 and told["memory_available_bytes"] == 5 << 30
 assert ["Linux" in told["oddities"][0], "260 characters" in told["oddities"][1]] == [True, True], told

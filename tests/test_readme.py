@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from small_sample import write_small_sample
 
-from pipeline.config import Config
-from stages.params import describe_all
+from scanloom.pipeline.config import Config
+from scanloom.stages.params import describe_all
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text()
@@ -44,7 +44,7 @@ def test_its_python_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys
 def test_every_command_it_names_exists():
     from typer.main import get_command
 
-    from cli.app import app
+    from scanloom.cli.app import app
 
     known = set(get_command(app()).commands)  # type: ignore[attr-defined]
     named = set(re.findall(r"(?:^|`)scanloom ([a-z]+)", MANUAL, flags=re.MULTILINE))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from small_sample import write_small_sample
 
-from stages import UsageError, read_mesh, topology, write_mesh
+from scanloom import UsageError, read_mesh, topology, write_mesh
 
 ROOT = Path(__file__).resolve().parents[1]
 RECIPES = ROOT / "docs" / "recipes"
@@ -101,7 +101,7 @@ def test_a_notebook_of_its_cells_runs_and_shows(tmp_path: Path, monkeypatch: pyt
 def test_the_snakefile_calls_run_with_words_it_understands() -> None:
     from typer.main import get_command
 
-    from cli.app import app
+    from scanloom.cli.app import app
 
     rule = (RECIPES / "Snakefile").read_text().partition("shell:")[2]
     command = "".join(re.findall(r'"([^"]*)"', rule)).partition("scanloom run ")[2].partition("2>")[0]

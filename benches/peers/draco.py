@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh import Mesh
 
 # One of these gives the smallest file; which of them depends on the bits.
 LEVELS = (7, 10)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from peers.tools import OURS, TOOLS
-from stages.surface.topology import Topology
+from scanloom.stages.surface.topology import Topology
 
 # Fewer triangles make any result worse; a tool may end this much above another and still compare.
 SAME_COUNT = 1.01

@@ -17,12 +17,12 @@ import numpy as np
 
 from peers import native
 from peers.native import Missing
-from stages._open3d import open3d
-from stages.diagnostics.errors import StageError
-from stages.simplification.color_weight import color_weight
-from stages.simplification.simplify import simplify
-from stages.surface.convert import as_mesh, to_open3d, to_open3d_legacy
-from stages.surface.mesh import Mesh
+from scanloom.stages._open3d import open3d
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.simplification.color_weight import color_weight
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.convert import as_mesh, to_open3d, to_open3d_legacy
+from scanloom.stages.surface.mesh import Mesh
 
 Prepared = tuple[Callable[[], Any], Callable[[Any], Mesh]]
 

@@ -1,1 +1,1 @@
-"""The commands, one a file; `cli.app` has the table of them."""
+"""The commands, one a file; `scanloom.cli.app` has the table of them."""

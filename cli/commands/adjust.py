@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.output import Output
-from cli.paths import new_folder
-from cli.scan_argument import ScanFolder, read_scan
-from stages import AdjustParams, InputError, ScanParams
-from stages.scans.codes import SCAN_DEPTH_MISSING
-from stages.scans.read import require_complete
+from scanloom import stages
+from scanloom.cli.output import Output
+from scanloom.cli.paths import new_folder
+from scanloom.cli.scan_argument import ScanFolder, read_scan
+from scanloom.stages import AdjustParams, InputError, ScanParams
+from scanloom.stages.scans.codes import SCAN_DEPTH_MISSING
+from scanloom.stages.scans.read import require_complete
 
 
 def adjust(
@@ -37,7 +37,7 @@ def adjust(
 
     Example: scanloom adjust my_scan better
     """
-    from pipeline.artifacts.adjusted_cameras import write_adjusted
+    from scanloom.pipeline.artifacts.adjusted_cameras import write_adjusted
 
     source = read_scan(folder, scan, complete=False)
     if source.is_stereo or source.is_views:

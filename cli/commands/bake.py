@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
-from cli.mesh_arguments import read_file
-from cli.output import Output
-from cli.overlap import require_overlap
-from cli.paths import require_new_file
-from stages import BakeParams
+from scanloom.cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
+from scanloom.cli.mesh_arguments import read_file
+from scanloom.cli.output import Output
+from scanloom.cli.overlap import require_overlap
+from scanloom.cli.paths import require_new_file
+from scanloom.stages import BakeParams
 
 
 def bake(

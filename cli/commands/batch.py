@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.batch_dry_run import tell_dry_run
-from cli.batch_options import (
+from scanloom.cli.batch_dry_run import tell_dry_run
+from scanloom.cli.batch_options import (
     AUTO,
     JobsOption,
     TakeOverOption,
@@ -19,14 +19,14 @@ from cli.batch_options import (
     jobs_wanted,
     worker_of,
 )
-from cli.batch_result import tell_batch
-from cli.batch_watch import watching_batch
-from cli.codes import BATCH_OPTIONS_CONFLICT
-from cli.options import Changes
-from cli.output import Output
-from cli.paths import require_writable
-from cli.quality import QualityOption
-from cli.run_options import (
+from scanloom.cli.batch_result import tell_batch
+from scanloom.cli.batch_watch import watching_batch
+from scanloom.cli.codes import BATCH_OPTIONS_CONFLICT
+from scanloom.cli.options import Changes
+from scanloom.cli.output import Output
+from scanloom.cli.paths import require_writable
+from scanloom.cli.quality import QualityOption
+from scanloom.cli.run_options import (
     CacheOption,
     ConfigOption,
     DiskOption,
@@ -40,15 +40,15 @@ from cli.run_options import (
     bytes_or_none,
     run_config,
 )
-from pipeline.batch.codes import BATCH_ALREADY_EXISTS, BATCH_DASK, BATCH_SCANS_NOT_DONE
-from stages import ScanParams
-from stages.diagnostics.errors import InputError, UsageError
+from scanloom.pipeline.batch.codes import BATCH_ALREADY_EXISTS, BATCH_DASK, BATCH_SCANS_NOT_DONE
+from scanloom.stages import ScanParams
+from scanloom.stages.diagnostics.errors import InputError, UsageError
 
 DASK_PANEL = "Dask"
 
 if TYPE_CHECKING:
-    from pipeline.batch.finding import NoScan
-    from pipeline.config import Config
+    from scanloom.pipeline.batch.finding import NoScan
+    from scanloom.pipeline.config import Config
 
 
 def batch(
@@ -133,11 +133,11 @@ def batch(
 
     Example: scanloom batch scans -o out --memory '16 GB' --set simplify.max_shape=0.005
     """
-    from pipeline.batch.opening import open_queue
-    from pipeline.batch.outputs import require_replaceable, withdraw_outputs
-    from pipeline.batch.queue import Settings, jobs_of
-    from pipeline.own_paths import from_there
-    from pipeline.run.run import cache_folder
+    from scanloom.pipeline.batch.opening import open_queue
+    from scanloom.pipeline.batch.outputs import require_replaceable, withdraw_outputs
+    from scanloom.pipeline.batch.queue import Settings, jobs_of
+    from scanloom.pipeline.own_paths import from_there
+    from scanloom.pipeline.run.run import cache_folder
 
     sizes = bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk")
     jobs_wanted(jobs)
@@ -187,7 +187,7 @@ def batch(
         return
     with ending_as_interrupted(), watching_batch(out) as tell:
         if scheduler is not None:
-            from pipeline.batch.dask import work_by_dask
+            from scanloom.pipeline.batch.dask import work_by_dask
 
             work_by_dask(
                 queue,
@@ -234,7 +234,7 @@ def _portable(config: Config) -> Config:
 
 
 def _require_stages(until: str | None, force: list[str] | None) -> None:
-    from pipeline.run.run import require_stages
+    from scanloom.pipeline.run.run import require_stages
 
     require_stages([*(force or ()), *([until] if until is not None else [])])
 
@@ -246,7 +246,7 @@ def _found(
     exclude: list[str] | None,
     besides: list[Path],
 ) -> tuple[list[tuple[Path, str]], list[NoScan]]:
-    from pipeline.batch.finding import find_scans
+    from scanloom.pipeline.batch.finding import find_scans
 
     found, others = find_scans(
         folder,

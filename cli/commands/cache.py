@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.exit_codes import FAILED
-from cli.output import Output, size_of, table_of
-from pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
-from stages import InputError, UsageError
-from stages.params import check, param
+from scanloom.cli.exit_codes import FAILED
+from scanloom.cli.output import Output, size_of, table_of
+from scanloom.pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
+from scanloom.stages import InputError, UsageError
+from scanloom.stages.params import check, param
 
 if TYPE_CHECKING:
-    from pipeline.cache.store import Cache, Listed
+    from scanloom.pipeline.cache.store import Cache, Listed
 
 
 CacheFolder = Annotated[
@@ -80,7 +80,7 @@ def prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
 
     Example: scanloom cache prune --max-size "20 GB"
     """
-    from pipeline.cache.cache_size import bytes_of
+    from scanloom.pipeline.cache.cache_size import bytes_of
 
     cache = _open(folder)
     removed = cache.prune(
@@ -94,8 +94,8 @@ def prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
 
 
 def _open(folder: Path | None) -> Cache:
-    from pipeline.cache.store import Cache
-    from pipeline.run.run import CACHE_VARIABLE, cache_folder
+    from scanloom.pipeline.cache.store import Cache
+    from scanloom.pipeline.run.run import CACHE_VARIABLE, cache_folder
 
     if folder is None and CACHE_VARIABLE not in os.environ:
         raise UsageError(

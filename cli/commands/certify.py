@@ -8,15 +8,15 @@ from typing import Annotated, Any
 
 import typer
 
-import stages
-from cli.mesh_arguments import read_file
-from cli.output import Output, table_of
-from cli.paths import require_new_file
-from cli.written_bounds import SaveBounds, write_bounds
-from stages import CertifyParams
-from stages.diagnostics.collector import emit
-from stages.printing import at_least, at_most
-from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
+from scanloom import stages
+from scanloom.cli.mesh_arguments import read_file
+from scanloom.cli.output import Output, table_of
+from scanloom.cli.paths import require_new_file
+from scanloom.cli.written_bounds import SaveBounds, write_bounds
+from scanloom.stages import CertifyParams
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.printing import at_least, at_most
+from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
 
 
 def certify(

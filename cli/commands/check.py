@@ -7,15 +7,15 @@ from typing import Annotated, Any
 
 import typer
 
-import stages
-from cli.irregular_places import SavePlaces, SavePly, place_lists, write_coloured
-from cli.mesh_arguments import MeshFile, about_file, read_file
-from cli.output import Output, table_of
-from cli.paths import require_new_file
-from stages import Checked, CheckParams
-from stages.cleaning.check import CLASSES, REQUIREMENTS, require_answerable
-from stages.diagnostics.collector import emit
-from stages.files.replacing import replacing
+from scanloom import stages
+from scanloom.cli.irregular_places import SavePlaces, SavePly, place_lists, write_coloured
+from scanloom.cli.mesh_arguments import MeshFile, about_file, read_file
+from scanloom.cli.output import Output, table_of
+from scanloom.cli.paths import require_new_file
+from scanloom.stages import Checked, CheckParams
+from scanloom.stages.cleaning.check import CLASSES, REQUIREMENTS, require_answerable
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files.replacing import replacing
 
 
 def check(

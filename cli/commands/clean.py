@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import stages
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
-from cli.output import Output, lines_of, table_of
-from cli.paths import MESH_SUFFIXES, require_new_file
-from stages import CleanParams
+from scanloom import stages
+from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
+from scanloom.cli.output import Output, lines_of, table_of
+from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
+from scanloom.stages import CleanParams
 
 
 def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -> None:

@@ -7,21 +7,21 @@ from typing import Annotated, Any
 
 import typer
 
-import stages
-from cli.comparison_text import comparison_text
-from cli.deviation_picture import write_deviation_picture
-from cli.mesh_arguments import about_file, read_file_or_cloud, write_file
-from cli.output import Output
-from cli.overlap import require_overlap
-from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
-from pipeline.report.comparison_page import page_of_comparison
-from stages import ChangeParams, CompareParams, DeviationParams, Mesh, UsageError, ViewsParams
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.files.replacing import replacing
-from stages.picturing.render import write_png
-from stages.surface.cloud import is_cloud
-from stages.surface.codes import COMPARE_POINT_CLOUD
-from stages.surface.mesh_files import SHAPE_ALONE, standing
+from scanloom import stages
+from scanloom.cli.comparison_text import comparison_text
+from scanloom.cli.deviation_picture import write_deviation_picture
+from scanloom.cli.mesh_arguments import about_file, read_file_or_cloud, write_file
+from scanloom.cli.output import Output
+from scanloom.cli.overlap import require_overlap
+from scanloom.cli.paths import MESH_SUFFIXES, require_new_file, require_writable
+from scanloom.pipeline.report.comparison_page import page_of_comparison
+from scanloom.stages import ChangeParams, CompareParams, DeviationParams, Mesh, UsageError, ViewsParams
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.picturing.render import write_png
+from scanloom.stages.surface.cloud import is_cloud
+from scanloom.stages.surface.codes import COMPARE_POINT_CLOUD
+from scanloom.stages.surface.mesh_files import SHAPE_ALONE, standing
 
 # Formats that keep the colours of a change.
 COLORED_SUFFIXES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SHAPE_ALONE)

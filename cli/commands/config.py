@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from cli.output import Output
-from cli.quality import QualityOption, config_of, quality_toml
+from scanloom.cli.output import Output
+from scanloom.cli.quality import QualityOption, config_of, quality_toml
 
 
 def config(
@@ -28,7 +28,7 @@ def config(
 
     Example: scanloom config > my.toml
     """
-    from pipeline.config import Config
+    from scanloom.pipeline.config import Config
 
     chosen = config_of(file, quality)
     figures = {name: asdict(getattr(chosen, name)) for name in Config.types()}

@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.options import Changes
-from cli.output import Output, table_of
-from cli.paths import require_scan
-from cli.watch import watching
-from stages import CoverageParams
-from stages.printing import counted, place_in_words
+from scanloom.cli.options import Changes
+from scanloom.cli.output import Output, table_of
+from scanloom.cli.paths import require_scan
+from scanloom.cli.watch import watching
+from scanloom.stages import CoverageParams
+from scanloom.stages.printing import counted, place_in_words
 
 
 def coverage(
@@ -47,9 +47,9 @@ def coverage(
 
     Example: scanloom coverage my_mesh
     """
-    from pipeline.run.again import run_again
-    from pipeline.steps.coverage import FILE
-    from stages.files.documents import read_json
+    from scanloom.pipeline.run.again import run_again
+    from scanloom.pipeline.steps.coverage import FILE
+    from scanloom.stages.files.documents import read_json
 
     if scan is not None:
         require_scan(scan)

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.mesh_arguments import NewMesh
-from cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
-from cli.output import Output
-from cli.paths import MESH_SUFFIXES, require_file, require_new_file, require_writable
-from stages.diagnostics.collector import emit
-from stages.lod.codes import LEVELS_FILE_DAMAGED
+from scanloom import stages
+from scanloom.cli.mesh_arguments import NewMesh
+from scanloom.cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
+from scanloom.cli.output import Output
+from scanloom.cli.paths import MESH_SUFFIXES, require_file, require_new_file, require_writable
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.lod.codes import LEVELS_FILE_DAMAGED
 
 
 def decode(

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.output import Output
-from cli.paths import new_folder
-from cli.scan_argument import ScanFolder, read_scan
-from pipeline.skipped import emit_skipped
-from stages import DepthParams, ScanParams
+from scanloom import stages
+from scanloom.cli.output import Output
+from scanloom.cli.paths import new_folder
+from scanloom.cli.scan_argument import ScanFolder, read_scan
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.stages import DepthParams, ScanParams
 
 
 def depth(
@@ -32,7 +32,7 @@ def depth(
 
     Example: scanloom depth my_pairs my_depth --max-depth 30
     """
-    from pipeline.artifacts.depth_maps import choose_matcher, write_depth_maps
+    from scanloom.pipeline.artifacts.depth_maps import choose_matcher, write_depth_maps
 
     source = read_scan(folder, scan)
     # Depth that was measured needs no matching; a network may fill it in.

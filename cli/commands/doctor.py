@@ -10,15 +10,15 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.output import Output, size_of, table_of
-from cli.paths import require_new_file
-from pipeline.report.file_names import REPORT
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.codes import FILE_PATH_INVALID
-from stages.files.opening import text_in
-from stages.files.replacing import replacing
-from stages.inspecting.machine import machine
+from scanloom.cli.output import Output, size_of, table_of
+from scanloom.cli.paths import require_new_file
+from scanloom.pipeline.report.file_names import REPORT
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.codes import FILE_PATH_INVALID
+from scanloom.stages.files.opening import text_in
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.inspecting.machine import machine
 
 
 def doctor(

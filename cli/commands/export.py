@@ -8,16 +8,16 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.mesh_arguments import MeshFile, about_file, read_standing
-from cli.options import Changes
-from cli.output import Output
-from cli.paths import require_writable
-from stages import ExportParams
-from stages.diagnostics.errors import InputError
-from stages.exporting.export import SUFFIXES, require_fitting
-from stages.exporting.presets import PRESETS, preset
-from stages.files.codes import FILE_PATH_INVALID
+from scanloom import stages
+from scanloom.cli.mesh_arguments import MeshFile, about_file, read_standing
+from scanloom.cli.options import Changes
+from scanloom.cli.output import Output
+from scanloom.cli.paths import require_writable
+from scanloom.stages import ExportParams
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.exporting.export import SUFFIXES, require_fitting
+from scanloom.stages.exporting.presets import PRESETS, preset
+from scanloom.stages.files.codes import FILE_PATH_INVALID
 
 
 def export(

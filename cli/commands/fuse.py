@@ -7,15 +7,15 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.mesh_arguments import write_file
-from cli.output import Output
-from cli.paths import MESH_SUFFIXES, require_new_file
-from cli.scan_argument import ScanFolder, read_scan
-from pipeline.skipped import emit_skipped
-from stages import FuseParams, InputError, ScanParams
-from stages.inspecting.sanity import require_poses
-from stages.scans.codes import SCAN_DEPTH_MISSING
+from scanloom import stages
+from scanloom.cli.mesh_arguments import write_file
+from scanloom.cli.output import Output
+from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
+from scanloom.cli.scan_argument import ScanFolder, read_scan
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.stages import FuseParams, InputError, ScanParams
+from scanloom.stages.inspecting.sanity import require_poses
+from scanloom.stages.scans.codes import SCAN_DEPTH_MISSING
 
 
 def fuse(

@@ -7,15 +7,15 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.output import Output
-from cli.paths import require_new_file, require_scan
-from cli.rendering import as_typed
-from cli.scan_argument import ScanFolder
-from stages import ScanParams
-from stages.diagnostics.collector import listening
-from stages.inspecting.picture import inspection_picture
-from stages.picturing.render import write_png
+from scanloom import stages
+from scanloom.cli.output import Output
+from scanloom.cli.paths import require_new_file, require_scan
+from scanloom.cli.rendering import as_typed
+from scanloom.cli.scan_argument import ScanFolder
+from scanloom.stages import ScanParams
+from scanloom.stages.diagnostics.collector import listening
+from scanloom.stages.inspecting.picture import inspection_picture
+from scanloom.stages.picturing.render import write_png
 
 
 def inspect(

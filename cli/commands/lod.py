@@ -8,18 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.baked import TEXTURED_SUFFIXES, baked_or_told, baked_text, baked_to
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, read_standing, write_file
-from cli.output import Output, size_of, table_of
-from cli.overlap import require_overlap
-from cli.paths import MESH_SUFFIXES, require_file, require_new_file
-from stages import BakeParams, UsageError, lod
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
-from stages.diagnostics.collector import emit
-from stages.lod import Hierarchy, LodParams
-from stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
-from stages.printing import at_most
-from stages.simplification.regions import parse_region
+from scanloom.cli.baked import TEXTURED_SUFFIXES, baked_or_told, baked_text, baked_to
+from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, read_standing, write_file
+from scanloom.cli.output import Output, size_of, table_of
+from scanloom.cli.overlap import require_overlap
+from scanloom.cli.paths import MESH_SUFFIXES, require_file, require_new_file
+from scanloom.stages import BakeParams, UsageError, lod
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.lod import Hierarchy, LodParams
+from scanloom.stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
+from scanloom.stages.printing import at_most
+from scanloom.stages.simplification.regions import parse_region
 
 Slod = Annotated[
     Path, typer.Argument(metavar="FILE", help="Levels of detail (.slod), from lod build.", show_default=False)

@@ -9,16 +9,16 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.mesh_arguments import about_file, read_file
-from cli.output import Output, size_of
-from cli.paths import require_file, require_writable
-from stages import UsageError, lod
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.collector import emit
-from stages.files.replacing_folder import require_replaceable_folder
-from stages.lod import TileImageParams, TilesParams
-from stages.lod.tiles import TILESET, WHAT, is_tileset
-from stages.printing import at_most
+from scanloom.cli.mesh_arguments import about_file, read_file
+from scanloom.cli.output import Output, size_of
+from scanloom.cli.paths import require_file, require_writable
+from scanloom.stages import UsageError, lod
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files.replacing_folder import require_replaceable_folder
+from scanloom.stages.lod import TileImageParams, TilesParams
+from scanloom.stages.lod.tiles import TILESET, WHAT, is_tileset
+from scanloom.stages.printing import at_most
 
 
 def tiles(

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-import stages
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
-from cli.output import Output, table_of
-from cli.paths import MESH_SUFFIXES, require_new_file
-from stages import PatchParams
-from stages.simplification.planar.patches import colored_by_patch
-from stages.surface.formats.ply import write_ply
+from scanloom import stages
+from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
+from scanloom.cli.output import Output, table_of
+from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
+from scanloom.stages import PatchParams
+from scanloom.stages.simplification.planar.patches import colored_by_patch
+from scanloom.stages.surface.formats.ply import write_ply
 
 
 def patches(source: MeshFile, target: NewMesh, params: PatchParams, out: Output) -> None:

@@ -7,15 +7,15 @@ from typing import Annotated
 
 import typer
 
-from cli.options import OUTPUT_PANEL
-from cli.output import Output
-from cli.paths import require_file
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.replacing import replacing
-from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID, DEPTH_NETWORK_UNIDENTIFIED
-from stages.stereo.networks.probe import probe_network
-from stages.stereo.networks.sidecar import sidecar_of, written
+from scanloom.cli.options import OUTPUT_PANEL
+from scanloom.cli.output import Output
+from scanloom.cli.paths import require_file
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID, DEPTH_NETWORK_UNIDENTIFIED
+from scanloom.stages.stereo.networks.probe import probe_network
+from scanloom.stages.stereo.networks.sidecar import sidecar_of, written
 
 
 def probe(

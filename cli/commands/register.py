@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.output import Output
-from cli.paths import new_folder
-from cli.scan_argument import ScanFolder, read_scan
-from pipeline.skipped import emit_skipped
-from stages import InputError, RegisterParams, ScanParams
-from stages.scans.codes import SCAN_DEPTH_MISSING
-from stages.scans.read import require_complete
+from scanloom import stages
+from scanloom.cli.output import Output
+from scanloom.cli.paths import new_folder
+from scanloom.cli.scan_argument import ScanFolder, read_scan
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.stages import InputError, RegisterParams, ScanParams
+from scanloom.stages.scans.codes import SCAN_DEPTH_MISSING
+from scanloom.stages.scans.read import require_complete
 
 
 def register(
@@ -35,7 +35,7 @@ def register(
 
     Example: scanloom register my_scan poses; scanloom fuse my_scan fused.ply --poses poses/trajectory.tum
     """
-    from pipeline.artifacts.poses import write_poses
+    from scanloom.pipeline.artifacts.poses import write_poses
 
     source = read_scan(folder, scan, complete=False)
     if source.is_stereo:

@@ -9,17 +9,17 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-import stages
-from cli.baked import baked_by_default
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file
-from cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
-from cli.output import Output, size_of
-from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
-from stages import InputError, RemeshParams
-from stages.diagnostics.collector import collecting, emit
-from stages.simplification.codes import SIMPLIFY_TEXTURE_LEFT_OUT
-from stages.surface.codes import MESH_CONFIDENCE_LEFT_OUT, MESH_NO_SURFACE
-from stages.surface.formats.ply import read_vertex_values
+from scanloom import stages
+from scanloom.cli.baked import baked_by_default
+from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file
+from scanloom.cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
+from scanloom.cli.output import Output, size_of
+from scanloom.cli.paths import MESH_SUFFIXES, require_new_file, require_writable
+from scanloom.stages import InputError, RemeshParams
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.simplification.codes import SIMPLIFY_TEXTURE_LEFT_OUT
+from scanloom.stages.surface.codes import MESH_CONFIDENCE_LEFT_OUT, MESH_NO_SURFACE
+from scanloom.stages.surface.formats.ply import read_vertex_values
 
 _SNM = (".snm",)
 

@@ -9,27 +9,27 @@ from typing import Annotated, Any
 
 import typer
 
-import stages
-from cli.mesh_arguments import read_file
-from cli.options import Changes
-from cli.output import Output
-from cli.paths import require_new_file
-from cli.scan_argument import read_scan
-from stages import Frame, Mesh, ScanParams, UsageError, Viewpoint
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
-from stages.diagnostics.collector import emit
-from stages.params import check, param
-from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
-from stages.picturing.lettering import ScaleBar
-from stages.picturing.panels import Panels
-from stages.picturing.render import write_png
-from stages.picturing.turntable import turntable
-from stages.picturing.video import CODECS, write_video
-from stages.picturing.viewpoints import looking_at, up_or_own
-from stages.progress import Progress
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import ColorImage
-from stages.surface.upright import direction_of
+from scanloom import stages
+from scanloom.cli.mesh_arguments import read_file
+from scanloom.cli.options import Changes
+from scanloom.cli.output import Output
+from scanloom.cli.paths import require_new_file
+from scanloom.cli.scan_argument import read_scan
+from scanloom.stages import Frame, Mesh, ScanParams, UsageError, Viewpoint
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.params import check, param
+from scanloom.stages.picturing.codes import RENDER_NOTHING_TO_DRAW
+from scanloom.stages.picturing.lettering import ScaleBar
+from scanloom.stages.picturing.panels import Panels
+from scanloom.stages.picturing.render import write_png
+from scanloom.stages.picturing.turntable import turntable
+from scanloom.stages.picturing.video import CODECS, write_video
+from scanloom.stages.picturing.viewpoints import looking_at, up_or_own
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.surface.upright import direction_of
 
 _PICTURE, _VIDEO = ".png", ".mp4"
 _SUFFIXES = (_PICTURE, _VIDEO)

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.mesh_arguments import NewMesh, write_file
-from cli.output import Output
-from cli.paths import MESH_SUFFIXES, require_file, require_new_file
-from stages import ReplayParams
+from scanloom import stages
+from scanloom.cli.mesh_arguments import NewMesh, write_file
+from scanloom.cli.output import Output
+from scanloom.cli.paths import MESH_SUFFIXES, require_file, require_new_file
+from scanloom.stages import ReplayParams
 
 
 def replay(

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.options import Changes
-from cli.output import Output, size_of, table_of
-from cli.paths import require_scan, require_writable
-from cli.plot_option import plot_option, require_plot
-from cli.quality import QualityOption
-from cli.run_options import (
+from scanloom.cli.options import Changes
+from scanloom.cli.output import Output, size_of, table_of
+from scanloom.cli.paths import require_scan, require_writable
+from scanloom.cli.plot_option import plot_option, require_plot
+from scanloom.cli.quality import QualityOption
+from scanloom.cli.run_options import (
     CacheOption,
     ConfigOption,
     DiskOption,
@@ -26,13 +26,13 @@ from cli.run_options import (
     bytes_or_none,
     run_config,
 )
-from cli.watch import watching
-from stages import ScanParams, UsageError
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.cli.watch import watching
+from scanloom.stages import ScanParams, UsageError
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 
 if TYPE_CHECKING:
-    from pipeline.run.dry_run import DryRun
-    from pipeline.run.run import RunResult
+    from scanloom.pipeline.run.dry_run import DryRun
+    from scanloom.pipeline.run.run import RunResult
 
 
 def run(
@@ -90,9 +90,9 @@ def run(
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """
-    from pipeline.run.dry_run import foresee
-    from pipeline.run.limits import Limits
-    from pipeline.run.run import run as run_pipeline
+    from scanloom.pipeline.run.dry_run import foresee
+    from scanloom.pipeline.run.limits import Limits
+    from scanloom.pipeline.run.run import run as run_pipeline
 
     require_scan(scan)
     if dry_run and plot is not None:
@@ -121,7 +121,7 @@ def run(
 
 def _plot(path: Path, result: RunResult) -> None:
     """Draw the seconds of each stage."""
-    from stages.picturing.plots import plot_seconds
+    from scanloom.stages.picturing.plots import plot_seconds
 
     seconds = {one.stage: float(one.made["seconds"]) for one in result.stages}
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,26 +10,26 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-import stages
-from cli.baked import TEXTURED_SUFFIXES, baked_text
-from cli.codes import SIMPLIFY_FILE_LARGER
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
-from cli.output import Output, lines_of
-from cli.paths import MESH_SUFFIXES, require_new_file
-from cli.rendering import option_name
-from cli.written_bounds import SaveBounds, write_bounds
-from stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.collector import collecting, emit
-from stages.exporting.export import GLTF
-from stages.exporting.same_packing import same_packing, stored_bytes
-from stages.params import resolve
-from stages.printing import at_most
-from stages.simplification.auto import chosen
-from stages.simplification.codes import SIMPLIFY_TEXTURE_LEFT_OUT
-from stages.simplification.methods import METHODS
-from stages.simplification.regions import parse_region
-from stages.surface.formats.gltf_packing import lattice_of
+from scanloom import stages
+from scanloom.cli.baked import TEXTURED_SUFFIXES, baked_text
+from scanloom.cli.codes import SIMPLIFY_FILE_LARGER
+from scanloom.cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
+from scanloom.cli.output import Output, lines_of
+from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
+from scanloom.cli.rendering import option_name
+from scanloom.cli.written_bounds import SaveBounds, write_bounds
+from scanloom.stages import ExportParams, Mesh, Simplified, SimplifyParams, UsageError
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.exporting.export import GLTF
+from scanloom.stages.exporting.same_packing import same_packing, stored_bytes
+from scanloom.stages.params import resolve
+from scanloom.stages.printing import at_most
+from scanloom.stages.simplification.auto import chosen
+from scanloom.stages.simplification.codes import SIMPLIFY_TEXTURE_LEFT_OUT
+from scanloom.stages.simplification.methods import METHODS
+from scanloom.stages.simplification.regions import parse_region
+from scanloom.stages.surface.formats.gltf_packing import lattice_of
 
 
 def simplify(

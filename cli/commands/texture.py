@@ -9,16 +9,16 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-import stages
-from cli.baked import TEXTURED_SUFFIXES
-from cli.mesh_arguments import about_file, read_file, write_file
-from cli.output import Output
-from cli.paths import new_folder, require_new_file
-from cli.scan_argument import ScanFolder, read_scan
-from pipeline.skipped import emit_skipped
-from stages import Mesh, Scan, ScanParams, TextureParams
-from stages.surface.upright import direction_of
-from stages.texturing.maps import write_maps
+from scanloom import stages
+from scanloom.cli.baked import TEXTURED_SUFFIXES
+from scanloom.cli.mesh_arguments import about_file, read_file, write_file
+from scanloom.cli.output import Output
+from scanloom.cli.paths import new_folder, require_new_file
+from scanloom.cli.scan_argument import ScanFolder, read_scan
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.stages import Mesh, Scan, ScanParams, TextureParams
+from scanloom.stages.surface.upright import direction_of
+from scanloom.stages.texturing.maps import write_maps
 
 
 def texture(
@@ -86,7 +86,7 @@ def _up_in(mesh: Mesh, scan: Scan) -> NDArray[np.float64] | None:
     """Return what is up by the mesh itself, or by the scan; None if neither tells."""
     if mesh.up is not None:
         return np.array(mesh.up)
-    from pipeline.steps.upright import up_in
+    from scanloom.pipeline.steps.upright import up_in
 
     found = up_in(mesh, scan)
     return None if found is None else found.direction

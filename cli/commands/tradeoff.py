@@ -7,15 +7,15 @@ from typing import Annotated
 
 import typer
 
-import stages
-from cli.mesh_arguments import MeshFile, about_file, read_file, write_file
-from cli.output import Output, table_of
-from cli.paths import MESH_SUFFIXES, require_new_file
-from cli.plot_option import plot_option, require_plot
-from stages import Tradeoff, TradeoffParams, UsageError
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.collector import emit
-from stages.simplification.codes import SIMPLIFY_TRADEOFF
+from scanloom import stages
+from scanloom.cli.mesh_arguments import MeshFile, about_file, read_file, write_file
+from scanloom.cli.output import Output, table_of
+from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
+from scanloom.cli.plot_option import plot_option, require_plot
+from scanloom.stages import Tradeoff, TradeoffParams, UsageError
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.simplification.codes import SIMPLIFY_TRADEOFF
 
 
 def tradeoff(
@@ -68,7 +68,7 @@ def tradeoff(
         save_record.parent.mkdir(parents=True, exist_ok=True)
         found.record.save(save_record)
     if plot is not None:
-        from stages.picturing.plots import plot_tradeoff
+        from scanloom.stages.picturing.plots import plot_tradeoff
 
         plot.parent.mkdir(parents=True, exist_ok=True)
         plot_tradeoff(plot, found)

@@ -10,17 +10,17 @@ from typing import Annotated
 
 import typer
 
-from cli.mesh_arguments import read_standing
-from cli.output import Output
-from cli.paths import require_new_file
-from pipeline.report.page import page_of_mesh, page_of_run
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.codes import FILE_PATH_INVALID
-from stages.files.replacing import replacing
-from stages.lod.tiles import TILESET
-from stages.picturing.page.files import INDEX, tiles_page
-from stages.picturing.page.serving import FolderServer
+from scanloom.cli.mesh_arguments import read_standing
+from scanloom.cli.output import Output
+from scanloom.cli.paths import require_new_file
+from scanloom.pipeline.report.page import page_of_mesh, page_of_run
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.codes import FILE_PATH_INVALID
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.lod.tiles import TILESET
+from scanloom.stages.picturing.page.files import INDEX, tiles_page
+from scanloom.stages.picturing.page.serving import FolderServer
 
 
 def view(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cli.batch_options import (
+from scanloom.cli.batch_options import (
     AUTO,
     JobsOption,
     TakeOverOption,
@@ -17,14 +17,14 @@ from cli.batch_options import (
     jobs_wanted,
     worker_of,
 )
-from cli.batch_result import tell_batch
-from cli.batch_watch import watching_batch
-from cli.output import Output
-from cli.paths import require_writable
-from cli.run_options import DiskOption, MemoryOption, bytes_or_none
-from pipeline.batch.codes import BATCH_ALREADY_EXISTS
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
+from scanloom.cli.batch_result import tell_batch
+from scanloom.cli.batch_watch import watching_batch
+from scanloom.cli.output import Output
+from scanloom.cli.paths import require_writable
+from scanloom.cli.run_options import DiskOption, MemoryOption, bytes_or_none
+from scanloom.pipeline.batch.codes import BATCH_ALREADY_EXISTS
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
 
 
 def worker(
@@ -56,7 +56,7 @@ def worker(
 
     Example: scanloom worker shared/out --jobs 4
     """
-    from pipeline.batch.queue import standing_queue
+    from scanloom.pipeline.batch.queue import standing_queue
 
     jobs_wanted(jobs)
     sizes = bytes_or_none(memory, "--memory"), bytes_or_none(disk, "--disk")
@@ -79,7 +79,7 @@ def worker(
 
 def require_version(version: str) -> None:
     """Warn of a queue that another version has written: its results may be other bytes."""
-    from stages import __version__
+    from scanloom.stages import __version__
 
     if version != __version__:
         emit(

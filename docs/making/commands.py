@@ -9,8 +9,8 @@ from typing import Any
 
 from typer.main import get_command
 
-from cli.app import app
 from making.markdown import code, definitions, escaped
+from scanloom.cli.app import app
 
 
 def reference() -> str:

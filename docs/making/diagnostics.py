@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.diagnostics.diagnostic import Code, declared_codes
+from scanloom.stages.diagnostics.diagnostic import Code, declared_codes
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("cli", "pipeline", "stages")

@@ -19,8 +19,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import stages
-from stages.params import described, find_nested
+from scanloom import stages
+from scanloom.stages.params import described, find_nested
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYWORDS = ROOT / "stages" / "params" / "keywords.py"
@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, TypedDict
 if TYPE_CHECKING:
 '''
 # Classes that are no parameter classes, and whose fields are keywords all the same.
-_OTHERS = ("stages.surface.mesh.Mesh",)
+_OTHERS = ("scanloom.stages.surface.mesh.Mesh",)
 _BUILTIN = frozenset(("bool", "dict", "float", "int", "list", "object", "str", "tuple"))
 _IMPORTS = re.compile(r"(?<=\nif TYPE_CHECKING:\n).*?(?=\n    __version__: str\n)", re.DOTALL)
 _ALL = re.compile(r"(?<=\n__all__ = \[\n).*?(?=\])", re.DOTALL)

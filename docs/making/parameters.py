@@ -8,10 +8,10 @@ from itertools import groupby
 from typing import Any
 
 from making.markdown import definitions, escaped
-from pipeline.config import Config
-from pipeline.quality import QUALITIES
-from pipeline.sections import facts_of
-from stages.params import Described, describe_all, flatten, get_group, get_hint, get_value
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.quality import QUALITIES
+from scanloom.pipeline.sections import facts_of
+from scanloom.stages.params import Described, describe_all, flatten, get_group, get_hint, get_value
 
 
 def of_section(section: str) -> str:

@@ -40,7 +40,9 @@ def main() -> None:
 
 
 def _scanloom(here: Path, words: str) -> None:
-    subprocess.run([sys.executable, "-m", "cli.app", *words.split(), "--quiet"], cwd=here, check=True)
+    subprocess.run(
+        [sys.executable, "-m", "scanloom.cli.app", *words.split(), "--quiet"], cwd=here, check=True
+    )
 
 
 def _drawn(here: Path, name: str) -> None:

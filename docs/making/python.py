@@ -1,4 +1,4 @@
-"""Public names of `scanloom` and `stages.lod`, by rooms: signatures and docstrings."""
+"""Public names of `scanloom` and `scanloom.stages.lod`, by rooms: signatures and docstrings."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from itertools import groupby
 from types import FunctionType, ModuleType
 from typing import Any
 
-import stages
 from making import parameters
 from making.docstrings import as_markdown
 from making.markdown import code, definitions, escaped
-from stages import lod
-from stages.params import describe_all
+from scanloom import stages
+from scanloom.stages import lod
+from scanloom.stages.params import describe_all
 
 # The rooms in the order of the pipeline, and what stands above each.
 ROOMS = {

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from stages import Camera, Mesh, Sphere, Viewpoint, check, lod, read_mesh, render, repair, write_mesh
-from stages._open3d import open3d
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import UsageError
-from stages.lod import measures
-from stages.lod.front import Region
-from stages.picturing.render import write_png
+from scanloom.stages import Camera, Mesh, Sphere, Viewpoint, check, lod, read_mesh, render, repair, write_mesh
+from scanloom.stages._open3d import open3d
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.lod import measures
+from scanloom.stages.lod.front import Region
+from scanloom.stages.picturing.render import write_png
 
 Floats = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.stage import Artifact
-from stages.adjusting.adjusted import Adjusted
-from stages.frames.rigid_pose import require_rigid_pose
-from stages.scans.model.scan import Camera, Frame, Scan
-from stages.scans.trajectory.files import write_tum
+from scanloom.pipeline.stage import Artifact
+from scanloom.stages.adjusting.adjusted import Adjusted
+from scanloom.stages.frames.rigid_pose import require_rigid_pose
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.scans.trajectory.files import write_tum
 
 _FILE = "cameras.json"
 

@@ -21,18 +21,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.stage import Artifact
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
-from stages.scans.model.threads import threads_to_use
-from stages.scans.read import read_scan
-from stages.stereo.completed_scan import completed_scan
-from stages.stereo.depth import DepthMap, depth_scan
-from stages.stereo.views_depth import views_depth
-from stages.surface.formats.ply import write_ply_cloud
+from scanloom.pipeline.stage import Artifact
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from scanloom.stages.scans.model.threads import threads_to_use
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.completed_scan import completed_scan
+from scanloom.stages.stereo.depth import DepthMap, depth_scan
+from scanloom.stages.stereo.views_depth import views_depth
+from scanloom.stages.surface.formats.ply import write_ply_cloud
 
 # Points in the cloud of a whole scan: enough to judge it by, and quick to open anywhere (15 bytes each).
 MAX_POINTS = 1_000_000
@@ -74,7 +74,7 @@ def write_depth_maps(
     Parameters
     ----------
     folder : an empty folder.
-    measured : as `stages.stereo.depth.depth_scan` yields them.
+    measured : as `scanloom.stages.stereo.depth.depth_scan` yields them.
     scan : whose frames they are.
 
     Raises

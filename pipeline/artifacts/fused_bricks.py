@@ -6,15 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache.digest import ScanDigest, digest, scan_digest
-from pipeline.cache.entry import Recipe
-from pipeline.stage import Context
-from stages.fusion.bricks import Cube
-from stages.scans.model.scan import Scan
+from scanloom.pipeline.cache.digest import ScanDigest, digest, scan_digest
+from scanloom.pipeline.cache.entry import Recipe
+from scanloom.pipeline.stage import Context
+from scanloom.stages.fusion.bricks import Cube
+from scanloom.stages.scans.model.scan import Scan
 
 
 class KeptBricks:
-    """The bricks of a scan; see stages.fusion.in_bricks.
+    """The bricks of a scan; see scanloom.stages.fusion.in_bricks.
 
     Parameters
     ----------

@@ -8,13 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from pipeline.stage import Artifact
-from stages.diagnostics.errors import StageError
-from stages.surface.codes import FUSE_TOO_LARGE
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of
-from stages.surface.piecewise import Piecewise, piecewise
+from scanloom.pipeline.stage import Artifact
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.surface.codes import FUSE_TOO_LARGE
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import MOST_AT_ONCE, Pieces, table_of
+from scanloom.stages.surface.piecewise import Piecewise, piecewise
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline.artifacts.adjusted_cameras import AdjustedCameras
-from pipeline.artifacts.depth_maps import DepthMaps
-from pipeline.artifacts.poses import Poses
-from stages.scans.model.scan import Scan
+from scanloom.pipeline.artifacts.adjusted_cameras import AdjustedCameras
+from scanloom.pipeline.artifacts.depth_maps import DepthMaps
+from scanloom.pipeline.artifacts.poses import Poses
+from scanloom.stages.scans.model.scan import Scan
 
 
 def load_frames(frames: Scan | DepthMaps) -> Scan:

@@ -19,18 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.artifacts.depth_maps import cloud_of
-from pipeline.own_paths import from_folder
-from pipeline.stage import Artifact
-from stages.diagnostics.errors import InputError
-from stages.files.image_bytes import encoded_gray_png
-from stages.frames.matching_color import read_matching_color
-from stages.frames.rigid_pose import require_rigid_pose
-from stages.registration.registered import Registration
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import ColorImage, Frame, Scan
-from stages.scans.trajectory.files import write_tum
-from stages.surface.formats.ply import write_ply_cloud
+from scanloom.pipeline.artifacts.depth_maps import cloud_of
+from scanloom.pipeline.own_paths import from_folder
+from scanloom.pipeline.stage import Artifact
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.image_bytes import encoded_gray_png
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.rigid_pose import require_rigid_pose
+from scanloom.stages.registration.registered import Registration
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import ColorImage, Frame, Scan
+from scanloom.stages.scans.trajectory.files import write_tum
+from scanloom.stages.surface.formats.ply import write_ply_cloud
 
 # Points in the cloud: enough to judge the poses by.
 _MAX_POINTS = 500_000

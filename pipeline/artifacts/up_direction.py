@@ -6,8 +6,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.stage import Artifact
-from stages.files.documents import read_document
+from scanloom.pipeline.stage import Artifact
+from scanloom.stages.files.documents import read_document
 
 # Unit vector.
 Up = tuple[float, float, float]

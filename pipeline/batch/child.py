@@ -20,18 +20,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from pipeline.batch.figures import figures_of, written_by
-from pipeline.batch.records import DONE, FAILED, UNMET, UNUSABLE
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from pipeline.failures import explained
-from pipeline.run.events import Event, StageProgress, StageStarted, Waiting
-from pipeline.run.limits import Limits
-from pipeline.run.needs import expected_of
-from pipeline.run.run import RunResult, Wanted, run_wanted, wanted_of
-from stages.diagnostics.collector import listening
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError, ScanloomError, UsageError, bug_explained
+from scanloom.pipeline.batch.figures import figures_of, written_by
+from scanloom.pipeline.batch.records import DONE, FAILED, UNMET, UNUSABLE
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.failures import explained
+from scanloom.pipeline.run.events import Event, StageProgress, StageStarted, Waiting
+from scanloom.pipeline.run.limits import Limits
+from scanloom.pipeline.run.needs import expected_of
+from scanloom.pipeline.run.run import RunResult, Wanted, run_wanted, wanted_of
+from scanloom.stages.diagnostics.collector import listening
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError, ScanloomError, UsageError, bug_explained
 
 # Seconds between two lines of progress.
 _PAUSE = 0.5

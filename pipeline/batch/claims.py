@@ -14,7 +14,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.files.opening import text_in
+from scanloom.stages.files.opening import text_in
 
 RELEASED, KILLED, CRASHED = "released", "killed", "crashed"
 _AT = "at "

@@ -18,15 +18,15 @@ from pathlib import Path
 from typing import Any
 
 import scanloom
-from pipeline.batch.claims import Claims
-from pipeline.batch.codes import BATCH_DASK
-from pipeline.batch.one import Task
-from pipeline.batch.queue import Queue
-from pipeline.batch.records import FAILED, Record, Records
-from pipeline.batch.told import Counted, JobEnded, Noted, Tell, untold
-from pipeline.failures import explained
-from stages.diagnostics.errors import InputError, StageError, UsageError
-from stages.scans.model.threads import environment_of
+from scanloom.pipeline.batch.claims import Claims
+from scanloom.pipeline.batch.codes import BATCH_DASK
+from scanloom.pipeline.batch.one import Task
+from scanloom.pipeline.batch.queue import Queue
+from scanloom.pipeline.batch.records import FAILED, Record, Records
+from scanloom.pipeline.batch.told import Counted, JobEnded, Noted, Tell, untold
+from scanloom.pipeline.failures import explained
+from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
+from scanloom.stages.scans.model.threads import environment_of
 
 # Systems that dask-jobqueue starts workers by, and its classes.
 SYSTEMS = {

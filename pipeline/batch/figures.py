@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from pipeline.run.run import RunResult
+from scanloom.pipeline.run.run import RunResult
 
 # Results a person opens first, the best of them first.
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply", "clean.ply", "fused.ply")

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from pipeline.batch.codes import BATCH_SCANS_NOT_DONE
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_LAYOUT_UNKNOWN
-from stages.scans.read import matching
-from stages.scans.table import LAYOUTS
+from scanloom.pipeline.batch.codes import BATCH_SCANS_NOT_DONE
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import SCAN_LAYOUT_UNKNOWN
+from scanloom.stages.scans.read import matching
+from scanloom.stages.scans.table import LAYOUTS
 
 # Files that are scans by themselves.
 _SUFFIXES = frozenset(suffix for one in LAYOUTS for suffix in one.suffixes)

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from stages.files.opening import text_in
+from scanloom.stages.files.opening import text_in
 
 _SUFFIX = ".alive"
 _ENDED = "ended"

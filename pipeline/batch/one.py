@@ -1,4 +1,4 @@
-"""Work on one job of a queue that an engine chose: a process that `pipeline.batch.dask` starts.
+"""Work on one job of a queue that an engine chose: a process that `scanloom.pipeline.batch.dask` starts.
 
 Where its stdin ends, whoever started it is gone; the job is then given back, for the engine to have it run
 elsewhere.
@@ -14,9 +14,9 @@ import threading
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pipeline.batch.queue import standing_queue
-from pipeline.batch.worker import Worker
-from stages.diagnostics.errors import ScanloomError
+from scanloom.pipeline.batch.queue import standing_queue
+from scanloom.pipeline.batch.worker import Worker
+from scanloom.stages.diagnostics.errors import ScanloomError
 
 
 @dataclass(frozen=True)

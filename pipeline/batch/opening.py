@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.batch.claims import RELEASED, Claim, Claims
-from pipeline.batch.codes import BATCH_ALREADY_EXISTS, BATCH_SCANS_NOT_DONE
-from pipeline.batch.heartbeat import Watch
-from pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue, standing_queue
-from pipeline.batch.records import FAILED, Records
-from pipeline.failures import explained
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import InputError
-from stages.printing import counted
+from scanloom.pipeline.batch.claims import RELEASED, Claim, Claims
+from scanloom.pipeline.batch.codes import BATCH_ALREADY_EXISTS, BATCH_SCANS_NOT_DONE
+from scanloom.pipeline.batch.heartbeat import Watch
+from scanloom.pipeline.batch.queue import Job, Queue, Settings, latest_number, new_queue, standing_queue
+from scanloom.pipeline.batch.records import FAILED, Records
+from scanloom.pipeline.failures import explained
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.printing import counted
 
 # Seconds that the workers of another batch are watched for, and between two looks; four of their beats.
 _WATCHED, _PAUSE = 9.0, 0.1

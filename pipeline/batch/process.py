@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import scanloom
-from stages.scans.model.threads import environment_of
+from scanloom.stages.scans.model.threads import environment_of
 
 # The folder that scanloom is imported from, installed or not: Python searches it first.
 _ROOT = Path(scanloom.__file__).parents[1]

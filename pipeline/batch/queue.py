@@ -2,9 +2,9 @@
 
     OUT/queue/0001/
       jobs.jsonl     the batch and a line for each job; written whole, then only read
-      claims/        who works on what (`pipeline.batch.claims`)
-      done/          what became of each job (`pipeline.batch.records`)
-      workers/       signs of life (`pipeline.batch.heartbeat`), and what workers said on stderr
+      claims/        who works on what (`scanloom.pipeline.batch.claims`)
+      done/          what became of each job (`scanloom.pipeline.batch.records`)
+      workers/       signs of life (`scanloom.pipeline.batch.heartbeat`), and what workers said on stderr
 
 The folder of the highest number holds the queue that stands; making the next one is the one step by which a
 batch begins, and only one of several can make it. Nothing is locked, and no file's time is looked at.
@@ -21,16 +21,16 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from pipeline.batch.codes import BATCH_QUEUE_DAMAGED
-from pipeline.batch.whole import write_whole
-from pipeline.cache.digest import digest
-from pipeline.failures import explained
-from pipeline.own_paths import from_there
-from stages import __version__
-from stages.diagnostics.errors import InputError
-from stages.files.documents import require_shallow
-from stages.files.inside import leads_inside
-from stages.files.opening import text_in
+from scanloom.pipeline.batch.codes import BATCH_QUEUE_DAMAGED
+from scanloom.pipeline.batch.whole import write_whole
+from scanloom.pipeline.cache.digest import digest
+from scanloom.pipeline.failures import explained
+from scanloom.pipeline.own_paths import from_there
+from scanloom.stages import __version__
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.documents import require_shallow
+from scanloom.stages.files.inside import leads_inside
+from scanloom.stages.files.opening import text_in
 
 FOLDER = "queue"
 _JOBS = "jobs.jsonl"
@@ -59,7 +59,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Settings:
-    """What is the same for all jobs of a batch; see `pipeline.run.run.run`.
+    """What is the same for all jobs of a batch; see `scanloom.pipeline.run.run.run`.
 
     Attributes
     ----------

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from pipeline.batch.claims import Claim
-from pipeline.batch.whole import write_whole
-from stages.diagnostics.diagnostic import Diagnostic, Severity
-from stages.files.opening import text_in
+from scanloom.pipeline.batch.claims import Claim
+from scanloom.pipeline.batch.whole import write_whole
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
+from scanloom.stages.files.opening import text_in
 
 # The states of a job; what is UNMET is written, and is not what was asked for.
 DONE, UNMET, FAILED, UNUSABLE = "done", "unmet", "failed", "unusable"

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from pipeline.batch.queue import Queue
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from pipeline.run.needs import expected_of
-from pipeline.run.run import wanted_of
-from stages.diagnostics.errors import ScanloomError
-from stages.inspecting.system import memory_bytes
+from scanloom.pipeline.batch.queue import Queue
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.needs import expected_of
+from scanloom.pipeline.run.run import wanted_of
+from scanloom.stages.diagnostics.errors import ScanloomError
+from scanloom.stages.inspecting.system import memory_bytes
 
 # Scans that are read to say what one needs.
 _SAMPLE = 8

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
-from pipeline.batch.claims import Claim
-from pipeline.batch.process import Process
-from pipeline.batch.queue import Job
+from scanloom.pipeline.batch.claims import Claim
+from scanloom.pipeline.batch.process import Process
+from scanloom.pipeline.batch.queue import Job
 
 
 @dataclass

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.batch.claims import Claims
-from pipeline.batch.queue import Queue
-from pipeline.batch.records import DONE, RUNNING, UNUSABLE, WAITING, Record, Records
+from scanloom.pipeline.batch.claims import Claims
+from scanloom.pipeline.batch.queue import Queue
+from scanloom.pipeline.batch.records import DONE, RUNNING, UNUSABLE, WAITING, Record, Records
 
 CSV, PARQUET = "batch.csv", "batch.parquet"
-# The columns of a row, each with the type of its values; figures by the names of `pipeline.batch.figures`.
+# The columns of a row, each with the type of its values; figures by the names of
+# `scanloom.pipeline.batch.figures`.
 _TOLD: Mapping[str, type] = {
     "scan": str,
     "state": str,

@@ -10,11 +10,11 @@ import time
 from collections import deque
 from collections.abc import Iterator
 
-from pipeline.batch.claims import CRASHED, Claim, Claims, Said
-from pipeline.batch.codes import BATCH_PROCESS_ENDED
-from pipeline.batch.heartbeat import Watch
-from pipeline.batch.queue import Queue
-from pipeline.batch.records import FAILED, Record, Records
+from scanloom.pipeline.batch.claims import CRASHED, Claim, Claims, Said
+from scanloom.pipeline.batch.codes import BATCH_PROCESS_ENDED
+from scanloom.pipeline.batch.heartbeat import Watch
+from scanloom.pipeline.batch.queue import Queue
+from scanloom.pipeline.batch.records import FAILED, Record, Records
 
 # A job is given up after so many tries that ended in one stage without a result, and so many that crashed.
 _MOST_TRIES, _MOST_CRASHES = 6, 2

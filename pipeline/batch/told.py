@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from pipeline.batch.records import Record
+from scanloom.pipeline.batch.records import Record
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from stages.files.moving import move
-from stages.files.replacing import draft_of
+from scanloom.stages.files.moving import move
+from scanloom.stages.files.replacing import draft_of
 
 
 def write_whole(path: Path, data: bytes) -> None:

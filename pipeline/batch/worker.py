@@ -1,7 +1,7 @@
 """A worker: takes jobs of a queue, one for each of its slots, until none is left.
 
-It only claims, watches and writes down; jobs run in processes of their own (`pipeline.batch.process`), so
-that no job can keep it from beating, or take it along.
+It only claims, watches and writes down; jobs run in processes of their own
+(`scanloom.pipeline.batch.process`), so that no job can keep it from beating, or take it along.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.batch.admission import Admission, Needs
-from pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
-from pipeline.batch.codes import BATCH_SCAN_STUCK, BATCH_WORKER_STOPPED
-from pipeline.batch.heartbeat import Heartbeat, Watch, name_of_worker
-from pipeline.batch.process import Message, Process
-from pipeline.batch.queue import Queue
-from pipeline.batch.records import FAILED, UNUSABLE, Record, Records
-from pipeline.batch.slot import Slot, Work
-from pipeline.batch.supply import Supply
-from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, untold
-from pipeline.cache.store import Cache
-from pipeline.failures import explained
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import StageError
+from scanloom.pipeline.batch.admission import Admission, Needs
+from scanloom.pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
+from scanloom.pipeline.batch.codes import BATCH_SCAN_STUCK, BATCH_WORKER_STOPPED
+from scanloom.pipeline.batch.heartbeat import Heartbeat, Watch, name_of_worker
+from scanloom.pipeline.batch.process import Message, Process
+from scanloom.pipeline.batch.queue import Queue
+from scanloom.pipeline.batch.records import FAILED, UNUSABLE, Record, Records
+from scanloom.pipeline.batch.slot import Slot, Work
+from scanloom.pipeline.batch.supply import Supply
+from scanloom.pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Noted, Tell, untold
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.failures import explained
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import StageError
 
 # A process is replaced after so many jobs: what libraries leave behind in memory does not pile up.
 _JOBS_A_PROCESS = 64

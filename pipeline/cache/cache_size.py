@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.params import check, param
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check, param
 
 # Of a thousand each, as disks are sold and `scanloom cache ls` shows sizes.
 _UNITS = {"kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.diagnostic import Code
 
 MACHINE_CACHE_UNUSABLE = Code(
     "machine.cache-unusable",

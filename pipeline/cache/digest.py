@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.own_paths import from_there, home
-from stages.diagnostics.codes import MACHINE_BUSY
-from stages.diagnostics.errors import StageError
-from stages.files.opening import opened
-from stages.progress import Progress, silent
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import Frame, Packed, Scan
-from stages.scans.model.threads import threads_to_use
+from scanloom.pipeline.own_paths import from_there, home
+from scanloom.stages.diagnostics.codes import MACHINE_BUSY
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.files.opening import opened
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import Frame, Packed, Scan
+from scanloom.stages.scans.model.threads import threads_to_use
 
 # Few stages look at these, or none: names and times are shown to people. See `label_digests`.
 _DIGESTED_APART = frozenset({"name", "timestamp", "up"})

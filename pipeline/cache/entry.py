@@ -3,7 +3,7 @@
     fuse/<key>/
       fused.ply …         what the stage wrote
       manifest.json       the recipe, size and digest of every file, figures, diagnostics, a digest of itself
-      in-use.lock         see pipeline.cache.store
+      in-use.lock         see scanloom.pipeline.cache.store
 
 The manifest is written last: a folder without one is no entry.
 """
@@ -18,12 +18,12 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache.digest import digest, file_digests
-from pipeline.cache.files import flush_all
-from pipeline.cache.locks import Lock
-from pipeline.cache.system import flush
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.files.opening import text_in
+from scanloom.pipeline.cache.digest import digest, file_digests
+from scanloom.pipeline.cache.files import flush_all
+from scanloom.pipeline.cache.locks import Lock
+from scanloom.pipeline.cache.system import flush
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.files.opening import text_in
 
 # Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
 FORMAT_VERSION = 3

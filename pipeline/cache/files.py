@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from pipeline.cache.locks import Lock, take_lock, try_lock
-from pipeline.cache.system import flush
-from stages.files.moving import move
-from stages.files.replacing import draft_of, stem_of_drafts
+from scanloom.pipeline.cache.locks import Lock, take_lock, try_lock
+from scanloom.pipeline.cache.system import flush
+from scanloom.stages.files.moving import move
+from scanloom.stages.files.replacing import draft_of, stem_of_drafts
 
 
 def flush_all(paths: Iterable[Path]) -> None:

@@ -7,7 +7,7 @@ import os
 import stat
 from pathlib import Path
 
-from pipeline.cache.system import lock, open_folder_lock, open_lock
+from scanloom.pipeline.cache.system import lock, open_folder_lock, open_lock
 
 # What the system says where there are no locks, as in some shared folders.
 _NO_LOCKS = frozenset({errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS})

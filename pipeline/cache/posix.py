@@ -1,4 +1,4 @@
-"""What Linux and macOS do in their way; `pipeline.cache.windows` has the same functions."""
+"""What Linux and macOS do in their way; `scanloom.pipeline.cache.windows` has the same functions."""
 
 from __future__ import annotations
 

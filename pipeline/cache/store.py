@@ -35,19 +35,27 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
-from pipeline.cache.digest import digest
-from pipeline.cache.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, seal, verified
-from pipeline.cache.files import write_whole
-from pipeline.cache.locks import READ_ONLY, Lock, is_folder, take_folder, take_lock, try_folder, try_lock
-from pipeline.cache.machine_mark import is_of_another_machine, machine_mark
-from pipeline.cache.system import flush
-from pipeline.failures import explained
-from pipeline.own_paths import from_there
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import StageError
-from stages.files.moving import move
-from stages.files.opening import text_in
+from scanloom.pipeline.cache.codes import MACHINE_CACHE_UNUSABLE
+from scanloom.pipeline.cache.digest import digest
+from scanloom.pipeline.cache.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, seal, verified
+from scanloom.pipeline.cache.files import write_whole
+from scanloom.pipeline.cache.locks import (
+    READ_ONLY,
+    Lock,
+    is_folder,
+    take_folder,
+    take_lock,
+    try_folder,
+    try_lock,
+)
+from scanloom.pipeline.cache.machine_mark import is_of_another_machine, machine_mark
+from scanloom.pipeline.cache.system import flush
+from scanloom.pipeline.failures import explained
+from scanloom.pipeline.own_paths import from_there
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.files.moving import move
+from scanloom.stages.files.opening import text_in
 
 _DRAFTS = "drafts"
 _RUNS = "runs"

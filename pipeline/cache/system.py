@@ -5,8 +5,15 @@ from __future__ import annotations
 import sys
 
 if sys.platform == "win32":
-    from pipeline.cache.windows import flush, lock, open_folder_lock, open_lock, peak_bytes, reset_peak
+    from scanloom.pipeline.cache.windows import (
+        flush,
+        lock,
+        open_folder_lock,
+        open_lock,
+        peak_bytes,
+        reset_peak,
+    )
 else:
-    from pipeline.cache.posix import flush, lock, open_folder_lock, open_lock, peak_bytes, reset_peak
+    from scanloom.pipeline.cache.posix import flush, lock, open_folder_lock, open_lock, peak_bytes, reset_peak
 
 __all__ = ["flush", "lock", "open_folder_lock", "open_lock", "peak_bytes", "reset_peak"]

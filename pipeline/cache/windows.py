@@ -1,4 +1,4 @@
-"""What Windows does in its way; `pipeline.cache.posix` has the same functions.
+"""What Windows does in its way; `scanloom.pipeline.cache.posix` has the same functions.
 
 Python's own `msvcrt.locking` knows no lock that several share and gives up after ten seconds; the system's
 LockFileEx does what flock does elsewhere. The lock ends with the open file, so also when a process ends.

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from stages.comparing.deviations import Deviations
-from stages.diagnostics.errors import InputError
-from stages.files.documents import read_json
-from stages.picturing.codes import REPORT_INCOMPLETE
-from stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
-from stages.surface.raycasting import Floats
+from scanloom.stages.comparing.deviations import Deviations
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.documents import read_json
+from scanloom.stages.picturing.codes import REPORT_INCOMPLETE
+from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
+from scanloom.stages.surface.raycasting import Floats
 
 MESH, FIGURES = "deviation.ply", "deviation.json"
 # The property of its vertices, metres.
@@ -30,7 +30,7 @@ class Kept:
 
     Attributes
     ----------
-    figures : those of `stages.Deviations`, without a tolerance.
+    figures : those of `scanloom.Deviations`, without a tolerance.
     quantiles : (_STEPS + 1,) distances of samples spread evenly over the surface, ascending, metres: as many
         of them lie between two neighbours as between any others.
     vertices : (n, 3) of the mesh that was measured.

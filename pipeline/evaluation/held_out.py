@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from stages.comparing.left_out import left_out
-from stages.picturing.render import write_png
-from stages.progress import Progress, silent
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Frame
-from stages.surface.mesh import Mesh
+from scanloom.stages.comparing.left_out import left_out
+from scanloom.stages.picturing.render import write_png
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.surface.mesh import Mesh
 
 
 def judge(

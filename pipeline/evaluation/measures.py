@@ -1,6 +1,6 @@
 """Measurements on the meshes of a run, and pictures of them.
 
-Both depend on the meshes alone and are cached. `pipeline.run.document` adds what belongs to one run.
+Both depend on the meshes alone and are cached. `scanloom.pipeline.run.document` adds what belongs to one run.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.evaluation.deviations import write_deviations
-from pipeline.evaluation.params import ReportParams
-from pipeline.evaluation.photos import write_photos
-from stages.comparing.compare import CompareParams, compare_searched, compare_surfaces
-from stages.comparing.deviations import DeviationParams, Deviations, deviations_from
-from stages.comparing.in_pieces import compare_in_pieces
-from stages.comparing.needles import WithNeedles
-from stages.picturing.in_pieces import draw_in_pieces
-from stages.picturing.render import Model, Viewpoint, viewpoints, write_png
-from stages.picturing.viewpoints import ENOUGH, viewpoints_around
-from stages.progress import Progress, silent
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Frame
-from stages.surface.memory import give_back
-from stages.surface.mesh import Mesh
-from stages.surface.piecewise import Piecewise
-from stages.surface.raycasting import Floats, Surface, bounding_box
-from stages.surface.topology import require_area, topology
+from scanloom.pipeline.evaluation.deviations import write_deviations
+from scanloom.pipeline.evaluation.params import ReportParams
+from scanloom.pipeline.evaluation.photos import write_photos
+from scanloom.stages.comparing.compare import CompareParams, compare_searched, compare_surfaces
+from scanloom.stages.comparing.deviations import DeviationParams, Deviations, deviations_from
+from scanloom.stages.comparing.in_pieces import compare_in_pieces
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.picturing.in_pieces import draw_in_pieces
+from scanloom.stages.picturing.render import Model, Viewpoint, viewpoints, write_png
+from scanloom.stages.picturing.viewpoints import ENOUGH, viewpoints_around
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.surface.memory import give_back
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.piecewise import Piecewise
+from scanloom.stages.surface.raycasting import Floats, Surface, bounding_box
+from scanloom.stages.surface.topology import require_area, topology
 
 RESULT_VERSION = 7
 

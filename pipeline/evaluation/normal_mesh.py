@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stages.comparing.compare import CompareParams, compare_surfaces
-from stages.comparing.distance_map import distance_map
-from stages.picturing.render import Model, Viewpoint, write_png
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.comparing.compare import CompareParams, compare_surfaces
+from scanloom.stages.comparing.distance_map import distance_map
+from scanloom.stages.picturing.render import Model, Viewpoint, write_png
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box
 
 
 def report_levels(

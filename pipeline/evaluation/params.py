@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.params import check, param
+from scanloom.stages.params import check, param
 
 
 @dataclass(frozen=True, kw_only=True)

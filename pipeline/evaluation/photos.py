@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from stages._opencv import require_opencv
-from stages.diagnostics.errors import InputError
-from stages.files.image_bytes import encoded_image
-from stages.frames.sampling import sample_evenly
-from stages.scans.model.images import read_photo
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import Frame, pinhole
-from stages.scans.model.threads import threads_to_use
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.image_bytes import encoded_image
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.scans.model.images import read_photo
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import Frame, pinhole
+from scanloom.stages.scans.model.threads import threads_to_use
 
 FILE, PHOTOS = "cameras.json", "photos"
 

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.report.page_told import deviation_tables
-from stages.comparing.change import Changes
-from stages.comparing.deviations import Deviations
-from stages.comparing.palette import colors_of
-from stages.picturing.page.one_file import PageScale
-from stages.picturing.page.packing import Shown, packed_page, turn_of_page
-from stages.picturing.spots import spots
-from stages.printing import place_in_words
-from stages.surface.cloud import is_cloud
-from stages.surface.mesh import Mesh
-from stages.surface.vertex_normals import vertex_normals
+from scanloom.pipeline.report.page_told import deviation_tables
+from scanloom.stages.comparing.change import Changes
+from scanloom.stages.comparing.deviations import Deviations
+from scanloom.stages.comparing.palette import colors_of
+from scanloom.stages.picturing.page.one_file import PageScale
+from scanloom.stages.picturing.page.packing import Shown, packed_page, turn_of_page
+from scanloom.stages.picturing.spots import spots
+from scanloom.stages.printing import place_in_words
+from scanloom.stages.surface.cloud import is_cloud
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.vertex_normals import vertex_normals
 
 # Of a cloud, so many points are shown.
 _MOST_SPOTS = 40_000

@@ -9,25 +9,25 @@ from typing import Any
 
 import numpy as np
 
-import stages
-from pipeline.evaluation.deviations import FIGURES, Kept, kept_of, read_deviations
-from pipeline.evaluation.measures import SIGNED_SAMPLES
-from pipeline.report.file_names import REPORT
-from pipeline.report.page_cameras import as_runs_write, cameras_of
-from pipeline.report.page_coarse import coarsely
-from pipeline.report.page_coverage import missing_of
-from pipeline.report.page_paints import confidence_paint, deviation_paint
-from pipeline.report.page_told import at, deviation_tables, skipped_in, told_of
-from pipeline.steps.report import PICTURES
-from pipeline.steps.texture import MAPS
-from stages import Mesh
-from stages.diagnostics.errors import InputError
-from stages.files.documents import read_json
-from stages.picturing.codes import REPORT_INCOMPLETE
-from stages.picturing.page.packing import Paint, Shown, packed_page, turn_of_page
-from stages.surface.formats.ply_format import promised
-from stages.surface.mesh_files import standing
-from stages.surface.pieces import is_many
+from scanloom import stages
+from scanloom.pipeline.evaluation.deviations import FIGURES, Kept, kept_of, read_deviations
+from scanloom.pipeline.evaluation.measures import SIGNED_SAMPLES
+from scanloom.pipeline.report.file_names import REPORT
+from scanloom.pipeline.report.page_cameras import as_runs_write, cameras_of
+from scanloom.pipeline.report.page_coarse import coarsely
+from scanloom.pipeline.report.page_coverage import missing_of
+from scanloom.pipeline.report.page_paints import confidence_paint, deviation_paint
+from scanloom.pipeline.report.page_told import at, deviation_tables, skipped_in, told_of
+from scanloom.pipeline.steps.report import PICTURES
+from scanloom.pipeline.steps.texture import MAPS
+from scanloom.stages import Mesh
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.documents import read_json
+from scanloom.stages.picturing.codes import REPORT_INCOMPLETE
+from scanloom.stages.picturing.page.packing import Paint, Shown, packed_page, turn_of_page
+from scanloom.stages.surface.formats.ply_format import promised
+from scanloom.stages.surface.mesh_files import standing
+from scanloom.stages.surface.pieces import is_many
 
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
 # How far from a place the camera flies to, as a share of the model's size.

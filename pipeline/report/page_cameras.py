@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.evaluation.photos import FILE as CAMERAS
-from stages.diagnostics.errors import InputError
-from stages.files.documents import read_json, require_inside
-from stages.files.opening import content_of
-from stages.picturing.codes import REPORT_INCOMPLETE
-from stages.picturing.page.one_file import PageCamera
+from scanloom.pipeline.evaluation.photos import FILE as CAMERAS
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.documents import read_json, require_inside
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.picturing.codes import REPORT_INCOMPLETE
+from scanloom.stages.picturing.page.one_file import PageCamera
 
 _JPEG = b"\xff\xd8\xff"
 

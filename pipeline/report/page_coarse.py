@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.artifacts.up_direction import Up
-from stages.picturing.page.packing import Shown
-from stages.surface.vertex_clustering import clustered
+from scanloom.pipeline.artifacts.up_direction import Up
+from scanloom.stages.picturing.page.packing import Shown
+from scanloom.stages.surface.vertex_clustering import clustered
 
 # A page has room for a tenth of that, which are chosen with care.
 _VERTICES = 1_000_000

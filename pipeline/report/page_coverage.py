@@ -9,18 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.artifacts.up_direction import Up
-from pipeline.report.page_cameras import as_runs_write
-from pipeline.report.page_coarse import coarsely
-from pipeline.report.page_paints import spread_paint
-from pipeline.steps.coverage import FILE, MESH
-from stages.files.documents import read_json
-from stages.inspecting.coverage.kinds import KINDS
-from stages.picturing.page.packing import Shown
-from stages.printing import place_in_words
-from stages.surface.formats.ply import read_ply, read_vertex_values
-from stages.surface.formats.ply_format import promised
-from stages.surface.pieces import is_many
+from scanloom.pipeline.artifacts.up_direction import Up
+from scanloom.pipeline.report.page_cameras import as_runs_write
+from scanloom.pipeline.report.page_coarse import coarsely
+from scanloom.pipeline.report.page_paints import spread_paint
+from scanloom.pipeline.steps.coverage import FILE, MESH
+from scanloom.stages.files.documents import read_json
+from scanloom.stages.inspecting.coverage.kinds import KINDS
+from scanloom.stages.picturing.page.packing import Shown
+from scanloom.stages.printing import place_in_words
+from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values
+from scanloom.stages.surface.formats.ply_format import promised
+from scanloom.stages.surface.pieces import is_many
 
 _NEAREST = 2
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.evaluation.deviations import Kept
-from stages.comparing.palette import colors_of
-from stages.files.images import read_stored
-from stages.picturing.page.one_file import PageScale
-from stages.picturing.page.packing import Paint
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats
+from scanloom.pipeline.evaluation.deviations import Kept
+from scanloom.stages.comparing.palette import colors_of
+from scanloom.stages.files.images import read_stored
+from scanloom.stages.picturing.page.one_file import PageScale
+from scanloom.stages.picturing.page.packing import Paint
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats
 
 # Of the scale of deviations.
 _STEPS = 40
@@ -68,7 +68,7 @@ def confidence_paint(mesh: Mesh, maps: Path) -> Paint | None:
     Parameters
     ----------
     mesh : with the texture.
-    maps : folder of its maps; see `stages.texturing.maps`.
+    maps : folder of its maps; see `scanloom.stages.texturing.maps`.
     """
     texture = mesh.texture
     if texture is None or not texture.has_uvs().all():

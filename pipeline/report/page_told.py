@@ -6,8 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from stages.diagnostics.diagnostic import Diagnostic, Severity
-from stages.printing import at_most, place_in_words
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
+from scanloom.stages.printing import at_most, place_in_words
 
 
 def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def deviation_tables(
 
     Parameters
     ----------
-    told : the figures of `stages.Deviations`.
+    told : the figures of `scanloom.Deviations`.
     proven : metres that no point is farther off than; None where nothing is proven.
     places : of the worst, as `one_file` takes them.
     title : of the first table.

@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache.store import Cache
-from pipeline.graph import STAGES
-from pipeline.report.file_names import REPORT
-from pipeline.run.asked import Asked
-from pipeline.run.codes import REPORT_NO_RUN
-from pipeline.run.events import Events, unwatched
-from pipeline.run.run import RunResult, cache_folder, run
-from stages.diagnostics.errors import InputError
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.graph import STAGES
+from scanloom.pipeline.report.file_names import REPORT
+from scanloom.pipeline.run.asked import Asked
+from scanloom.pipeline.run.codes import REPORT_NO_RUN
+from scanloom.pipeline.run.events import Events, unwatched
+from scanloom.pipeline.run.run import RunResult, cache_folder, run
+from scanloom.stages.diagnostics.errors import InputError
 
 
 def run_again(

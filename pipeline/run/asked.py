@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pipeline.config import Config
-from stages.diagnostics.errors import UsageError
-from stages.params import described
+from scanloom.pipeline.config import Config
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import described
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from pipeline.run.engine import Outcome
-from pipeline.run.schema import SCHEMA
-from stages import __version__
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.inspecting.libraries import installed
-from stages.scans.model.scan import Scan
+from scanloom.pipeline.run.engine import Outcome
+from scanloom.pipeline.run.schema import SCHEMA
+from scanloom.stages import __version__
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.scans.model.scan import Scan
 
 _LIBRARIES = ("numpy", "open3d", "opencv", "scipy", "scikit-image")
 

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache.digest import digest
-from pipeline.cache.entry import DamagedError, Recipe, verified
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from pipeline.expectation import Expectation, expected, megapixels
-from pipeline.run.engine import Source, read_by, recipe_of
-from pipeline.run.reasons import reason
-from pipeline.run.results import Results
-from pipeline.run.run import Wanted, cache_folder, placed_by, wanted_of
-from pipeline.run.sources import sources_of
-from pipeline.stage import AnyStage
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_OUTPUT_REFUSED
+from scanloom.pipeline.cache.digest import digest
+from scanloom.pipeline.cache.entry import DamagedError, Recipe, verified
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.expectation import Expectation, expected, megapixels
+from scanloom.pipeline.run.engine import Source, read_by, recipe_of
+from scanloom.pipeline.run.reasons import reason
+from scanloom.pipeline.run.results import Results
+from scanloom.pipeline.run.run import Wanted, cache_folder, placed_by, wanted_of
+from scanloom.pipeline.run.sources import sources_of
+from scanloom.pipeline.stage import AnyStage
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def foresee(
     cache_dir: Path | str | None = None,
     overwrite: bool = False,
 ) -> DryRun:
-    """Say what `pipeline.run.run.run` would do with the same arguments, without writing anything.
+    """Say what `scanloom.pipeline.run.run.run` would do with the same arguments, without writing anything.
 
     A stage after one that has to run is taken to run, too; it may prove to be cached all the same, where the
     new result is equal to one before.
@@ -110,7 +110,7 @@ def foresee(
     Raises
     ------
     InputError, UsageError
-        As `pipeline.run.run.run`, but that a file it may not replace is only told.
+        As `scanloom.pipeline.run.run.run`, but that a file it may not replace is only told.
     """
     cache = Cache(cache_folder(Path(out).resolve(), cache_dir))
     wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)

@@ -1,6 +1,6 @@
 """Run stages in order, each from the cache if it can be, and say why when it cannot.
 
-The engine knows no stage by name; `pipeline.graph` declares them.
+The engine knows no stage by name; `scanloom.pipeline.graph` declares them.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from pipeline.cache.entry import Entry, Recipe
-from pipeline.cache.store import Cache
-from pipeline.cache.system import peak_bytes, reset_peak
-from pipeline.failures import explained
-from pipeline.own_paths import from_folder
-from pipeline.run.events import Events, StageFinished, StageProgress, StageStarted, Waiting
-from pipeline.run.reasons import reason
-from pipeline.run.results import Results
-from pipeline.sections import Sections
-from pipeline.stage import AnyStage, Context
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.surface.memory import give_back
+from scanloom.pipeline.cache.entry import Entry, Recipe
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.cache.system import peak_bytes, reset_peak
+from scanloom.pipeline.failures import explained
+from scanloom.pipeline.own_paths import from_folder
+from scanloom.pipeline.run.events import Events, StageFinished, StageProgress, StageStarted, Waiting
+from scanloom.pipeline.run.reasons import reason
+from scanloom.pipeline.run.results import Results
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import AnyStage, Context
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.surface.memory import give_back
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pipeline.cache.entry import Entry
-from pipeline.cache.system import peak_bytes
-from pipeline.config import Config
-from pipeline.expectation import BASE_BYTES, Expectation
-from pipeline.run.codes import BATCH_LIMIT_EXCEEDED
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import StageError
+from scanloom.pipeline.cache.entry import Entry
+from scanloom.pipeline.cache.system import peak_bytes
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.expectation import BASE_BYTES, Expectation
+from scanloom.pipeline.run.codes import BATCH_LIMIT_EXCEEDED
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import StageError
 
 # Seconds between two looks at what a stage has taken.
 _MEMORY_PAUSE, _DISK_PAUSE = 0.05, 1.0

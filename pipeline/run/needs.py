@@ -9,13 +9,13 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache.digest import digest
-from pipeline.cache.entry import DamagedError, read_manifest
-from pipeline.config import Config
-from pipeline.expectation import BASE_BYTES, Expectation, as_before, expected, megapixels
-from pipeline.graph import plan_for
-from stages.fusion.params import FuseParams
-from stages.scans.model.scan import Scan
+from scanloom.pipeline.cache.digest import digest
+from scanloom.pipeline.cache.entry import DamagedError, read_manifest
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.expectation import BASE_BYTES, Expectation, as_before, expected, megapixels
+from scanloom.pipeline.graph import plan_for
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.scans.model.scan import Scan
 
 # Results of each stage that are looked at: a large cache has thousands.
 _MOST = 32

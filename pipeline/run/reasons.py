@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from stages.params import flatten
+from scanloom.stages.params import flatten
 
 _NONE = object()
 
@@ -15,8 +15,8 @@ def reason(now: Mapping[str, Any], last: Mapping[str, Any] | None) -> str:
 
     Parameters
     ----------
-    now, last : `recipe` (see pipeline.cache.entry.Recipe) and `parts`, digests of the parts of every input by
-        the input's name; `last` is None if the latest run did not get to this stage.
+    now, last : `recipe` (see scanloom.pipeline.cache.entry.Recipe) and `parts`, digests of the parts of every
+        input by the input's name; `last` is None if the latest run did not get to this stage.
     """
     if last is None:
         return "first run"

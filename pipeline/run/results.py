@@ -14,17 +14,17 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache.digest import digest, file_digest
-from pipeline.cache.entry import Entry
-from pipeline.cache.files import copy_whole, remove_abandoned, write_whole
-from pipeline.cache.store import Cache
-from pipeline.failures import explained
-from pipeline.report.file_names import PAGE, REPORT
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_OUTPUT_REFUSED
-from stages.files.inside import leads_inside
-from stages.files.opening import text_in
-from stages.picturing.page.one_file import is_page
+from scanloom.pipeline.cache.digest import digest, file_digest
+from scanloom.pipeline.cache.entry import Entry
+from scanloom.pipeline.cache.files import copy_whole, remove_abandoned, write_whole
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.failures import explained
+from scanloom.pipeline.report.file_names import PAGE, REPORT
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
+from scanloom.stages.files.inside import leads_inside
+from scanloom.stages.files.opening import text_in
+from scanloom.stages.picturing.page.one_file import is_page
 
 _FORMAT_VERSION = 1
 
@@ -60,7 +60,7 @@ class Results:
         self._keys.append(entry.key)
 
     def note(self, asked: Mapping[str, Any]) -> None:
-        """Have the record say what the run was asked for; see `pipeline.run.asked`."""
+        """Have the record say what the run was asked for; see `scanloom.pipeline.run.asked`."""
         self._asked = asked
 
     def require_replaceable(self, names: Iterable[str]) -> None:

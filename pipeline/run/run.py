@@ -10,41 +10,41 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache.digest import digest
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from pipeline.evaluation.params import ReportParams
-from pipeline.expectation import megapixels
-from pipeline.failures import explained
-from pipeline.graph import STAGES, plan_for, skip_reasons
-from pipeline.report.file_names import PAGE, REPORT
-from pipeline.report.page import page_of_run
-from pipeline.run.asked import Asked, from_anywhere
-from pipeline.run.document import compose
-from pipeline.run.engine import Engine, Outcome
-from pipeline.run.events import Events, RunStarted, StageProgress, unwatched
-from pipeline.run.limits import NO_LIMITS, LimitGuard, Limits, within
-from pipeline.run.needs import expected_of
-from pipeline.run.results import Results
-from pipeline.run.sources import sources_of
-from pipeline.skipped import emit_skipped
-from pipeline.stage import AnyStage
-from pipeline.steps.adjust import is_adjusted
-from pipeline.steps.codes import USAGE_STAGE_SKIPPED
-from pipeline.steps.register import is_registered
-from stages import __version__
-from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic, Severity
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.codes import FILE_OUTPUT_REFUSED
-from stages.files.opening import content_of
-from stages.picturing.codes import REPORT_INCOMPLETE
-from stages.picturing.show import Page
-from stages.printing import counted, line, rows_table
-from stages.scans.model.scan import Scan
-from stages.scans.read import read_scan, require_complete
-from stages.surface.memory import give_back
+from scanloom.pipeline.cache.digest import digest
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.evaluation.params import ReportParams
+from scanloom.pipeline.expectation import megapixels
+from scanloom.pipeline.failures import explained
+from scanloom.pipeline.graph import STAGES, plan_for, skip_reasons
+from scanloom.pipeline.report.file_names import PAGE, REPORT
+from scanloom.pipeline.report.page import page_of_run
+from scanloom.pipeline.run.asked import Asked, from_anywhere
+from scanloom.pipeline.run.document import compose
+from scanloom.pipeline.run.engine import Engine, Outcome
+from scanloom.pipeline.run.events import Events, RunStarted, StageProgress, unwatched
+from scanloom.pipeline.run.limits import NO_LIMITS, LimitGuard, Limits, within
+from scanloom.pipeline.run.needs import expected_of
+from scanloom.pipeline.run.results import Results
+from scanloom.pipeline.run.sources import sources_of
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.stage import AnyStage
+from scanloom.pipeline.steps.adjust import is_adjusted
+from scanloom.pipeline.steps.codes import USAGE_STAGE_SKIPPED
+from scanloom.pipeline.steps.register import is_registered
+from scanloom.stages import __version__
+from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.picturing.codes import REPORT_INCOMPLETE
+from scanloom.stages.picturing.show import Page
+from scanloom.stages.printing import counted, line, rows_table
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.read import read_scan, require_complete
+from scanloom.stages.surface.memory import give_back
 
 CACHE_VARIABLE = "SCANLOOM_CACHE"
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.cache.digest import content, digest, label_digests, scan_digest
-from pipeline.config import Config
-from pipeline.graph import source_name
-from pipeline.run.engine import Source
-from stages.diagnostics.codes import MACHINE_BUSY
-from stages.diagnostics.errors import StageError
-from stages.inspecting.libraries import installed
-from stages.progress import Progress, silent
-from stages.scans.model.scan import Scan
-from stages.stereo.networks.sidecar import sidecar_of
+from scanloom.pipeline.cache.digest import content, digest, label_digests, scan_digest
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import source_name
+from scanloom.pipeline.run.engine import Source
+from scanloom.stages.diagnostics.codes import MACHINE_BUSY
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.stereo.networks.sidecar import sidecar_of
 
 
 def sources_of(

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.artifacts.adjusted_cameras import FOLDER, AdjustedCameras, write_adjusted
-from pipeline.artifacts.depth_maps import DepthMaps
-from pipeline.artifacts.posed_frames import load_frames
-from pipeline.artifacts.poses import Poses
-from pipeline.expectation import Cost
-from pipeline.result_versions import result_versions
-from pipeline.sections import Sections
-from pipeline.stage import Context, Stage
-from stages.adjusting.adjust import AdjustParams, adjust
-from stages.inspecting.libraries import installed
-from stages.inspecting.sanity import pose_doubts, require_poses
-from stages.scans.model.scan import Scan
-from stages.scans.params import ScanParams
+from scanloom.pipeline.artifacts.adjusted_cameras import FOLDER, AdjustedCameras, write_adjusted
+from scanloom.pipeline.artifacts.depth_maps import DepthMaps
+from scanloom.pipeline.artifacts.posed_frames import load_frames
+from scanloom.pipeline.artifacts.poses import Poses
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Context, Stage
+from scanloom.stages.adjusting.adjust import AdjustParams, adjust
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.inspecting.sanity import pose_doubts, require_poses
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.params import ScanParams
 
 
 @dataclass(frozen=True, kw_only=True)

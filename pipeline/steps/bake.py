@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts.up_direction import Up, UpDirection
-from pipeline.expectation import Cost
-from pipeline.result_versions import always
-from pipeline.sections import Sections
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.clean import CleanMesh
-from pipeline.steps.simplify import SimplifiedMesh
-from stages.comparing.compare import compare_surfaces
-from stages.inspecting.libraries import installed
-from stages.params import param
-from stages.progress import Progress
-from stages.scans.model.scan import Scan
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.mesh import Mesh
-from stages.texturing.bake import BakeParams, bake
+from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.pipeline.steps.simplify import SimplifiedMesh
+from scanloom.stages.comparing.compare import compare_surfaces
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.params import param
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.texturing.bake import BakeParams, bake
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.artifacts.mesh_file import MeshFile
-from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from pipeline.result_versions import result_versions
-from pipeline.sections import Sections
-from pipeline.stage import Context, Stage
-from pipeline.steps.fuse import FusedMesh
-from stages.cleaning.clean import CleanParams, clean
-from stages.cleaning.clean_in_pieces import clean_in_pieces
-from stages.comparing.certify import certify
-from stages.surface.formats.ply import write_ply
+from scanloom.pipeline.artifacts.mesh_file import MeshFile
+from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Context, Stage
+from scanloom.pipeline.steps.fuse import FusedMesh
+from scanloom.stages.cleaning.clean import CleanParams, clean
+from scanloom.stages.cleaning.clean_in_pieces import clean_in_pieces
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.surface.formats.ply import write_ply
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.diagnostic import Code
 
 LEVELS_NOISE_UNKNOWN = Code(
     "levels.noise-unknown",

@@ -17,29 +17,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.artifacts.posed_frames import PosedFrames
-from pipeline.artifacts.up_direction import Up, UpDirection
-from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from pipeline.result_versions import always
-from pipeline.sections import Sections
-from pipeline.skipped import emit_skipped
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.clean import CleanMesh
-from stages.diagnostics.collector import emit
-from stages.inspecting.codes import COVERAGE_LIMITED
-from stages.inspecting.coverage.coverage import coverage
-from stages.inspecting.coverage.covered import Covered
-from stages.inspecting.coverage.evidence import Evidence
-from stages.inspecting.coverage.params import CoverageParams
-from stages.inspecting.libraries import installed
-from stages.params import param
-from stages.progress import Progress
-from stages.scans.model.scan import Frame, Scan
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import write_mesh
-from stages.surface.pieces import Written, write_by_pieces
-from stages.surface.piecewise import Piecewise
+from scanloom.pipeline.artifacts.posed_frames import PosedFrames
+from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
+from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.inspecting.codes import COVERAGE_LIMITED
+from scanloom.stages.inspecting.coverage.coverage import coverage
+from scanloom.stages.inspecting.coverage.covered import Covered
+from scanloom.stages.inspecting.coverage.evidence import Evidence
+from scanloom.stages.inspecting.coverage.params import CoverageParams
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.params import param
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import write_mesh
+from scanloom.stages.surface.pieces import Written, write_by_pieces
+from scanloom.stages.surface.piecewise import Piecewise
 
 MESH, MODEL, FILE = "coverage.ply", "coverage.glb", "coverage.json"
 # Of each vertex: how many frames measured it, the angle of the straightest look and of the mean one, degrees;

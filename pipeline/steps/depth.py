@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts.depth_maps import DepthMaps, choose_matcher, write_depth_maps
-from pipeline.expectation import Cost
-from pipeline.result_versions import result_versions
-from pipeline.sections import Sections
-from pipeline.skipped import emit_skipped
-from pipeline.stage import Context, Stage
-from stages.inspecting.libraries import installed
-from stages.inspecting.view_poses import require_view_poses
-from stages.scans.model.scan import Scan
-from stages.scans.params import ScanParams
-from stages.stereo.by_network import network_of
-from stages.stereo.depth import DepthParams, depth_scan
-from stages.stereo.networks.network import Network
+from scanloom.pipeline.artifacts.depth_maps import DepthMaps, choose_matcher, write_depth_maps
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.stage import Context, Stage
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.inspecting.view_poses import require_view_poses
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.stereo.by_network import network_of
+from scanloom.stages.stereo.depth import DepthParams, depth_scan
+from scanloom.stages.stereo.networks.network import Network
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts.up_direction import UpDirection
-from pipeline.expectation import Cost
-from pipeline.result_versions import always
-from pipeline.sections import Sections
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.simplify import SimplifiedMesh
-from pipeline.steps.texture import TexturedMesh
-from pipeline.steps.texture import skip_reason as reason_for_no_texture
-from stages.exporting.export import ExportParams, export
-from stages.exporting.presets import preset
-from stages.inspecting.libraries import installed
-from stages.params import check, param
-from stages.scans.model.scan import Scan
-from stages.surface.mesh import Mesh
-from stages.surface.vertex_normals import vertex_normals
+from scanloom.pipeline.artifacts.up_direction import UpDirection
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.simplify import SimplifiedMesh
+from scanloom.pipeline.steps.texture import TexturedMesh
+from scanloom.pipeline.steps.texture import skip_reason as reason_for_no_texture
+from scanloom.stages.exporting.export import ExportParams, export
+from scanloom.stages.exporting.presets import preset
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.params import check, param
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.vertex_normals import vertex_normals
 
 FILE, WEB = "simplified.glb", "web.glb"
 

@@ -14,29 +14,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts.fused_bricks import KeptBricks
-from pipeline.artifacts.mesh_file import MeshFile
-from pipeline.artifacts.posed_frames import PosedFrames
-from pipeline.artifacts.poses import Poses
-from pipeline.artifacts.up_direction import Up
-from pipeline.expectation import Cost
-from pipeline.result_versions import result_versions
-from pipeline.sections import Sections
-from pipeline.skipped import emit_skipped
-from pipeline.stage import Context, Stage
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.documents import read_document
-from stages.fusion.fuse import Fused, fuse, fuse_to_file
-from stages.fusion.in_bricks import FusedInBricks, Kept
-from stages.fusion.params import FuseParams
-from stages.inspecting.libraries import installed
-from stages.inspecting.sanity import require_poses
-from stages.progress import Progress, silent
-from stages.registration.codes import REGISTER_NOT_CONNECTED
-from stages.scans.model.scan import Scan
-from stages.scans.params import ScanParams
-from stages.surface.formats.ply import write_ply
+from scanloom.pipeline.artifacts.fused_bricks import KeptBricks
+from scanloom.pipeline.artifacts.mesh_file import MeshFile
+from scanloom.pipeline.artifacts.posed_frames import PosedFrames
+from scanloom.pipeline.artifacts.poses import Poses
+from scanloom.pipeline.artifacts.up_direction import Up
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.stage import Context, Stage
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.documents import read_document
+from scanloom.stages.fusion.fuse import Fused, fuse, fuse_to_file
+from scanloom.stages.fusion.in_bricks import FusedInBricks, Kept
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.inspecting.sanity import require_poses
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.registration.codes import REGISTER_NOT_CONNECTED
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.surface.formats.ply import write_ply
 
 _PLANE = "plane.json"
 

@@ -7,26 +7,26 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts.posed_frames import PosedFrames
-from pipeline.artifacts.up_direction import UpDirection
-from pipeline.expectation import Cost
-from pipeline.result_versions import result_versions
-from pipeline.sections import Sections
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.clean import CleanMesh, is_clean_mesh_large
-from pipeline.steps.codes import LEVELS_MESH_LARGE, LEVELS_NOISE_UNKNOWN
-from pipeline.steps.simplify import SIMPLIFICATION, Proof, SimplifiedMesh, method_versions
-from stages.diagnostics.collector import emit
-from stages.fusion.noise import depth_noise
-from stages.inspecting.libraries import installed
-from stages.lod.build import LevelsParams, LodParams, build, further_off
-from stages.lod.hierarchy import Hierarchy
-from stages.lod.slod import read_slod, write_slod
-from stages.params import param
-from stages.printing import at_most
-from stages.progress import Progress
-from stages.scans.model.scan import Frame, Scan
-from stages.surface.mesh import Mesh
+from scanloom.pipeline.artifacts.posed_frames import PosedFrames
+from scanloom.pipeline.artifacts.up_direction import UpDirection
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.clean import CleanMesh, is_clean_mesh_large
+from scanloom.pipeline.steps.codes import LEVELS_MESH_LARGE, LEVELS_NOISE_UNKNOWN
+from scanloom.pipeline.steps.simplify import SIMPLIFICATION, Proof, SimplifiedMesh, method_versions
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.fusion.noise import depth_noise
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.lod.build import LevelsParams, LodParams, build, further_off
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.lod.slod import read_slod, write_slod
+from scanloom.stages.params import param
+from scanloom.stages.printing import at_most
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.surface.mesh import Mesh
 
 FILE = "lod.slod"
 # A place of the surface that four frames saw is off by half of what one of them is.

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.artifacts.depth_maps import DepthMaps
-from pipeline.artifacts.posed_frames import load_frames
-from pipeline.artifacts.poses import Poses, write_poses
-from pipeline.expectation import Cost
-from pipeline.result_versions import always
-from pipeline.sections import Sections
-from pipeline.skipped import emit_skipped
-from pipeline.stage import Context, Stage
-from pipeline.steps.adjust import is_adjusted
-from stages.inspecting.libraries import installed
-from stages.registration.params import RegisterParams
-from stages.registration.register import register
-from stages.scans.model.scan import Scan
+from scanloom.pipeline.artifacts.depth_maps import DepthMaps
+from scanloom.pipeline.artifacts.posed_frames import load_frames
+from scanloom.pipeline.artifacts.poses import Poses, write_poses
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.stage import Context, Stage
+from scanloom.pipeline.steps.adjust import is_adjusted
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.registration.params import RegisterParams
+from scanloom.stages.registration.register import register
+from scanloom.stages.scans.model.scan import Scan
 
 
 @dataclass(frozen=True, kw_only=True)

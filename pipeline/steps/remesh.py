@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts.up_direction import UpDirection
-from pipeline.expectation import Cost
-from pipeline.result_versions import result_versions
-from pipeline.sections import Sections
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.simplify import SIMPLIFICATION, SimplifiedMesh, method_versions
-from stages.inspecting.libraries import installed
-from stages.normal_meshes.remesh import RemeshParams, remesh
-from stages.params import param
-from stages.progress import Progress
-from stages.scans.model.scan import Scan
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Mesh
+from scanloom.pipeline.artifacts.up_direction import UpDirection
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.simplify import SIMPLIFICATION, SimplifiedMesh, method_versions
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.normal_meshes.remesh import RemeshParams, remesh
+from scanloom.stages.params import param
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh
 
 
 @dataclass(frozen=True, kw_only=True)

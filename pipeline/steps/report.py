@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from pipeline.artifacts.posed_frames import PosedFrames
-from pipeline.evaluation.params import ReportParams
-from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from pipeline.result_versions import result_versions
-from pipeline.sections import Sections
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.clean import CleanMesh
-from pipeline.steps.fuse import FusedMesh
-from pipeline.steps.remesh import NormalMeshFiles
-from pipeline.steps.simplify import SimplifiedMesh
-from pipeline.steps.texture import TexturedMesh
-from stages.comparing.compare import CompareParams
-from stages.inspecting.libraries import installed
-from stages.scans.model.scan import Frame, Scan
-from stages.scans.params import ScanParams
+from scanloom.pipeline.artifacts.posed_frames import PosedFrames
+from scanloom.pipeline.evaluation.params import ReportParams
+from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.pipeline.steps.fuse import FusedMesh
+from scanloom.pipeline.steps.remesh import NormalMeshFiles
+from scanloom.pipeline.steps.simplify import SimplifiedMesh
+from scanloom.pipeline.steps.texture import TexturedMesh
+from scanloom.stages.comparing.compare import CompareParams
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.scans.params import ScanParams
 
 # Folder of the pictures.
 PICTURES = "pictures"
@@ -53,8 +53,8 @@ class Inputs(PosedFrames):
 
 def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str, Any]:
     # Declaring the stage must not import the renderer.
-    from pipeline.evaluation import held_out, measures
-    from pipeline.evaluation.normal_mesh import report_levels
+    from scanloom.pipeline.evaluation import held_out, measures
+    from scanloom.pipeline.evaluation.normal_mesh import report_levels
 
     compared = context.config.get(CompareParams)
     simplified = inputs.simplified_mesh.load()
@@ -89,7 +89,7 @@ def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str,
 
 def _load_held_out(inputs: Inputs, config: Sections) -> list[Frame]:
     """Load the held-out frames with poses like those of their neighbours."""
-    from pipeline.evaluation.held_out import like_neighbours
+    from scanloom.pipeline.evaluation.held_out import like_neighbours
 
     if inputs.held_out is None:
         return []
@@ -99,9 +99,9 @@ def _load_held_out(inputs: Inputs, config: Sections) -> list[Frame]:
 
 
 def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
-    from pipeline.evaluation.measures import measure_and_draw
-    from stages.comparing.compare import compare_surfaces
-    from stages.comparing.left_out import left_out
+    from scanloom.pipeline.evaluation.measures import measure_and_draw
+    from scanloom.stages.comparing.compare import compare_surfaces
+    from scanloom.stages.comparing.left_out import left_out
 
     return result_versions(measure_and_draw, compare_surfaces, left_out)
 

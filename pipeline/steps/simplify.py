@@ -8,24 +8,24 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts.mesh_file import MeshFile
-from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from pipeline.result_versions import result_versions
-from pipeline.sections import Sections
-from pipeline.stage import Context, Stage
-from pipeline.steps.clean import CleanMesh, is_clean_mesh_large
-from stages.comparing.certify import certify
-from stages.comparing.compare import compare_surfaces
-from stages.diagnostics.errors import UsageError
-from stages.files.documents import read_json
-from stages.inspecting.libraries import installed
-from stages.simplification.auto import chosen
-from stages.simplification.methods import METHODS
-from stages.simplification.result import Simplified
-from stages.simplification.simplify import SimplifyParams, simplify
-from stages.simplification.simplify_in_pieces import InPieces, simplify_in_pieces
-from stages.surface.formats.ply import write_ply
-from stages.texturing.bake import bake
+from scanloom.pipeline.artifacts.mesh_file import MeshFile
+from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from scanloom.pipeline.result_versions import result_versions
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Context, Stage
+from scanloom.pipeline.steps.clean import CleanMesh, is_clean_mesh_large
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.comparing.compare import compare_surfaces
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.files.documents import read_json
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.simplification.auto import chosen
+from scanloom.stages.simplification.methods import METHODS
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.simplify import SimplifyParams, simplify
+from scanloom.stages.simplification.simplify_in_pieces import InPieces, simplify_in_pieces
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.texturing.bake import bake
 
 _PROOF = "proven.json"
 

@@ -10,24 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.artifacts.posed_frames import PosedFrames
-from pipeline.artifacts.up_direction import Up, UpDirection
-from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from pipeline.result_versions import always
-from pipeline.sections import Sections
-from pipeline.skipped import emit_skipped
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.simplify import SimplifiedMesh
-from stages.files.images import read_stored
-from stages.inspecting.libraries import installed
-from stages.params import param
-from stages.progress import Progress
-from stages.scans.model.scan import Frame, Scan
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.surface.texture import Image
-from stages.texturing.maps import write_maps
-from stages.texturing.texture import TextureParams, texture
+from scanloom.pipeline.artifacts.posed_frames import PosedFrames
+from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
+from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.skipped import emit_skipped
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.simplify import SimplifiedMesh
+from scanloom.stages.files.images import read_stored
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.params import param
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.surface.texture import Image
+from scanloom.stages.texturing.maps import write_maps
+from scanloom.stages.texturing.texture import TextureParams, texture
 
 FILE, MAPS = "textured.glb", "texture_maps"
 

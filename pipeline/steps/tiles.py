@@ -7,21 +7,21 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from pipeline.artifacts.up_direction import Up, UpDirection
-from pipeline.expectation import Cost
-from pipeline.result_versions import always
-from pipeline.sections import Sections
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.lod import Levels, LodSection
-from pipeline.steps.texture import TexturedMesh
-from stages.inspecting.libraries import installed
-from stages.lod.hierarchy import Hierarchy
-from stages.lod.tile_texture import TileImageParams
-from stages.lod.tiles import COMPRESSIONS, write_tiles
-from stages.params import param
-from stages.progress import Progress
-from stages.scans.model.scan import Scan
-from stages.surface.mesh import Mesh
+from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
+from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.lod import Levels, LodSection
+from scanloom.pipeline.steps.texture import TexturedMesh
+from scanloom.stages.inspecting.libraries import installed
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.lod.tile_texture import TileImageParams
+from scanloom.stages.lod.tiles import COMPRESSIONS, write_tiles
+from scanloom.stages.params import param
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.surface.mesh import Mesh
 
 FOLDER = "tiles"
 

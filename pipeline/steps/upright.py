@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.artifacts.posed_frames import PosedFrames
-from pipeline.artifacts.up_direction import Up, UpDirection, write_up
-from pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
-from pipeline.stage import Context, Stage
-from pipeline.steps.clean import CleanMesh
-from pipeline.steps.fuse import FusedMesh
-from stages.params import check, param
-from stages.scans.model.scan import Scan
-from stages.scans.transforms.up import known_up
-from stages.surface.mesh import Mesh
-from stages.surface.upright import PlaceUp, direction_of, up_of_place
+from scanloom.pipeline.artifacts.posed_frames import PosedFrames
+from scanloom.pipeline.artifacts.up_direction import Up, UpDirection, write_up
+from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
+from scanloom.pipeline.stage import Context, Stage
+from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.pipeline.steps.fuse import FusedMesh
+from scanloom.stages.params import check, param
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.transforms.up import known_up
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.upright import PlaceUp, direction_of, up_of_place
 
 # It is known to a degree; files need not say more.
 _DIGITS = 7

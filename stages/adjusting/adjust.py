@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.adjusted import Adjusted, Transfer
-from stages.adjusting.anchor import Anchor, anchor_of
-from stages.adjusting.bundle import Bundle, bundle
-from stages.adjusting.cameras import FREE, STILL, Cameras, camera_of, motion_apart
-from stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
-from stages.adjusting.key_frames import key_frames
-from stages.adjusting.look import Look, look, usable
-from stages.adjusting.matching import match
-from stages.adjusting.offset import Offset, Sight, offset, sights
-from stages.adjusting.partners import overlaps, partners
-from stages.adjusting.problem import Frees
-from stages.adjusting.resection import Placed, placed_between
-from stages.adjusting.view import (
+from scanloom.stages.adjusting.adjusted import Adjusted, Transfer
+from scanloom.stages.adjusting.anchor import Anchor, anchor_of
+from scanloom.stages.adjusting.bundle import Bundle, bundle
+from scanloom.stages.adjusting.cameras import FREE, STILL, Cameras, camera_of, motion_apart
+from scanloom.stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
+from scanloom.stages.adjusting.key_frames import key_frames
+from scanloom.stages.adjusting.look import Look, look, usable
+from scanloom.stages.adjusting.matching import match
+from scanloom.stages.adjusting.offset import Offset, Sight, offset, sights
+from scanloom.stages.adjusting.partners import overlaps, partners
+from scanloom.stages.adjusting.problem import Frees
+from scanloom.stages.adjusting.resection import Placed, placed_between
+from scanloom.stages.adjusting.view import (
     BLACK,
     OVER_EXPOSED,
     View,
@@ -32,17 +32,17 @@ from stages.adjusting.view import (
     place_of_color,
     view_or_none,
 )
-from stages.diagnostics.collector import collecting, emit
-from stages.params import check, param, resolve
-from stages.printing import counted
-from stages.progress import Progress, silent
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Frame, Scan, SkippedFrame
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import counted
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import AdjustKeywords
+    from scanloom.stages.params.keywords import AdjustKeywords
 
 RESULT_VERSION = 7
 

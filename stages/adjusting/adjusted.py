@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.offset import Offset
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.printing import by_figures, table
-from stages.scans.model.scan import Camera, Frame, SkippedFrame
+from scanloom.stages.adjusting.offset import Offset
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.scans.model.scan import Camera, Frame, SkippedFrame
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import Cameras, by_camera, carried
-from stages.adjusting.lens import derivatives, project
+from scanloom.stages.adjusting.cameras import Cameras, by_camera, carried
+from scanloom.stages.adjusting.lens import derivatives, project
 
 # How well outlines tell where photos are, pixels.
 _DEVIATION = 0.3

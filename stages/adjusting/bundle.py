@@ -13,16 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.anchor import Anchor
-from stages.adjusting.cameras import FREE, Cameras
-from stages.adjusting.lifting import in_world, lifted
-from stages.adjusting.matching import GAP_SHARE, Matches, errors, gaps
-from stages.adjusting.problem import Frees, Problem, State
-from stages.adjusting.resection import resected
-from stages.adjusting.solve import solve
-from stages.adjusting.surfaces import Surfaces
-from stages.adjusting.tracks import Tracks, tracks
-from stages.adjusting.view import View
+from scanloom.stages.adjusting.anchor import Anchor
+from scanloom.stages.adjusting.cameras import FREE, Cameras
+from scanloom.stages.adjusting.lifting import in_world, lifted
+from scanloom.stages.adjusting.matching import GAP_SHARE, Matches, errors, gaps
+from scanloom.stages.adjusting.problem import Frees, Problem, State
+from scanloom.stages.adjusting.resection import resected
+from scanloom.stages.adjusting.solve import solve
+from scanloom.stages.adjusting.surfaces import Surfaces
+from scanloom.stages.adjusting.tracks import Tracks, tracks
+from scanloom.stages.adjusting.view import View
 
 # Every fifth point is held out.
 _HELD_OUT = 5

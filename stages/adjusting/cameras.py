@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.lens import OPENCV
-from stages.scans.model.scan import Camera, Frame, Pose, scaled
+from scanloom.stages.adjusting.lens import OPENCV
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, scaled
 
 # What is free in a colour camera: log of the focal length, centre (x, y, pixels), k1, and its place (x, y, z,
 # metres, then a turn, radians).

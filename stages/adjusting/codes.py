@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.diagnostic import Code
 
 ADJUST_IMAGES_MISMATCH = Code(
     "adjust.images-mismatch",

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import Cameras, carried, inverted_all
-from stages.adjusting.lens import project, rays
-from stages.adjusting.shutter import as_read, in_the_middle, late_of
-from stages.adjusting.view import View
+from scanloom.stages.adjusting.cameras import Cameras, carried, inverted_all
+from scanloom.stages.adjusting.lens import project, rays
+from scanloom.stages.adjusting.shutter import as_read, in_the_middle, late_of
+from scanloom.stages.adjusting.view import View
 
 # Where the cameras stand apart, the depth along a ray is found by steps; it is found once the last one
 # changes it by less than this share.

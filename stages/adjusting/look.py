@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import Cameras, is_rigid
-from stages.adjusting.matching import GAP_SHARE, errors, gaps, match
-from stages.adjusting.partners import overlap_of
-from stages.adjusting.view import View, view_or_none
-from stages.frames.sampling import sample_evenly
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Frame, Pose, SkippedFrame
+from scanloom.stages.adjusting.cameras import Cameras, is_rigid
+from scanloom.stages.adjusting.matching import GAP_SHARE, errors, gaps, match
+from scanloom.stages.adjusting.partners import overlap_of
+from scanloom.stages.adjusting.view import View, view_or_none
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Frame, Pose, SkippedFrame
 
 # Frames that are looked at, each with the middle one of those that have so much of it before them.
 _LOOKS, _OVERLAP = 8, 0.8

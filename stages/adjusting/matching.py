@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import Cameras
-from stages.adjusting.lens import rays
-from stages.adjusting.lifting import in_world, lifted, transfer_errors
-from stages.adjusting.shutter import late_of
-from stages.adjusting.view import View
-from stages.frames.features import find_epipolar_inliers, match_descriptors
-from stages.progress import Progress, silent
-from stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.adjusting.cameras import Cameras
+from scanloom.stages.adjusting.lens import rays
+from scanloom.stages.adjusting.lifting import in_world, lifted, transfer_errors
+from scanloom.stages.adjusting.shutter import late_of
+from scanloom.stages.adjusting.view import View
+from scanloom.stages.frames.features import find_epipolar_inliers, match_descriptors
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
 
 # How far apart two views may measure a match, a share of its distance, for it to be of one thing.
 GAP_SHARE = 0.13

@@ -18,15 +18,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import carried, lens_of
-from stages.adjusting.lens import OPENCV, project, rays
-from stages.adjusting.outlines import outlines
-from stages.adjusting.view import as_taken
-from stages.diagnostics.errors import InputError
-from stages.frames.sampling import sample_evenly
-from stages.scans.model.images import read_depth
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Camera, ColorImage, Frame, Pose
+from scanloom.stages.adjusting.cameras import carried, lens_of
+from scanloom.stages.adjusting.lens import OPENCV, project, rays
+from scanloom.stages.adjusting.outlines import outlines
+from scanloom.stages.adjusting.view import as_taken
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Pose
 
 # Frames that are looked at, and points of each at most; wider photos are made smaller.
 _FRAMES, _POINTS, _WIDE = 24, 4000, 640

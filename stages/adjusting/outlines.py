@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import DepthImage
+from scanloom.stages.scans.model.scan import DepthImage
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import Cameras, inverted_all
-from stages.adjusting.surfaces import points_of
-from stages.adjusting.view import View
-from stages.frames.sampling import sample_evenly
-from stages.scans.model.scan import Pose
+from scanloom.stages.adjusting.cameras import Cameras, inverted_all
+from scanloom.stages.adjusting.surfaces import points_of
+from scanloom.stages.adjusting.view import View
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.scans.model.scan import Pose
 
 # Partners of a view: some that overlap most, and as many spread among those that overlap enough.
 _NEAREST, _SPREAD = 5, 5

@@ -13,14 +13,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.anchor import Anchor, anchor_rows, off_anchor
-from stages.adjusting.cameras import FREE, STILL, Cameras, by_camera, carried, inverted_all, skew, steps_of
-from stages.adjusting.lens import derivatives
-from stages.adjusting.lifting import planes_at
-from stages.adjusting.shutter import as_read, in_the_middle, turned
-from stages.adjusting.surfaces import Surfaces
-from stages.adjusting.tracks import Tracks
-from stages.adjusting.view import View
+from scanloom.stages.adjusting.anchor import Anchor, anchor_rows, off_anchor
+from scanloom.stages.adjusting.cameras import (
+    FREE,
+    STILL,
+    Cameras,
+    by_camera,
+    carried,
+    inverted_all,
+    skew,
+    steps_of,
+)
+from scanloom.stages.adjusting.lens import derivatives
+from scanloom.stages.adjusting.lifting import planes_at
+from scanloom.stages.adjusting.shutter import as_read, in_the_middle, turned
+from scanloom.stages.adjusting.surfaces import Surfaces
+from scanloom.stages.adjusting.tracks import Tracks
+from scanloom.stages.adjusting.view import View
 
 # Pixels that a keypoint is off, and residuals from which they count by their size, not its square (Huber).
 _PIXEL, _HUBER, _HUBER_DEPTH = 1.0, 2.0, 2.0

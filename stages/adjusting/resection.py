@@ -9,15 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import FREE, Cameras, inverted_all
-from stages.adjusting.lifting import in_world, lifted
-from stages.adjusting.matching import match
-from stages.adjusting.problem import Frees, Problem, State
-from stages.adjusting.shutter import late_of
-from stages.adjusting.tracks import Tracks
-from stages.adjusting.view import View, view_or_none
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Frame, SkippedFrame
+from scanloom.stages.adjusting.cameras import FREE, Cameras, inverted_all
+from scanloom.stages.adjusting.lifting import in_world, lifted
+from scanloom.stages.adjusting.matching import match
+from scanloom.stages.adjusting.problem import Frees, Problem, State
+from scanloom.stages.adjusting.shutter import late_of
+from scanloom.stages.adjusting.tracks import Tracks
+from scanloom.stages.adjusting.view import View, view_or_none
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Frame, SkippedFrame
 
 # Fewer points do not place a frame; steps; pixels that a point may be off in the end.
 _LEAST, _STEPS, _OFF_PX = 30, 12, 4.0

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import carried, motion
-from stages.adjusting.view import View
-from stages.scans.model.rolling_shutter import late_at
+from scanloom.stages.adjusting.cameras import carried, motion
+from scanloom.stages.adjusting.view import View
+from scanloom.stages.scans.model.rolling_shutter import late_at
 
 
 def late_of(

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import FREE, STILL
-from stages.adjusting.problem import Linear, Problem, State
+from scanloom.stages.adjusting.cameras import FREE, STILL
+from scanloom.stages.adjusting.problem import Linear, Problem, State
 
 # The first damping, what a good step divides it by, a bad one multiplies it with, and where that ends.
 _DAMPING, _EASED, _TIGHTENED, _LEAST, _MOST = 1e-4, 5.0, 8.0, 1e-8, 1e6

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.view import View
-from stages.scans.model.rolling_shutter import late_at
+from scanloom.stages.adjusting.view import View
+from scanloom.stages.scans.model.rolling_shutter import late_at
 
 # Cells of a view each way that a point is taken from.
 _CELLS = 8

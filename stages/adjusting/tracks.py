@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.matching import Matches
-from stages.adjusting.shutter import late_of
-from stages.adjusting.view import View
+from scanloom.stages.adjusting.matching import Matches
+from scanloom.stages.adjusting.shutter import late_of
+from scanloom.stages.adjusting.view import View
 
 # A track needs so many views.
 _LEAST_VIEWS = 3

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import lens_of
-from stages.adjusting.lens import OPENCV
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.frames.features import detect_keypoints
-from stages.registration.codes import REGISTER_FRAMES_UNUSABLE
-from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
+from scanloom.stages.adjusting.cameras import lens_of
+from scanloom.stages.adjusting.lens import OPENCV
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.features import detect_keypoints
+from scanloom.stages.registration.codes import REGISTER_FRAMES_UNUSABLE
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
 # Wider images are made smaller; transfer errors are in pixels of what is looked at.
 WIDEST = 960

@@ -9,26 +9,32 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.cleaning.codes import CLEAN_CHECK_FAILED
-from stages.cleaning.regularity import Limits, irregular
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import UsageError
-from stages.params import check as check_params
-from stages.params import param, resolve
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.edges import Ids, components, edges_of
-from stages.surface.mesh import Mesh, Triangles, Vertices
-from stages.surface.raycasting import Surface, bounding_box, chunks
-from stages.surface.topology import Topology, is_degenerate, repeats_vertex, require_measurable, topology
-from stages.surface.welding import same_rows
+from scanloom.stages.cleaning.codes import CLEAN_CHECK_FAILED
+from scanloom.stages.cleaning.regularity import Limits, irregular
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check as check_params
+from scanloom.stages.params import param, resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.edges import Ids, components, edges_of
+from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
+from scanloom.stages.surface.raycasting import Surface, bounding_box, chunks
+from scanloom.stages.surface.topology import (
+    Topology,
+    is_degenerate,
+    repeats_vertex,
+    require_measurable,
+    topology,
+)
+from scanloom.stages.surface.welding import same_rows
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import CheckKeywords
+    from scanloom.stages.params.keywords import CheckKeywords
 
 # Angles of a triangle below this are what Wang, Lu and Pan (2012) take by default: arcsin(1e-5), in degrees.
 PAPERS_CORNER_ANGLE = float(np.degrees(np.arcsin(1e-5)))

@@ -15,29 +15,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.cleaning.check import CheckParams
-from stages.cleaning.codes import CLEAN_NOTHING_LEFT
-from stages.cleaning.degenerate import without_degenerate
-from stages.cleaning.manifold import make_manifold
-from stages.cleaning.repair import Repaired, repair
-from stages.cleaning.stitch import stitch, weld
-from stages.diagnostics.codes import MACHINE_BUG, USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import MeshError, StageError, UsageError
-from stages.params import check, param, resolve
-from stages.printing import by_fields, by_figures, table
-from stages.progress import Progress, silent
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.edges import Ids, components, edges_of
-from stages.surface.holes import fill_holes
-from stages.surface.mesh import Mesh
-from stages.surface.topology import areas, is_duplicate, require_manifold, require_measurable
-from stages.surface.traced import Traced
+from scanloom.stages.cleaning.check import CheckParams
+from scanloom.stages.cleaning.codes import CLEAN_NOTHING_LEFT
+from scanloom.stages.cleaning.degenerate import without_degenerate
+from scanloom.stages.cleaning.manifold import make_manifold
+from scanloom.stages.cleaning.repair import Repaired, repair
+from scanloom.stages.cleaning.stitch import stitch, weld
+from scanloom.stages.diagnostics.codes import MACHINE_BUG, USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import MeshError, StageError, UsageError
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import by_fields, by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.edges import Ids, components, edges_of
+from scanloom.stages.surface.holes import fill_holes
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import areas, is_duplicate, require_manifold, require_measurable
+from scanloom.stages.surface.traced import Traced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import CleanKeywords
+    from scanloom.stages.params.keywords import CleanKeywords
 
 RESULT_VERSION = 1
 

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.cleaning.clean import CleanParams, is_large
-from stages.cleaning.codes import CLEAN_NOTHING_LEFT
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.progress import Progress, silent
-from stages.surface.codes import FUSE_TOO_LARGE
-from stages.surface.edges import components
-from stages.surface.pieces import Extent, Pieces, Written, write_pieces
-from stages.surface.topology import areas
+from scanloom.stages.cleaning.clean import CleanParams, is_large
+from scanloom.stages.cleaning.codes import CLEAN_NOTHING_LEFT
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.codes import FUSE_TOO_LARGE
+from scanloom.stages.surface.edges import components
+from scanloom.stages.surface.pieces import Extent, Pieces, Written, write_pieces
+from scanloom.stages.surface.topology import areas
 
 Ids = NDArray[np.int32]
 

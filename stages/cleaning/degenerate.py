@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.surface.edges import Ids, components, edges_of
-from stages.surface.mesh import Triangles, Vertices
-from stages.surface.topology import FLAT, is_degenerate, repeats_vertex
-from stages.surface.traced import Traced
+from scanloom.stages.surface.edges import Ids, components, edges_of
+from scanloom.stages.surface.mesh import Triangles, Vertices
+from scanloom.stages.surface.topology import FLAT, is_degenerate, repeats_vertex
+from scanloom.stages.surface.traced import Traced
 
 # Each round removes a layer of flat triangles; real scans need two. What is left after this many, a heap
 # of collinear triangles, is dropped.

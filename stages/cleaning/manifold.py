@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
-from stages.surface.mesh import Mesh
-from stages.surface.topology import areas
-from stages.surface.traced import Traced
+from scanloom.stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.traced import Traced
 
 # Edges of more triangles are not matched but taken apart; the pairs to compare grow with the square.
 _MOST_TO_MATCH = 32

@@ -12,11 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._kernels import intersecting_triangles
-from stages.progress import Progress
-from stages.surface.edges import Edges, Ids, edges_of, fans, neighbours
-from stages.surface.mesh import Triangles, Vertices
-from stages.surface.topology import inconsistent, is_degenerate, is_duplicate, pinched, repeats_vertex
+from scanloom.stages._kernels import intersecting_triangles
+from scanloom.stages.progress import Progress
+from scanloom.stages.surface.edges import Edges, Ids, edges_of, fans, neighbours
+from scanloom.stages.surface.mesh import Triangles, Vertices
+from scanloom.stages.surface.topology import (
+    inconsistent,
+    is_degenerate,
+    is_duplicate,
+    pinched,
+    repeats_vertex,
+)
 
 # What the kernel says of a triangle that meets none.
 NO_OTHER = np.uint32(2**32 - 1)

@@ -19,31 +19,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stages.cleaning.check import CLASSES, CheckParams
-from stages.cleaning.codes import CLEAN_NOT_REPAIRED
-from stages.cleaning.regularity import Limits, irregular
-from stages.cleaning.repairs.comparing import difference
-from stages.cleaning.repairs.edited import GONE, Edited, repaired_mesh
-from stages.cleaning.repairs.neighbourhood import grown
-from stages.cleaning.repairs.operations import FINE, HELPLESS, REASONS, SEAM, TOO_FAR, WORSE
-from stages.cleaning.repairs.places import REPAIRABLE, edge_keys
-from stages.cleaning.repairs.rounds import Account, repair_all
-from stages.comparing.certify import certify
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.params import check as check_params
-from stages.params import described, param, resolve
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.edges import Ids
-from stages.surface.mesh import Mesh, Vertices
-from stages.surface.topology import repeats_vertex, require_measurable
+from scanloom.stages.cleaning.check import CLASSES, CheckParams
+from scanloom.stages.cleaning.codes import CLEAN_NOT_REPAIRED
+from scanloom.stages.cleaning.regularity import Limits, irregular
+from scanloom.stages.cleaning.repairs.comparing import difference
+from scanloom.stages.cleaning.repairs.edited import GONE, Edited, repaired_mesh
+from scanloom.stages.cleaning.repairs.neighbourhood import grown
+from scanloom.stages.cleaning.repairs.operations import FINE, HELPLESS, REASONS, SEAM, TOO_FAR, WORSE
+from scanloom.stages.cleaning.repairs.places import REPAIRABLE, edge_keys
+from scanloom.stages.cleaning.repairs.rounds import Account, repair_all
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.params import check as check_params
+from scanloom.stages.params import described, param, resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.edges import Ids
+from scanloom.stages.surface.mesh import Mesh, Vertices
+from scanloom.stages.surface.topology import repeats_vertex, require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import RepairKeywords
+    from scanloom.stages.params.keywords import RepairKeywords
 
 # Of the median edge: what a repair may move the surface by default. A needle of one degree that is as long as
 # an edge is 0.017 of it wide.
@@ -101,8 +101,9 @@ class Repaired:
     mesh : the mesh; what was not irregular is as it was.
     vertex_source : (n,) vertex of the input each vertex was.
     triangle_source : (m,) triangle of the input in whose place each one is.
-    found : of each class in `stages.cleaning.check.CLASSES` that looks at neighbours or intersections, the
-        vertices (k,), edges (k, 2) or triangles (k,) that belong to it, by their numbers in the input.
+    found : of each class in `scanloom.stages.cleaning.check.CLASSES` that looks at neighbours or
+        intersections, the vertices (k,), edges (k, 2) or triangles (k,) that belong to it, by their numbers
+        in the input.
     repaired : of those, the ones that are no longer irregular; some may have gone with others.
     left : of those, the ones that still are; why : in words, for each.
     points : of what is left, a point (k, 3) for each, metres: the vertex, or the middle.

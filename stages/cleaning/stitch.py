@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.surface.edges import Ids, components, edges_of, next_corner
-from stages.surface.mesh import Vertices
-from stages.surface.topology import repeats_vertex
-from stages.surface.traced import Traced
-from stages.surface.welding import same_rows
+from scanloom.stages.surface.edges import Ids, components, edges_of, next_corner
+from scanloom.stages.surface.mesh import Vertices
+from scanloom.stages.surface.topology import repeats_vertex
+from scanloom.stages.surface.traced import Traced
+from scanloom.stages.surface.welding import same_rows
 
 
 def stitch(traced: Traced) -> tuple[Traced, int]:

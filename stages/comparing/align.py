@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.comparing.codes import COMPARE_MESHES_APART
-from stages.comparing.measurable import box_of, comparable
-from stages.comparing.sampling import sampled
-from stages.diagnostics.errors import InputError
-from stages.printing import by_figures, table
-from stages.surface.cloud import is_cloud, some_of
-from stages.surface.convert import MeshLike
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats
-from stages.surface.topology import areas
-from stages.surface.vertex_normals import vertex_normals
+from scanloom.stages._open3d import open3d
+from scanloom.stages.comparing.codes import COMPARE_MESHES_APART
+from scanloom.stages.comparing.measurable import box_of, comparable
+from scanloom.stages.comparing.sampling import sampled
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.surface.cloud import is_cloud, some_of
+from scanloom.stages.surface.convert import MeshLike
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.vertex_normals import vertex_normals
 
 # Points on each surface, or of each cloud.
 _POINTS = 60_000

@@ -14,14 +14,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.needles import WithNeedles
-from stages.comparing.sampling import sampled
-from stages.comparing.signed import Sides, sides_of
-from stages.surface.cloud import is_cloud
-from stages.surface.color import color_at, has_color
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Surface, chunks, interpolated
-from stages.surface.topology import areas
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.comparing.sampling import sampled
+from scanloom.stages.comparing.signed import Sides, sides_of
+from scanloom.stages.surface.cloud import is_cloud
+from scanloom.stages.surface.color import color_at, has_color
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Surface, chunks, interpolated
+from scanloom.stages.surface.topology import areas
 
 Levels = NDArray[np.floating]
 # Points of a cloud whose distances differ by less than this share count as equally near: where a cloud is far

@@ -13,22 +13,22 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.params import check, param, resolve
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.surface.codes import MESH_NO_SURFACE
-from stages.surface.color import attributes_of
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.codes import MESH_NO_SURFACE
+from scanloom.stages.surface.color import attributes_of
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import CertifyKeywords
+    from scanloom.stages.params.keywords import CertifyKeywords
 
 RESULT_VERSION = 1
 

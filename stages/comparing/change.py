@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.measurable import measurable
-from stages.comparing.needles import WithNeedles
-from stages.params import check, param, resolve
-from stages.printing import by_figures, table
-from stages.surface.convert import MeshLike
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Surface, bounding_box, chunks
-from stages.surface.topology import areas
+from scanloom.stages.comparing.measurable import measurable
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.surface.convert import MeshLike
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Surface, bounding_box, chunks
+from scanloom.stages.surface.topology import areas
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import ChangeKeywords
+    from scanloom.stages.params.keywords import ChangeKeywords
 
 # Of the diagonal of the earlier mesh, where no distance is given.
 _FAR = 0.01

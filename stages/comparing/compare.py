@@ -16,18 +16,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stages.comparing.asked import Asked, Levels, Nearest, Points, Spread, asked
-from stages.comparing.measurable import box_of, comparable
-from stages.comparing.needles import WithNeedles
-from stages.params import check, param, resolve
-from stages.printing import by_figures, counted, facts, line, table
-from stages.surface.convert import MeshLike
-from stages.surface.raycasting import Floats, Surface, bounding_box, chunks
+from scanloom.stages.comparing.asked import Asked, Levels, Nearest, Points, Spread, asked
+from scanloom.stages.comparing.measurable import box_of, comparable
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import by_figures, counted, facts, line, table
+from scanloom.stages.surface.convert import MeshLike
+from scanloom.stages.surface.raycasting import Floats, Surface, bounding_box, chunks
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import CompareKeywords
+    from scanloom.stages.params.keywords import CompareKeywords
 
 RESULT_VERSION = 5
 

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.asked import Asked, Levels, Points, Spread, asked
-from stages.comparing.measurable import box_of, comparable
-from stages.comparing.needles import WithNeedles
-from stages.comparing.palette import PALETTES, colors_of
-from stages.params import check, param, resolve
-from stages.printing import by_figures, table
-from stages.surface.cloud import is_cloud
-from stages.surface.convert import MeshLike
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, chunks, is_used
+from scanloom.stages.comparing.asked import Asked, Levels, Points, Spread, asked
+from scanloom.stages.comparing.measurable import box_of, comparable
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.comparing.palette import PALETTES, colors_of
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.surface.cloud import is_cloud
+from scanloom.stages.surface.convert import MeshLike
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, chunks, is_used
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import DeviationKeywords
+    from scanloom.stages.params.keywords import DeviationKeywords
 
 PERCENTILES = (50, 90, 95, 99)
 # As many of the worst places are told, apart by this share of the mesh's size.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages._opencv import require_opencv
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 # By default, this share of the vertices is nearer than what the last colour stands for: a few that are far
 # off must not make all the others look alike.

@@ -14,16 +14,23 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.asked import Levels, Nearest, Points, asked, corners_of
-from stages.comparing.compare import CompareParams, Comparison, all_sums, comparison_of, one_way, sums_of
-from stages.comparing.deviations import DeviationParams, Deviations, Found, deviations_of, points_of
-from stages.comparing.needles import WithNeedles
-from stages.comparing.sampling import drawn, located, share_of
-from stages.comparing.signed import Sides, sides_of
-from stages.surface.color import color_at, has_color
-from stages.surface.mesh import Mesh
-from stages.surface.piecewise import Piece, Piecewise
-from stages.surface.raycasting import Floats, Located, Surface, chunks, interpolated
+from scanloom.stages.comparing.asked import Levels, Nearest, Points, asked, corners_of
+from scanloom.stages.comparing.compare import (
+    CompareParams,
+    Comparison,
+    all_sums,
+    comparison_of,
+    one_way,
+    sums_of,
+)
+from scanloom.stages.comparing.deviations import DeviationParams, Deviations, Found, deviations_of, points_of
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.comparing.sampling import drawn, located, share_of
+from scanloom.stages.comparing.signed import Sides, sides_of
+from scanloom.stages.surface.color import color_at, has_color
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.piecewise import Piece, Piecewise
+from scanloom.stages.surface.raycasting import Floats, Located, Surface, chunks, interpolated
 
 Mask = NDArray[np.bool_]
 

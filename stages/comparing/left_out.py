@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.codes import TEXTURE_PHOTOS_MISMATCH
-from stages.comparing.placing import poses_of, turn_seen
-from stages.comparing.seen import Levels, Seen, fitted, seen_from
-from stages.diagnostics.errors import InputError
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.scans.codes import SCAN_FRAMES_SKIPPED
-from stages.scans.model.images import read_depth, read_photo
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Camera, ColorImage, Frame, Pose, SkippedFrame, scaled
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.comparing.codes import TEXTURE_PHOTOS_MISMATCH
+from scanloom.stages.comparing.placing import poses_of, turn_seen
+from scanloom.stages.comparing.seen import Levels, Seen, fitted, seen_from
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
+from scanloom.stages.scans.model.images import read_depth, read_photo
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Pose, SkippedFrame, scaled
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 RESULT_VERSION = 4
 

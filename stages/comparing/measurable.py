@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.diagnostics.errors import MeshError
-from stages.surface.cloud import is_cloud
-from stages.surface.codes import MESH_NO_SURFACE
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, bounding_box
-from stages.surface.topology import require_area, require_measurable
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.surface.cloud import is_cloud
+from scanloom.stages.surface.codes import MESH_NO_SURFACE
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, bounding_box
+from scanloom.stages.surface.topology import require_area, require_measurable
 
 
 def measurable(given: MeshLike, called: str) -> Mesh:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Located, Surface, closest_weights
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Located, Surface, closest_weights
 
 # Height over longest side of what a search in single precision may overlook; below the lesser one a triangle
 # is as good as its longest side.

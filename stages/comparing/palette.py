@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.raycasting import Floats
+from scanloom.stages.surface.raycasting import Floats
 
 PALETTES = ("metrology", "safe")
 # Levels of red, green and blue, from low to high; between two they are mixed.

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.seen import fitted, seen_from
-from stages.scans.model.poses import inverted
-from stages.scans.model.rolling_shutter import late_at
-from stages.scans.model.scan import Camera, ColorImage, Pose
-from stages.surface.raycasting import Surface
+from scanloom.stages.comparing.seen import fitted, seen_from
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.rolling_shutter import late_at
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Pose
+from scanloom.stages.surface.raycasting import Surface
 
 # Recognised points: how many are looked for, second best over best, pixels that they may be apart at first,
 # and from how many a pose is taken.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.surface.raycasting import Floats, Located
+from scanloom.stages.surface.raycasting import Floats, Located
 
 
 def sampled(cumulative: Floats, rows: slice, count: int, rng: np.random.Generator) -> Located:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.projection import unproject
-from stages.scans.model.scan import Camera, Pose
-from stages.surface.color import color_at
-from stages.surface.raycasting import Surface
+from scanloom.stages.frames.projection import unproject
+from scanloom.stages.scans.model.scan import Camera, Pose
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.raycasting import Surface
 
 Levels = NDArray[np.float32]
 

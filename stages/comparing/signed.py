@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.edges import Edges, edges_of
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Located, interpolated, unit_normals
-from stages.surface.topology import inconsistent, repeats_vertex
+from scanloom.stages.surface.edges import Edges, edges_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Located, interpolated, unit_normals
+from scanloom.stages.surface.topology import inconsistent, repeats_vertex
 
 # A weight below this: the point is on the side opposite to that corner.
 _ON_SIDE = 1e-6

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-from stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
 
 _LISTENERS: ContextVar[tuple[Callable[[Diagnostic], object], ...]] = ContextVar("listeners", default=())
 

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stages.diagnostics.diagnostic import Code, Diagnostic, Location, Severity
+from scanloom.stages.diagnostics.diagnostic import Code, Diagnostic, Location, Severity
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -8,30 +8,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stages.cleaning.check import check
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import UsageError
-from stages.exporting.codes import EXPORT_LEFT_OUT, EXPORT_UP_UNKNOWN
-from stages.exporting.images import FORMATS, with_images
-from stages.exporting.usd import SUFFIXES as USD
-from stages.exporting.usd import require_usd, write_usd
-from stages.params import check as check_params
-from stages.params import param, resolve
-from stages.printing import by_figures, table
-from stages.surface.codes import USAGE_EXTENSION_UNKNOWN
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS, lattice_of
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import EXTENSIONS, lost_with, write_mesh
-from stages.surface.upright import direction_of, turn_along_y, turn_along_z
+from scanloom.stages.cleaning.check import check
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.exporting.codes import EXPORT_LEFT_OUT, EXPORT_UP_UNKNOWN
+from scanloom.stages.exporting.images import FORMATS, with_images
+from scanloom.stages.exporting.usd import SUFFIXES as USD
+from scanloom.stages.exporting.usd import require_usd, write_usd
+from scanloom.stages.params import check as check_params
+from scanloom.stages.params import param, resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.surface.codes import USAGE_EXTENSION_UNKNOWN
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS, lattice_of
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import EXTENSIONS, lost_with, write_mesh
+from scanloom.stages.surface.upright import direction_of, turn_along_y, turn_along_z
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import ExportKeywords
+    from scanloom.stages.params.keywords import ExportKeywords
 
 # Raised by hand when the same mesh and parameters come to another file.
 RESULT_VERSION = 2

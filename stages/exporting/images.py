@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages._opencv import require_opencv
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import MeshError
-from stages.exporting.codes import EXPORT_IMAGE_AS_PNG
-from stages.files.image_bytes import encoded_image
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.exporting.codes import EXPORT_IMAGE_AS_PNG
+from scanloom.stages.files.image_bytes import encoded_image
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image
 
 FORMATS = ("keep", "jpeg", "webp", "png")
 _SUFFIX = {"jpeg": ".jpg", "webp": ".webp", "png": ".png"}

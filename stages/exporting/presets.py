@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.errors import UsageError
-from stages.exporting.export import GLTF, STANDING, ExportParams
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.exporting.export import GLTF, STANDING, ExportParams
 
 if TYPE_CHECKING:
-    from stages.params.keywords import ExportKeywords
+    from scanloom.stages.params.keywords import ExportKeywords
 
 PRESETS: dict[str, ExportKeywords] = {
     "web": {

@@ -10,11 +10,11 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from stages.exporting.export import GLTF, ExportParams
-from stages.files.opening import content_of
-from stages.surface.formats.gltf_container import PACKED, Gltf, Tree, read_container
-from stages.surface.formats.gltf_packing import MAX_STEPS, QUANTIZED, lattice_of
-from stages.surface.mesh import Mesh
+from scanloom.stages.exporting.export import GLTF, ExportParams
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.surface.formats.gltf_container import PACKED, Gltf, Tree, read_container
+from scanloom.stages.surface.formats.gltf_packing import MAX_STEPS, QUANTIZED, lattice_of
+from scanloom.stages.surface.mesh import Mesh
 
 _UNSIGNED_BYTE, _UNSIGNED_SHORT, _FLOAT = 5121, 5123, 5126
 _MIN_BITS = 8

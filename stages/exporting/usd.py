@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import StageError, UsageError
-from stages.exporting.codes import EXPORT_IMAGE_AS_PNG, EXPORT_LEFT_OUT, EXPORT_USD_FAILED
-from stages.files.image_bytes import encoded_png
-from stages.files.replacing import replacing
-from stages.surface.codes import MACHINE_EXTRA_MISSING, USAGE_EXTENSION_UNKNOWN
-from stages.surface.finite import LARGEST_SINGLE
-from stages.surface.formats.colors import linear_from_srgb
-from stages.surface.mesh import Mesh, require_writable
-from stages.surface.texture import Image, Material, Texture
-from stages.surface.upright import turn_along_y
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import StageError, UsageError
+from scanloom.stages.exporting.codes import EXPORT_IMAGE_AS_PNG, EXPORT_LEFT_OUT, EXPORT_USD_FAILED
+from scanloom.stages.files.image_bytes import encoded_png
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.surface.codes import MACHINE_EXTRA_MISSING, USAGE_EXTENSION_UNKNOWN
+from scanloom.stages.surface.finite import LARGEST_SINGLE
+from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages.surface.mesh import Mesh, require_writable
+from scanloom.stages.surface.texture import Image, Material, Texture
+from scanloom.stages.surface.upright import turn_along_y
 
 SUFFIXES = (".usda", ".usdz")
 # What phones and the previewer of USD show.

@@ -12,10 +12,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_PATH_OUTSIDE, FILE_TEXT_INVALID, FILE_UNREADABLE
-from stages.files.inside import leads_inside
-from stages.files.opening import opened, text_in
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_PATH_OUTSIDE, FILE_TEXT_INVALID, FILE_UNREADABLE
+from scanloom.stages.files.inside import leads_inside
+from scanloom.stages.files.opening import opened, text_in
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

@@ -16,11 +16,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_IMAGE_FORMAT, FILE_UNREADABLE
-from stages.files.image_bytes import MAX_PIXELS
-from stages.files.opening import content_of, opened, said_of
-from stages.files.room import require_room
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_IMAGE_FORMAT, FILE_UNREADABLE
+from scanloom.stages.files.image_bytes import MAX_PIXELS
+from scanloom.stages.files.opening import content_of, opened, said_of
+from scanloom.stages.files.room import require_room
 
 _HEADER_BYTES = 1 << 19
 _START = b"v/1\x01"

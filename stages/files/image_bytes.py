@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._opencv import require_opencv
-from stages.files.room import require_room
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.files.room import require_room
 
 # Four channels of 16 bits, once as they are decoded and once as they are handed out.
 _PIXEL_BYTES = 16

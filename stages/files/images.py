@@ -11,11 +11,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._opencv import require_opencv
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_IMAGE_FORMAT, FILE_UNREADABLE
-from stages.files.exr import exr_size, read_exr
-from stages.files.image_bytes import (
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_IMAGE_FORMAT, FILE_UNREADABLE
+from scanloom.stages.files.exr import exr_size, read_exr
+from scanloom.stages.files.image_bytes import (
     MAX_PIXELS,
     PNG_START,
     is_cut_short,
@@ -23,9 +23,9 @@ from stages.files.image_bytes import (
     promised_size,
     require_room_for,
 )
-from stages.files.numpy_files import NPY_FAULTS, mapped
-from stages.files.opening import content_of, opened, said_of
-from stages.files.room import require_room
+from scanloom.stages.files.numpy_files import NPY_FAULTS, mapped
+from scanloom.stages.files.opening import content_of, opened, said_of
+from scanloom.stages.files.room import require_room
 
 # Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
 _HEADER_BYTES = 1 << 19

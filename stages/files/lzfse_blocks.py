@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import struct
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DAMAGED
-from stages.files.room import require_room
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_DAMAGED
+from scanloom.stages.files.room import require_room
 
 # An encoder fills blocks of tens of kilobytes; thousands of small ones are made to swell.
 _SMALLEST_BLOCK = 1 << 12

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.files.opening import require_regular
+from scanloom.stages.files.opening import require_regular
 
 # Their headers are parsed as Python's own text is, which CPython 3.11 now and then fails at where two threads
 # do so at once (python/cpython#106905).

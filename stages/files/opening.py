@@ -13,7 +13,7 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
-from stages.files.noting import note
+from scanloom.stages.files.noting import note
 
 # Bytes as they are, where a system would make others of them; and without waiting, where it can wait.
 _READING = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError, ScanloomError
-from stages.files.room import require_room
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError, ScanloomError
+from scanloom.stages.files.room import require_room
 
 # What the process may take beyond what it has when it begins, bytes.
 _MEMORY = 1 << 31

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
 
 
 def merge_repeated(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:

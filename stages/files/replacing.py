@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.files.codes import FILE_OUTPUT_REFUSED, FILE_PATH_INVALID
-from stages.files.moving import move
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED, FILE_PATH_INVALID
+from scanloom.stages.files.moving import move
 
 # Bytes of a name that file systems take; a draft's is longer than its file's by the rest.
 _LONGEST_NAME = 255

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.files.codes import FILE_OUTPUT_REFUSED
-from stages.files.moving import move
-from stages.files.replacing import draft_of
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
+from scanloom.stages.files.moving import move
+from scanloom.stages.files.replacing import draft_of
 
 
 @contextmanager

@@ -7,9 +7,9 @@ import zipfile
 import zlib
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_ARCHIVE_DAMAGED, FILE_DAMAGED
-from stages.files.opening import require_regular
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_ARCHIVE_DAMAGED, FILE_DAMAGED
+from scanloom.stages.files.opening import require_regular
 
 # What reading an archive can raise; RuntimeError is for an encryption nobody asked for.
 FAULTS = (

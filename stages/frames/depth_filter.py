@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.scans.model.scan import Camera, DepthImage
+from scanloom.stages import _kernels
+from scanloom.stages.scans.model.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -62,7 +62,7 @@ def match_descriptors(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> N
     -------
     (m, 2) indices into `source` and `target`.
     """
-    from stages import _kernels
+    from scanloom.stages import _kernels
 
     # OpenBLAS is slower: its threads wait for each other in products of small matrices.
     return _kernels.match_descriptors(source, target, distinct=_MAX_RATIO)

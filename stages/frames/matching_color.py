@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.frames.projection import project
-from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.model.images import read_color
-from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, scaled
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.projection import project
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
+from scanloom.stages.scans.model.images import read_color
+from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, scaled
 
 
 def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.frames.depth_filter import OrientedDepth, orient_depth
-from stages.frames.rigid_pose import require_rigid_pose
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FRAMES_SKIPPED
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Camera, Frame, Pose, pinhole
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.depth_filter import OrientedDepth, orient_depth
+from scanloom.stages.frames.rigid_pose import require_rigid_pose
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FRAMES_SKIPPED
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, pinhole
 
 # Largest angle between the line of sight and the surface normal, degrees. At grazing angles other frames see
 # the surface better; a single frame has no others.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import Camera
+from scanloom.stages.scans.model.scan import Camera
 
 
 def project(points: NDArray[Any], camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:

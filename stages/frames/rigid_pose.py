@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import FRAME_POSE_MISSING, POSE_INVALID
-from stages.scans.model.scan import Frame, Pose
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import FRAME_POSE_MISSING, POSE_INVALID
+from scanloom.stages.scans.model.scan import Frame, Pose
 
 # Poses read from text have few digits, and the rotations of trackers drift.
 _RIGID_TOLERANCE = 1e-2

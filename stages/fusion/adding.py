@@ -10,23 +10,23 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID, USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError, UsageError
-from stages.frames.matching_color import read_matching_color
-from stages.frames.posed_depth import PosedDepth, read_posed_depth
-from stages.fusion.codes import FUSE_DEVICE_MISSING, FUSE_NO_SURFACE
-from stages.fusion.crop import Crop
-from stages.fusion.params import FuseParams
-from stages.fusion.plan import Plan, make_plan
-from stages.fusion.relief import evened_alone
-from stages.fusion.upsampling import upsampled_alone, upsampled_frame
-from stages.fusion.voxels import Box, Field, Keys, Volume, touched_blocks
-from stages.progress import Progress
-from stages.scans.codes import POSE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import ColorImage, Frame, Pose, Scan, SkippedFrame
+from scanloom.stages._open3d import open3d
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID, USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.posed_depth import PosedDepth, read_posed_depth
+from scanloom.stages.fusion.codes import FUSE_DEVICE_MISSING, FUSE_NO_SURFACE
+from scanloom.stages.fusion.crop import Crop
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.fusion.plan import Plan, make_plan
+from scanloom.stages.fusion.relief import evened_alone
+from scanloom.stages.fusion.upsampling import upsampled_alone, upsampled_frame
+from scanloom.stages.fusion.voxels import Box, Field, Keys, Volume, touched_blocks
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.codes import POSE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import ColorImage, Frame, Pose, Scan, SkippedFrame
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.fusion.voxels import BLOCK, Keys
+from scanloom.stages.fusion.voxels import BLOCK, Keys
 
 Block = tuple[int, int, int]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.posed_depth import PosedDepth
-from stages.fusion.params import Corners, Point
-from stages.fusion.scene import in_words
-from stages.surface.mesh import Mesh
+from scanloom.stages.frames.posed_depth import PosedDepth
+from scanloom.stages.fusion.params import Corners, Point
+from scanloom.stages.fusion.scene import in_words
+from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError, UsageError
-from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
-from stages.fusion.codes import FUSE_CROP_EMPTY, FUSE_PLANE_UNCERTAIN
-from stages.fusion.crop import Crop, cropped, shown
-from stages.fusion.params import FuseParams, Point
-from stages.fusion.scene import Scene
-from stages.fusion.support import Support, find_support
-from stages.fusion.survey import Noise
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import Frame
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
+from scanloom.stages.fusion.codes import FUSE_CROP_EMPTY, FUSE_PLANE_UNCERTAIN
+from scanloom.stages.fusion.crop import Crop, cropped, shown
+from scanloom.stages.fusion.params import FuseParams, Point
+from scanloom.stages.fusion.scene import Scene
+from scanloom.stages.fusion.support import Support, find_support
+from scanloom.stages.fusion.survey import Noise
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import Frame
 
 # A plane that leaves less than this share of the points is told.
 _NEARLY_NOTHING = 0.01

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.fusion.crop import Crop
-from stages.fusion.support import Support
-from stages.fusion.survey import Noise
-from stages.scans.model.scan import SkippedFrame
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.fusion.crop import Crop
+from scanloom.stages.fusion.support import Support
+from scanloom.stages.fusion.survey import Noise
+from scanloom.stages.scans.model.scan import SkippedFrame
+from scanloom.stages.surface.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError, UsageError
-from stages.frames.matching_color import read_matching_color
-from stages.fusion.adding import (
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.fusion.adding import (
     Work,
     add_frames,
     begun,
@@ -25,25 +25,25 @@ from stages.fusion.adding import (
     nothing_fused,
     own_volume,
 )
-from stages.fusion.codes import FUSE_NO_SURFACE
-from stages.fusion.crop import corners_of, cut, part_of, within
-from stages.fusion.facts import Facts, MeshFigures
-from stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
-from stages.fusion.params import FuseParams
-from stages.fusion.relief import read_whole, relief
-from stages.fusion.voxels import Field, OutgrownError, Seen, block_bytes
-from stages.fusion.writing import write_fused
-from stages.params import resolve
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.scans.model.scan import Frame, Scan
-from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.mesh import Mesh
+from scanloom.stages.fusion.codes import FUSE_NO_SURFACE
+from scanloom.stages.fusion.crop import corners_of, cut, part_of, within
+from scanloom.stages.fusion.facts import Facts, MeshFigures
+from scanloom.stages.fusion.in_bricks import FusedInBricks, Kept, fuse_in_bricks
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.fusion.relief import read_whole, relief
+from scanloom.stages.fusion.voxels import Field, OutgrownError, Seen, block_bytes
+from scanloom.stages.fusion.writing import write_fused
+from scanloom.stages.params import resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.surface.formats.ply import read_ply, write_ply
+from scanloom.stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import FuseKeywords
+    from scanloom.stages.params.keywords import FuseKeywords
 
 RESULT_VERSION = 8
 
@@ -87,8 +87,8 @@ def fuse(
     cannot be used is skipped and reported. With a crop the volume holds what is inside, and a seam outside as
     wide as the field is cut off at; depth outside tells that nothing is before it. The mesh is cut at the
     border: there it is as without a crop. Of a frame alone the pixels are joined instead (see
-    stages.fusion.relief). Equal input gives a bit-identical mesh on one machine, whatever the
-    number of threads, and whether space was cut in bricks (see stages.fusion.in_bricks).
+    scanloom.stages.fusion.relief). Equal input gives a bit-identical mesh on one machine, whatever the
+    number of threads, and whether space was cut in bricks (see scanloom.stages.fusion.in_bricks).
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def fuse(
 
     References
     ----------
-    Curless and Levoy 1996 (see stages.fusion.voxels).
+    Curless and Levoy 1996 (see scanloom.stages.fusion.voxels).
     """
     params = resolve(FuseParams, params, changes)
     with collecting() as diagnostics:
@@ -203,7 +203,7 @@ def _in_one_piece(work: Work, device: str, progress: Progress) -> Fused:
 def _volume(work: Work, device: str) -> Field:
     plan, max_bytes = work.plan, work.params.memory * 1e6
     if work.params.backend == "open3d" or device != "CPU:0":
-        from stages.fusion.open3d_voxels import Open3DVolume
+        from scanloom.stages.fusion.open3d_voxels import Open3DVolume
 
         return Open3DVolume(
             plan.voxel_size,

@@ -22,10 +22,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.files.documents import read_document
-from stages.files.numpy_files import mapped
-from stages.fusion.adding import (
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.files.documents import read_document
+from scanloom.stages.files.numpy_files import mapped
+from scanloom.stages.fusion.adding import (
     Outcome,
     Work,
     add_frames,
@@ -36,15 +36,15 @@ from stages.fusion.adding import (
     own_volume,
     require_share,
 )
-from stages.fusion.bricks import Cube, Seen, bricks_of, level_of, passes, touched_bricks
-from stages.fusion.crop import cut
-from stages.fusion.facts import Facts, MeshFigures
-from stages.fusion.joining import Joined, Piece, reading, write_piece
-from stages.fusion.voxels import Box, Keys, Volume, block_bytes, median_of
-from stages.fusion.writing import piece_level, write_fused, write_joined
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.scans.model.scan import SkippedFrame
+from scanloom.stages.fusion.bricks import Cube, Seen, bricks_of, level_of, passes, touched_bricks
+from scanloom.stages.fusion.crop import cut
+from scanloom.stages.fusion.facts import Facts, MeshFigures
+from scanloom.stages.fusion.joining import Joined, Piece, reading, write_piece
+from scanloom.stages.fusion.voxels import Box, Keys, Volume, block_bytes, median_of
+from scanloom.stages.fusion.writing import piece_level, write_fused, write_joined
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.scan import SkippedFrame
 
 _COUNTS, _SKIPPED = "frame_counts.npy", "skipped.json"
 # Version of these files: bricks of another one are not used.
@@ -69,7 +69,7 @@ class FusedInBricks(Facts):
 
     Attributes
     ----------
-    path : of a PLY file, with its table of pieces beside it; see stages.surface.pieces.
+    path : of a PLY file, with its table of pieces beside it; see scanloom.stages.surface.pieces.
     mesh_figures : how large it is.
     bricks, fused_bricks : how many there are, and how many of them had to be fused.
     """

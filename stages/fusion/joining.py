@@ -17,12 +17,12 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.fusion.bricks import Cube
-from stages.fusion.codes import FUSE_BRICK_DAMAGED
-from stages.fusion.voxels import Keys
-from stages.surface.codes import FUSE_TOO_LARGE
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.fusion.bricks import Cube
+from scanloom.stages.fusion.codes import FUSE_BRICK_DAMAGED
+from scanloom.stages.fusion.voxels import Keys
+from scanloom.stages.surface.codes import FUSE_TOO_LARGE
+from scanloom.stages.surface.mesh import Mesh
 
 # Edges of a block, first and second vertices, have codes below this.
 _CODES = 1 << 12

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.fusion.params import FuseParams
-from stages.fusion.plan import limits_of, look
-from stages.fusion.survey import measured_noise, survey
-from stages.scans.model.prefetch import workers
-from stages.scans.model.scan import Frame
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.fusion.plan import limits_of, look
+from scanloom.stages.fusion.survey import measured_noise, survey
+from scanloom.stages.scans.model.prefetch import workers
+from scanloom.stages.scans.model.scan import Frame
 
 RESULT_VERSION = 2
 

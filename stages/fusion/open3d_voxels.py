@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.frames.posed_depth import PosedDepth
-from stages.fusion.voxels import BLOCK, outgrown
-from stages.scans.model.scan import ColorImage, Pose
-from stages.surface.mesh import Mesh
+from scanloom.stages._open3d import open3d
+from scanloom.stages.frames.posed_depth import PosedDepth
+from scanloom.stages.fusion.voxels import BLOCK, outgrown
+from scanloom.stages.scans.model.scan import ColorImage, Pose
+from scanloom.stages.surface.mesh import Mesh
 
 # Distance, weight and three colour channels in float32, or without the colour.
 _VOXEL_BYTES = {True: 20, False: 8}

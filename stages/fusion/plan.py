@@ -11,20 +11,26 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE, DepthLimits, PosedDepth, read_posed_depth
-from stages.fusion.codes import FUSE_FAR_DEPTH_LEFT_OUT
-from stages.fusion.crop import Crop, cropped, shown
-from stages.fusion.cropping import above_plane, what_is_kept
-from stages.fusion.params import FuseParams
-from stages.fusion.scene import Scene, scene_of
-from stages.fusion.support import Support
-from stages.fusion.survey import Noise, Survey, measured_noise, survey
-from stages.fusion.voxels import BLOCK, Weighing, touched_blocks
-from stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import Frame, Pose
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.posed_depth import (
+    MAX_ANGLE,
+    MAX_ANGLE_ALONE,
+    DepthLimits,
+    PosedDepth,
+    read_posed_depth,
+)
+from scanloom.stages.fusion.codes import FUSE_FAR_DEPTH_LEFT_OUT
+from scanloom.stages.fusion.crop import Crop, cropped, shown
+from scanloom.stages.fusion.cropping import above_plane, what_is_kept
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.fusion.scene import Scene, scene_of
+from scanloom.stages.fusion.support import Support
+from scanloom.stages.fusion.survey import Noise, Survey, measured_noise, survey
+from scanloom.stages.fusion.voxels import BLOCK, Weighing, touched_blocks
+from scanloom.stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import Frame, Pose
 
 # How many places of the scan are looked at, two neighbouring frames at each; fewer when frames are large,
 # since all of them are held at once.

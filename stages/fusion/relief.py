@@ -14,12 +14,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.frames.depth_filter import Differences, bridge_gaps, inverse_depth_differences
-from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.scan import ColorImage, DepthImage, Frame, pinhole
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.depth_filter import Differences, bridge_gaps, inverse_depth_differences
+from scanloom.stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, pinhole
+from scanloom.stages.surface.mesh import Mesh
 
 Mask = NDArray[np.bool_]
 Triangles = NDArray[np.int32]

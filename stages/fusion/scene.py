@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.posed_depth import PosedDepth
-from stages.fusion.params import Point
-from stages.printing import by_fields
-from stages.scans.model.scan import Frame
+from scanloom.stages.frames.posed_depth import PosedDepth
+from scanloom.stages.fusion.params import Point
+from scanloom.stages.printing import by_fields
+from scanloom.stages.scans.model.scan import Frame
 
 Floats = NDArray[np.float64]
 

@@ -21,11 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.posed_depth import PosedDepth
-from stages.fusion.params import Point
-from stages.fusion.scene import point_of
-from stages.printing import by_fields
-from stages.surface.upright import up_of_cameras
+from scanloom.stages.frames.posed_depth import PosedDepth
+from scanloom.stages.fusion.params import Point
+from scanloom.stages.fusion.scene import point_of
+from scanloom.stages.printing import by_fields
+from scanloom.stages.surface.upright import up_of_cameras
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.posed_depth import PosedDepth
-from stages.frames.projection import project
-from stages.scans.model.scan import DepthImage
+from scanloom.stages.frames.posed_depth import PosedDepth
+from scanloom.stages.frames.projection import project
+from scanloom.stages.scans.model.scan import DepthImage
 
 _STEP = 4  # every fourth pixel of a row and a column is looked at
 _BINS = 8

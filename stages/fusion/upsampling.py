@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.errors import InputError
-from stages.frames.depth_filter import bridge_gaps
-from stages.frames.matching_color import read_matching_color
-from stages.fusion.params import FuseParams
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.scan import ColorImage, DepthImage, Frame, pinhole, scaled
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.depth_filter import bridge_gaps
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, pinhole, scaled
 
 Image = NDArray[np.float32]
 Indices = NDArray[np.intp]

@@ -16,13 +16,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.codes import MACHINE_OUT_OF_MEMORY
-from stages.diagnostics.errors import StageError
-from stages.frames.posed_depth import PosedDepth
-from stages.fusion.codes import FUSE_FRAMES_FAR_APART
-from stages.scans.model.scan import Camera, ColorImage, Pose
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.codes import MACHINE_OUT_OF_MEMORY
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.frames.posed_depth import PosedDepth
+from scanloom.stages.fusion.codes import FUSE_FRAMES_FAR_APART
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Pose
+from scanloom.stages.surface.mesh import Mesh
 
 # Voxels along the side of a block.
 BLOCK = 8

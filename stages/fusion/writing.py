@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import StageError
-from stages.fusion.bricks import Cube, level_of, numbers_of
-from stages.fusion.facts import MeshFigures
-from stages.fusion.joining import Joined
-from stages.fusion.plan import Plan
-from stages.fusion.scene import point_of
-from stages.fusion.voxels import BLOCK, Keys
-from stages.surface.codes import FUSE_TOO_LARGE
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Extent, Written, is_many, write_pieces
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.fusion.bricks import Cube, level_of, numbers_of
+from scanloom.stages.fusion.facts import MeshFigures
+from scanloom.stages.fusion.joining import Joined
+from scanloom.stages.fusion.plan import Plan
+from scanloom.stages.fusion.scene import point_of
+from scanloom.stages.fusion.voxels import BLOCK, Keys
+from scanloom.stages.surface.codes import FUSE_TOO_LARGE
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Extent, Written, is_many, write_pieces
 
 # Metres, about: the side of a piece. Bricks are never larger.
 PIECE_SIZE = 4.0

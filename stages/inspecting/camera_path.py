@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.printing import by_fields
-from stages.scans.codes import POSE_JUMPS
-from stages.scans.model.scan import Scan
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.printing import by_fields
+from scanloom.stages.scans.codes import POSE_JUMPS
+from scanloom.stages.scans.model.scan import Scan
 
 # A person walking with a camera does not move faster between two frames.
 _LARGEST_STEP_M = 0.5

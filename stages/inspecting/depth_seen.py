@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.files.images import read_raw_depth
-from stages.inspecting.codes import SCALE_DEPTH_UNIT_SUSPECT, SCAN_DEPTH_MARKER_UNDECLARED
-from stages.printing import by_fields
-from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
-from stages.scans.codes import SCAN_DEPTH_MISSING
-from stages.scans.model.scan import DepthImage, Frame, Scan
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files.images import read_raw_depth
+from scanloom.stages.inspecting.codes import SCALE_DEPTH_UNIT_SUSPECT, SCAN_DEPTH_MARKER_UNDECLARED
+from scanloom.stages.printing import by_fields
+from scanloom.stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
+from scanloom.stages.scans.codes import SCAN_DEPTH_MISSING
+from scanloom.stages.scans.model.scan import DepthImage, Frame, Scan
 
 _PLAUSIBLE_M = (0.1, 20.0)
 # Units a metre of the layouts in use, for a hint when the depth cannot be right.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.images import image_size
-from stages.inspecting.codes import SCAN_IMAGES_SIZES_DIFFER, SCAN_IMAGES_UNREADABLE
-from stages.scans.model.scan import Scan
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import image_size
+from scanloom.stages.inspecting.codes import SCAN_IMAGES_SIZES_DIFFER, SCAN_IMAGES_UNREADABLE
+from scanloom.stages.scans.model.scan import Scan
 
 
 def report_sizes(scan: Scan) -> None:

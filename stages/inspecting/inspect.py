@@ -8,33 +8,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from stages.adjusting.look import look, usable
-from stages.adjusting.offset import offset, sights
-from stages.adjusting.view import color_camera, has_one_camera, place_of_color
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError
-from stages.frames.sampling import sample_evenly
-from stages.fusion.params import FuseParams
-from stages.fusion.plan import Plan, make_plan
-from stages.fusion.upsampling import upsampled_alone
-from stages.inspecting import sanity
-from stages.inspecting.camera_path import camera_path
-from stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED, SCAN_FRAMES_BLURRED
-from stages.inspecting.depth_seen import SCALES, depth_range, report_markers
-from stages.inspecting.image_sizes import report_sizes
-from stages.inspecting.inspection import Inspection
-from stages.inspecting.outlook import outlook
-from stages.inspecting.unused import unused
-from stages.inspecting.view_poses import check_view_poses
-from stages.registration.focal import focal_of, is_guess, report_focal
-from stages.registration.focal_by_marks import focal_by_marks
-from stages.registration.subject import shows_thing
-from stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_FRAMES_SKIPPED
-from stages.scans.model.images import read_color, read_depth, read_right
-from stages.scans.model.prefetch import workers
-from stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, StereoRig
-from stages.scans.model.sharpness import least_sharp
-from stages.scans.transforms.up import known_up
+from scanloom.stages.adjusting.look import look, usable
+from scanloom.stages.adjusting.offset import offset, sights
+from scanloom.stages.adjusting.view import color_camera, has_one_camera, place_of_color
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.fusion.plan import Plan, make_plan
+from scanloom.stages.fusion.upsampling import upsampled_alone
+from scanloom.stages.inspecting import sanity
+from scanloom.stages.inspecting.camera_path import camera_path
+from scanloom.stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED, SCAN_FRAMES_BLURRED
+from scanloom.stages.inspecting.depth_seen import SCALES, depth_range, report_markers
+from scanloom.stages.inspecting.image_sizes import report_sizes
+from scanloom.stages.inspecting.inspection import Inspection
+from scanloom.stages.inspecting.outlook import outlook
+from scanloom.stages.inspecting.unused import unused
+from scanloom.stages.inspecting.view_poses import check_view_poses
+from scanloom.stages.registration.focal import focal_of, is_guess, report_focal
+from scanloom.stages.registration.focal_by_marks import focal_by_marks
+from scanloom.stages.registration.subject import shows_thing
+from scanloom.stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_FRAMES_SKIPPED
+from scanloom.stages.scans.model.images import read_color, read_depth, read_right
+from scanloom.stages.scans.model.prefetch import workers
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, StereoRig
+from scanloom.stages.scans.model.sharpness import least_sharp
+from scanloom.stages.scans.transforms.up import known_up
 
 _SAMPLED = 8
 # A frame so much less sharp than the usual one shows hardly any of its edges.

@@ -6,17 +6,17 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.fusion.scene import Scene, in_words
-from stages.inspecting.camera_path import Path3D
-from stages.inspecting.depth_seen import DepthRange
-from stages.inspecting.outlook import Outlook
-from stages.inspecting.unused import Unused
-from stages.printing import by_figures, table
-from stages.registration.focal import Focal
-from stages.scans.codes import POSE_MISSING
-from stages.scans.model.scan import Camera, Scan
-from stages.scans.model.world import Scale, WorldUp
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.fusion.scene import Scene, in_words
+from scanloom.stages.inspecting.camera_path import Path3D
+from scanloom.stages.inspecting.depth_seen import DepthRange
+from scanloom.stages.inspecting.outlook import Outlook
+from scanloom.stages.inspecting.unused import Unused
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.registration.focal import Focal
+from scanloom.stages.scans.codes import POSE_MISSING
+from scanloom.stages.scans.model.scan import Camera, Scan
+from scanloom.stages.scans.model.world import Scale, WorldUp
 
 # Of files that nobody used, so many are named to a person.
 _SHOWN = 12

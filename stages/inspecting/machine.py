@@ -10,11 +10,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from stages import _kernels
-from stages.files.opening import content_of
-from stages.files.written_by import installed_version
-from stages.inspecting.libraries import version_of
-from stages.inspecting.system import memory_bytes, oddities, of_processor
+from scanloom.stages import _kernels
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.written_by import installed_version
+from scanloom.stages.inspecting.libraries import version_of
+from scanloom.stages.inspecting.system import memory_bytes, oddities, of_processor
 
 # What the kernels and the libraries are fast with.
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd")

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stages.scans.model.poses import AS_WRITTEN, WORLD_TO_CAMERA, WORLD_TO_CAMERA_Y_UP, Y_UP, inverted, meant
-from stages.scans.model.scan import Pose
+from scanloom.stages.scans.model.poses import (
+    AS_WRITTEN,
+    WORLD_TO_CAMERA,
+    WORLD_TO_CAMERA_Y_UP,
+    Y_UP,
+    inverted,
+    meant,
+)
+from scanloom.stages.scans.model.scan import Pose
 
 AS_GIVEN = "as given"
 # The values of scan.pose_convention, by how a sentence calls them.

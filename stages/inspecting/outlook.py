@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stages.fusion.plan import Plan
-from stages.fusion.voxels import block_bytes
-from stages.printing import by_fields
-from stages.scans.model.scan import Frame
+from scanloom.stages.fusion.plan import Plan
+from scanloom.stages.fusion.voxels import block_bytes
+from scanloom.stages.printing import by_fields
+from scanloom.stages.scans.model.scan import Frame
 
 # What a run leaves behind for each triangle that is fused: meshes after each stage, records, pictures.
 _DISK_BYTES = 130

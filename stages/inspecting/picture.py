@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.frames.matching_color import read_matching_color
-from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
-from stages.scans.model.images import read_color, read_depth, read_right
-from stages.scans.model.scan import ColorImage, Frame, Scan
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
+from scanloom.stages.scans.model.images import read_color, read_depth, read_right
+from scanloom.stages.scans.model.scan import ColorImage, Frame, Scan
 
 _HEIGHT = 480
 _MARGIN = 48

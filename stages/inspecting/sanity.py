@@ -12,17 +12,17 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.frames.projection import project, unproject
-from stages.frames.sampling import sample_evenly
-from stages.inspecting.codes import POSE_CONVENTION_SUSPECT, POSE_INEXACT, SCALE_DEPTH_UNIT_SUSPECT
-from stages.inspecting.meant import AS_GIVEN, advice, motions
-from stages.scans.model.images import read_depth
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
-from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.projection import project, unproject
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.inspecting.codes import POSE_CONVENTION_SUSPECT, POSE_INEXACT, SCALE_DEPTH_UNIT_SUSPECT
+from scanloom.stages.inspecting.meant import AS_GIVEN, advice, motions
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
+from scanloom.stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 RESULT_VERSION = 2
 

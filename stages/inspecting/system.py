@@ -6,10 +6,10 @@ import os
 import sys
 from pathlib import Path
 
-from stages.files.opening import text_in
+from scanloom.stages.files.opening import text_in
 
 if sys.platform == "win32":
-    from stages.inspecting import windows
+    from scanloom.stages.inspecting import windows
 
 
 def memory_bytes() -> tuple[int | None, int | None]:

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from itertools import islice, takewhile
 from pathlib import Path
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.files.noting import only_looking
-from stages.printing import by_fields
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration import rig_calibration
-from stages.scans.image_folders.image_files import DEPTHS, IMAGES
-from stages.scans.layouts.tum.associations import read_associations
-from stages.scans.model.scan import Scan
-from stages.scans.trajectory import files as trajectories
-from stages.scans.transforms.adjusted_cameras import with_adjusted
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.noting import only_looking
+from scanloom.stages.printing import by_fields
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration import rig_calibration
+from scanloom.stages.scans.image_folders.image_files import DEPTHS, IMAGES
+from scanloom.stages.scans.layouts.tum.associations import read_associations
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.transforms.adjusted_cameras import with_adjusted
 
 # Of a folder with more, the rest is not looked through.
 _MOST_FILES = 20_000

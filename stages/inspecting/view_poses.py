@@ -12,15 +12,20 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.frames.features import Keypoints, detect_keypoints, find_epipolar_inliers, match_descriptors
-from stages.frames.sampling import sample_evenly
-from stages.inspecting.codes import POSE_CONVENTION_SUSPECT
-from stages.inspecting.meant import AS_GIVEN, advice, motions
-from stages.scans.model.images import read_pinhole
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, pinhole, scaled
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.features import (
+    Keypoints,
+    detect_keypoints,
+    find_epipolar_inliers,
+    match_descriptors,
+)
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.inspecting.codes import POSE_CONVENTION_SUSPECT
+from scanloom.stages.inspecting.meant import AS_GIVEN, advice, motions
+from scanloom.stages.scans.model.images import read_pinhole
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, pinhole, scaled
 
 RESULT_VERSION = 1
 

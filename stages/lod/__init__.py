@@ -1,19 +1,19 @@
 """Level of detail: a tree of cells, each with a progressive mesh, every level proven against the input.
 
->>> from stages import lod, read_mesh
+>>> from scanloom.stages import lod, read_mesh
 >>> hierarchy = lod.build(read_mesh("clean.ply"))
 >>> light = hierarchy.cut(triangles=20_000)
 >>> light.mesh, light.shape_bound_m
 """
 
-from stages.lod.build import LodParams, build
-from stages.lod.evaluate import adjust, evaluate
-from stages.lod.front import Cut, Front
-from stages.lod.hierarchy import Hierarchy
-from stages.lod.slod import read_slod, write_slod
-from stages.lod.tile_texture import TileImageParams
-from stages.lod.tiles import Tileset, TilesParams, write_tiles
-from stages.lod.view import View
+from scanloom.stages.lod.build import LodParams, build
+from scanloom.stages.lod.evaluate import adjust, evaluate
+from scanloom.stages.lod.front import Cut, Front
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.lod.slod import read_slod, write_slod
+from scanloom.stages.lod.tile_texture import TileImageParams
+from scanloom.stages.lod.tiles import Tileset, TilesParams, write_tiles
+from scanloom.stages.lod.view import View
 
 __all__ = [
     "Cut",

@@ -9,31 +9,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import InputError
-from stages.lod.codes import LEVELS_BOUND_NOT_PROVEN, LEVELS_ISLANDS_DROPPED, LEVELS_LEFT_OUT
-from stages.lod.hierarchy import Hierarchy
-from stages.lod.model import packed
-from stages.params import check as check_params
-from stages.params import param, resolve
-from stages.progress import Progress, silent
-from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES
-from stages.simplification.color_weight import balanced_weight
-from stages.simplification.in_sheets import in_sheets, is_split, joined, report_split, sheets_of
-from stages.simplification.simplify import simplify
-from stages.surface.codes import MESH_NO_SURFACE
-from stages.surface.color import attributes_of, color_at, is_textured
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.small_components import find_small_components
-from stages.surface.topology import require_measurable
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.lod.codes import LEVELS_BOUND_NOT_PROVEN, LEVELS_ISLANDS_DROPPED, LEVELS_LEFT_OUT
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.lod.model import packed
+from scanloom.stages.params import check as check_params
+from scanloom.stages.params import param, resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES
+from scanloom.stages.simplification.color_weight import balanced_weight
+from scanloom.stages.simplification.in_sheets import in_sheets, is_split, joined, report_split, sheets_of
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.codes import MESH_NO_SURFACE
+from scanloom.stages.surface.color import attributes_of, color_at, is_textured
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.small_components import find_small_components
+from scanloom.stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import LodKeywords
+    from scanloom.stages.params.keywords import LodKeywords
 
 # Raised by hand when levels of the same mesh become others.
 RESULT_VERSION = 5

@@ -6,11 +6,11 @@ import heapq
 
 import numpy as np
 
-from stages.lod import measures
-from stages.lod.front import Front, Region
-from stages.lod.levels import Levels
-from stages.lod.measures import Rule, Weights
-from stages.lod.view import View
+from scanloom.stages.lod import measures
+from scanloom.stages.lod.front import Front, Region
+from scanloom.stages.lod.levels import Levels
+from scanloom.stages.lod.measures import Rule, Weights
+from scanloom.stages.lod.view import View
 
 
 def evaluate(
@@ -23,7 +23,7 @@ def evaluate(
     Parameters
     ----------
     region : whose vertices are marked, as those someone works on are.
-    rule : "paper" for the paper's letter in all measures; see `stages.lod.measures`.
+    rule : "paper" for the paper's letter in all measures; see `scanloom.stages.lod.measures`.
     """
     h = hierarchy
     middle, radius = h.spheres

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.errors import UsageError
-from stages.printing import by_figures, table
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
-    from stages.lod.levels import Levels
-    from stages.lod.view import View
+    from scanloom.stages.lod.levels import Levels
+    from scanloom.stages.lod.view import View
 
 Floats = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.lod.codes import LEVELS_TILES_TOO_FINE
-from stages.lod.hierarchy import Hierarchy
-from stages.surface.welding import same_rows
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.lod.codes import LEVELS_TILES_TOO_FINE
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.surface.welding import same_rows
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]

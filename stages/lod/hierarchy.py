@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.lod.front import Cut, Front, Region
-from stages.lod.levels import Levels
-from stages.lod.view import View
+from scanloom.stages.lod.front import Cut, Front, Region
+from scanloom.stages.lod.levels import Levels
+from scanloom.stages.lod.view import View
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.lod.model import unpacked
-from stages.printing import by_figures, table
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.lod.model import unpacked
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.surface.mesh import Mesh
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -91,7 +91,7 @@ class Levels:
 
     @cached_property
     def model(self) -> Mesh | None:
-        """The textured mesh that was given, of which tiles get their images, and cuts with `stages.bake`.
+        """The textured mesh that was given, of which tiles get their images, and cuts with `scanloom.bake`.
 
         Raises
         ------

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.lod.view import View
+from scanloom.stages.lod.view import View
 
 Floats = NDArray[np.float64]
 Rule = Literal["corrected", "paper"]

@@ -8,10 +8,10 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from stages.files.opening import content_of
-from stages.surface.formats.gltf import read_gltf
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.mesh import Mesh
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.surface.formats.gltf import read_gltf
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.mesh import Mesh
 
 
 def packed(mesh: Mesh) -> bytes:

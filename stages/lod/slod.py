@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_UNREADABLE
-from stages.files.opening import content_of, said_of
-from stages.files.replacing import replacing
-from stages.lod.codes import LEVELS_CUT_OFF, LEVELS_FILE_DAMAGED
-from stages.lod.hierarchy import Hierarchy
-from stages.surface.finite import require_finite
-from stages.surface.mesh import NOT_WRITTEN
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_UNREADABLE
+from scanloom.stages.files.opening import content_of, said_of
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.lod.codes import LEVELS_CUT_OFF, LEVELS_FILE_DAMAGED
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.surface.finite import require_finite
+from scanloom.stages.surface.mesh import NOT_WRITTEN
 
 _MAGIC = b"SLOD"
 # 2 tells what was dropped; where nothing was, 1 says the same.

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.lod.grid import Grid
-from stages.surface.formats.colors import linear_from_srgb
-from stages.surface.formats.gltf_container import Tree
-from stages.surface.formats.gltf_materials import UNLIT
-from stages.surface.formats.gltf_packing import INDICES, PACKED, QUANTIZED, VERTICES, packed, strips
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image
+from scanloom.stages.lod.grid import Grid
+from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages.surface.formats.gltf_container import Tree
+from scanloom.stages.surface.formats.gltf_materials import UNLIT
+from scanloom.stages.surface.formats.gltf_packing import INDICES, PACKED, QUANTIZED, VERTICES, packed, strips
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image
 
 _FLOAT, _SHORT, _INT = 5126, 5123, 5125
 _JSON, _BIN = 0x4E4F534A, 0x004E4942

@@ -18,21 +18,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import MeshError
-from stages.files.image_bytes import encoded_image
-from stages.lod.codes import LEVELS_MODEL_MISMATCH
-from stages.params import check, param
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.surface.color import color_at, has_color
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Surface, bounding_box
-from stages.surface.texture import Image, Material, Texture
-from stages.surface.topology import areas, require_area
-from stages.texturing.detail import detail_of, details_of
-from stages.texturing.facing import FacingColors
-from stages.texturing.pages import Pages, in_one
-from stages.texturing.painted_pages import painted_pages
-from stages.texturing.reducing import reduced
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.files.image_bytes import encoded_image
+from scanloom.stages.lod.codes import LEVELS_MODEL_MISMATCH
+from scanloom.stages.params import check, param
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.surface.color import color_at, has_color
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Surface, bounding_box
+from scanloom.stages.surface.texture import Image, Material, Texture
+from scanloom.stages.surface.topology import areas, require_area
+from scanloom.stages.texturing.detail import detail_of, details_of
+from scanloom.stages.texturing.facing import FacingColors
+from scanloom.stages.texturing.pages import Pages, in_one
+from scanloom.stages.texturing.painted_pages import painted_pages
+from scanloom.stages.texturing.reducing import reduced
 
 # The heading in help.
 _IMAGES = "Images"

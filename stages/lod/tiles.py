@@ -15,35 +15,42 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files.opening import content_of
-from stages.files.replacing_folder import replacing_folder
-from stages.files.written_by import installed_version
-from stages.lod.codes import LEVELS_CUT_OFF, LEVELS_LEFT_OUT
-from stages.lod.grid import Grid, on_grid
-from stages.lod.hierarchy import Hierarchy
-from stages.lod.tile_glb import tile_glb
-from stages.lod.tile_texture import Piece, TileImage, TileImageParams, figures_of, model_of, with_images
-from stages.params import check as check_params
-from stages.params import param, resolve
-from stages.picturing.page.files import FOLDER as PAGE_FOLDER
-from stages.picturing.page.files import INDEX, tiles_page
-from stages.picturing.page.standing import facing
-from stages.printing import by_figures, table
-from stages.printing.rounding import rounded_up
-from stages.progress import Progress, silent
-from stages.surface.color import is_transparent
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.finite import require_finite
-from stages.surface.mesh import NOT_WRITTEN, Mesh
-from stages.surface.upright import direction_of, turn_along_z
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.replacing_folder import replacing_folder
+from scanloom.stages.files.written_by import installed_version
+from scanloom.stages.lod.codes import LEVELS_CUT_OFF, LEVELS_LEFT_OUT
+from scanloom.stages.lod.grid import Grid, on_grid
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.lod.tile_glb import tile_glb
+from scanloom.stages.lod.tile_texture import (
+    Piece,
+    TileImage,
+    TileImageParams,
+    figures_of,
+    model_of,
+    with_images,
+)
+from scanloom.stages.params import check as check_params
+from scanloom.stages.params import param, resolve
+from scanloom.stages.picturing.page.files import FOLDER as PAGE_FOLDER
+from scanloom.stages.picturing.page.files import INDEX, tiles_page
+from scanloom.stages.picturing.page.standing import facing
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.printing.rounding import rounded_up
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.color import is_transparent
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.finite import require_finite
+from scanloom.stages.surface.mesh import NOT_WRITTEN, Mesh
+from scanloom.stages.surface.upright import direction_of, turn_along_z
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import TilesKeywords
+    from scanloom.stages.params.keywords import TilesKeywords
 
 # Raised by hand when tiles of the same levels become others.
 RESULT_VERSION = 1

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.errors import UsageError
-from stages.picturing.viewpoints import Viewpoint
-from stages.printing import by_fields
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.printing import by_fields
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.diagnostic import Code
 
 LEVELS_NORMAL_MESH_INEXACT = Code(
     "levels.normal-mesh-inexact",

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.codes import FILE_UNREADABLE
-from stages.files.opening import content_of
-from stages.files.replacing import replacing
-from stages.lod.codes import LEVELS_FILE_DAMAGED
-from stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
-from stages.printing import by_fields, by_figures, table
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh, require_writable
-from stages.surface.mesh_files import write_mesh
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.codes import FILE_UNREADABLE
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.lod.codes import LEVELS_FILE_DAMAGED
+from scanloom.stages.normal_meshes.codes import LEVELS_LEVEL_MISSING
+from scanloom.stages.printing import by_fields, by_figures, table
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh, require_writable
+from scanloom.stages.surface.mesh_files import write_mesh
 
 # What stands for a new vertex: a number along the normal; a vector, since no number leads to the surface; a
 # vector, since the vertex is on the boundary.

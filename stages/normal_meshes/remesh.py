@@ -8,37 +8,37 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages import _kernels
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import MeshError
-from stages.lod.codes import LEVELS_LEFT_OUT
-from stages.normal_meshes.codes import (
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.lod.codes import LEVELS_LEFT_OUT
+from scanloom.stages.normal_meshes.codes import (
     LEVELS_BASE_LARGE,
     LEVELS_FOLDED,
     LEVELS_NORMAL_MESH_INEXACT,
     LEVELS_TOO_FINE,
     LEVELS_VERTICES_SPLIT,
 )
-from stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
-from stages.params import check, param, resolve
-from stages.progress import Progress, silent
-from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
-from stages.simplification.kernel_input import texture_left_out
-from stages.simplification.simplify import simplify
-from stages.surface.color import attributes_of
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
-from stages.surface.sheets import Sheets
-from stages.surface.topology import require_area
-from stages.surface.traced import Traced
+from scanloom.stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
+from scanloom.stages.simplification.kernel_input import texture_left_out
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.color import attributes_of
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.sheets import Sheets
+from scanloom.stages.surface.topology import require_area
+from scanloom.stages.surface.traced import Traced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import RemeshKeywords
+    from scanloom.stages.params.keywords import RemeshKeywords
 
 RESULT_VERSION = 7
 

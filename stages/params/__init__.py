@@ -15,9 +15,9 @@ from functools import cache, reduce
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
-from stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
+from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN, USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
 
 P = TypeVar("P")
 A = ParamSpec("A")

@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from stages.diagnostics.diagnostic import Diagnostic
-    from stages.simplification.certified.params import CertifiedParams
-    from stages.simplification.jia01.params import Jia01Params
-    from stages.simplification.planar.params import PlanarParams
-    from stages.simplification.seams.params import SeamsParams
-    from stages.stereo.params import SgbmParams
-    from stages.surface.mesh import Colors, Triangles, Vertices
-    from stages.surface.texture import Texture
+    from scanloom.stages.diagnostics.diagnostic import Diagnostic
+    from scanloom.stages.simplification.certified.params import CertifiedParams
+    from scanloom.stages.simplification.jia01.params import Jia01Params
+    from scanloom.stages.simplification.planar.params import PlanarParams
+    from scanloom.stages.simplification.seams.params import SeamsParams
+    from scanloom.stages.stereo.params import SgbmParams
+    from scanloom.stages.surface.mesh import Colors, Triangles, Vertices
+    from scanloom.stages.surface.texture import Texture
 
 
 class AdjustKeywords(TypedDict, total=False):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.diagnostic import Code
 
 RENDER_NOTHING_TO_DRAW = Code(
     "render.nothing-to-draw",

@@ -14,22 +14,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.measurable import box_of, measurable
-from stages.comparing.seen import seen_from
-from stages.params import check, param, resolve
-from stages.picturing.render import Model
-from stages.picturing.viewpoints import Viewpoint, viewpoints
-from stages.printing import by_figures, table
-from stages.scans.model.scan import Camera, ColorImage
-from stages.surface.color import has_color
-from stages.surface.convert import MeshLike
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.comparing.measurable import box_of, measurable
+from scanloom.stages.comparing.seen import seen_from
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.picturing.render import Model
+from scanloom.stages.picturing.viewpoints import Viewpoint, viewpoints
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.scans.model.scan import Camera, ColorImage
+from scanloom.stages.surface.color import has_color
+from scanloom.stages.surface.convert import MeshLike
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import ViewsKeywords
+    from scanloom.stages.params.keywords import ViewsKeywords
 
 Levels = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from stages.picturing.render import Model, Picture, Shading, sees
-from stages.picturing.viewpoints import Viewpoint
-from stages.scans.model.scan import ColorImage
-from stages.surface.piecewise import Piecewise
-from stages.surface.raycasting import Floats, Surface
+from scanloom.stages.picturing.render import Model, Picture, Shading, sees
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.surface.piecewise import Piecewise
+from scanloom.stages.surface.raycasting import Floats, Surface
 
 # Pixels of all pictures that are drawn at a time; they take some 50 bytes each.
 _AT_ONCE = 6_000_000

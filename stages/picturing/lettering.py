@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stages.picturing.render import Model
-from stages.picturing.viewpoints import Viewpoint
-from stages.scans.model.scan import ColorImage
+from scanloom.stages.picturing.render import Model
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.scans.model.scan import ColorImage
 
 # Of a picture's height: letters, at least so many pixels, and what is left free around them.
 _LETTERS, _LEAST_LETTERS = 1 / 32, 11

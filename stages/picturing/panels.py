@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stages.picturing.lettering import ScaleBar, focus_of, scale_bar, with_scale_bar, with_words
-from stages.picturing.render import Model, Shading
-from stages.picturing.viewpoints import Viewpoint
-from stages.scans.model.scan import ColorImage
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.picturing.lettering import ScaleBar, focus_of, scale_bar, with_scale_bar, with_words
+from scanloom.stages.picturing.render import Model, Shading
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 # Between two pictures, pixels; even, as videos are.
 _GAP, _PAPER = 8, 255

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.errors import UsageError
-from stages.files.replacing import replacing
-from stages.simplification.tradeoff import Tradeoff
-from stages.surface.codes import MACHINE_EXTRA_MISSING
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.simplification.tradeoff import Tradeoff
+from scanloom.stages.surface.codes import MACHINE_EXTRA_MISSING
 
 SUFFIXES = (".png", ".svg")
 

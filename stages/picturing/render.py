@@ -11,18 +11,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._opencv import require_opencv
-from stages.diagnostics.errors import InputError
-from stages.files.replacing import replacing
-from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
-from stages.picturing.viewpoints import Viewpoint, viewpoints
-from stages.scans.model.scan import ColorImage
-from stages.surface.color import color_at, has_color
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Hits, Surface, chunks
-from stages.surface.topology import require_measurable
-from stages.surface.vertex_normals import vertex_normals
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.picturing.codes import RENDER_NOTHING_TO_DRAW
+from scanloom.stages.picturing.viewpoints import Viewpoint, viewpoints
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.surface.color import color_at, has_color
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Hits, Surface, chunks
+from scanloom.stages.surface.topology import require_measurable
+from scanloom.stages.surface.vertex_normals import vertex_normals
 
 __all__ = ["Model", "Shading", "Viewpoint", "render", "viewpoints", "write_png"]
 

@@ -8,17 +8,17 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.files.replacing import replacing
-from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
-from stages.picturing.page.packing import Shown, packed_page
-from stages.printing import line
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.upright import direction_of
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.picturing.codes import RENDER_NOTHING_TO_DRAW
+from scanloom.stages.picturing.page.packing import Shown, packed_page
+from scanloom.stages.printing import line
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.upright import direction_of
 
 # What a page takes without any model, and a little for one.
 _LEAST_MB = 1.2

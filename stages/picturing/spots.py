@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.surface.cloud import some_of
-from stages.surface.mesh import Mesh
+from scanloom.stages.surface.cloud import some_of
+from scanloom.stages.surface.mesh import Mesh
 
 # From a spot's centre to its corners, in distances to the nearest neighbour: large enough to close the gaps
 # between points that are spread at random.

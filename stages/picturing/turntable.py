@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stages.picturing.viewpoints import FILLED, Viewpoint, around, framed, looking_at, up_or_own
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.raycasting import is_used
-from stages.surface.topology import require_area
+from scanloom.stages.picturing.viewpoints import FILLED, Viewpoint, around, framed, looking_at, up_or_own
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.raycasting import is_used
+from scanloom.stages.surface.topology import require_area
 
 # As many points tell how far away the eye has to be.
 _ENOUGH = 5_000

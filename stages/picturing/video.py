@@ -6,11 +6,11 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from stages._opencv import require_opencv
-from stages.diagnostics.errors import StageError
-from stages.files.replacing import replacing
-from stages.picturing.codes import RENDER_ENCODER_MISSING
-from stages.scans.model.scan import ColorImage
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.picturing.codes import RENDER_ENCODER_MISSING
+from scanloom.stages.scans.model.scan import ColorImage
 
 # How a file says what it is encoded by. MPEG-4 is known to players and presentations, VP9 to browsers.
 CODECS = {"mpeg4": "mp4v", "vp9": "vp09"}

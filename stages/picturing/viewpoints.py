@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.errors import InputError, UsageError
-from stages.picturing.codes import RENDER_NOTHING_TO_DRAW
-from stages.printing import by_fields
-from stages.scans.model.scan import Camera, Frame, Pose
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, is_used
-from stages.surface.topology import require_measurable
-from stages.surface.upright import turn_along_y, up_of_held
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.picturing.codes import RENDER_NOTHING_TO_DRAW
+from scanloom.stages.printing import by_fields
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, is_used
+from scanloom.stages.surface.topology import require_measurable
+from scanloom.stages.surface.upright import turn_along_y, up_of_held
 
 # Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
 _STRAY = 0.001

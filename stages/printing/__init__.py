@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from stages.printing.rounding import DIGITS, rounded_down, rounded_up
+from scanloom.stages.printing.rounding import DIGITS, rounded_down, rounded_up
 
 if TYPE_CHECKING:
     import numpy as np

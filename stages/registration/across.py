@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.registration.graph import Edge
+from scanloom.stages.registration.graph import Edge
 
 # Only the most alike are looked at: that is soon done, for what is recognised in both is asked first.
 _MOST = 500

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.features import root_descriptors
-from stages.registration.features import Features
+from scanloom.stages.frames.features import root_descriptors
+from scanloom.stages.registration.features import Features
 
 _WORDS = 32
 _SAMPLE = 20_000

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.projection import project
-from stages.frames.sampling import sample_evenly
-from stages.registration.looks import Look, read_look, read_looks, same_within
-from stages.registration.motion import angle
-from stages.registration.still import Mask
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Camera, Frame, Pose
+from scanloom.stages.frames.projection import project
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.registration.looks import Look, read_look, read_looks, same_within
+from scanloom.stages.registration.motion import angle
+from scanloom.stages.registration.still import Mask
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
 Floats = NDArray[np.float64]
 

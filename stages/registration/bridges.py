@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stages.registration.graph import Edge, pieces
+from scanloom.stages.registration.graph import Edge, pieces
 
 # A link alone is believed where so much of the surface meets, and more where it is told by a few points: the
 # keys of a keyboard look alike, and a blurred view of them fits where it does not belong. A step by surfaces

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.progress import Progress
-from stages.registration.graph import Edge
-from stages.registration.key_views import KeyViews
-from stages.registration.motion import (
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.progress import Progress
+from scanloom.stages.registration.graph import Edge
+from scanloom.stages.registration.key_views import KeyViews
+from scanloom.stages.registration.motion import (
     Motion,
     NoMotion,
     agree,
@@ -22,10 +22,10 @@ from stages.registration.motion import (
     motion_between,
     refined,
 )
-from stages.registration.view import View, read_view
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Frame, Pose, SkippedFrame
+from scanloom.stages.registration.view import View, read_view
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Frame, Pose, SkippedFrame
 
 # A key frame is taken where the view has moved by this much of its median depth, has turned by this much, or
 # after so many frames.

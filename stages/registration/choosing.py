@@ -10,16 +10,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.registration.chain import Chain
-from stages.registration.codes import REGISTER_NOT_BETTER
-from stages.registration.graph import Edge, pieces
-from stages.registration.motion import Motion
-from stages.registration.odometry import meeting
-from stages.registration.placing import placed_pieces
-from stages.registration.points import step_of
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Pose
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.registration.chain import Chain
+from scanloom.stages.registration.codes import REGISTER_NOT_BETTER
+from scanloom.stages.registration.graph import Edge, pieces
+from scanloom.stages.registration.motion import Motion
+from scanloom.stages.registration.odometry import meeting
+from scanloom.stages.registration.placing import placed_pieces
+from scanloom.stages.registration.points import step_of
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Pose
 
 # Fewer loops than this are not asked what they say of each other.
 _FEW_LOOPS = 6

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.features import detect_keypoints, match_descriptors
-from stages.frames.projection import project, unproject
-from stages.registration.points import Matched, fitted
-from stages.scans.model.scan import Camera, DepthImage, Pose
+from scanloom.stages.frames.features import detect_keypoints, match_descriptors
+from scanloom.stages.frames.projection import project, unproject
+from scanloom.stages.registration.points import Matched, fitted
+from scanloom.stages.scans.model.scan import Camera, DepthImage, Pose
 
 # Features are looked for in images of at most so many pixels, and the strongest that have a depth are kept.
 PIXELS = 640 * 480

@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.frames.features import match_descriptors
-from stages.frames.sampling import sample_evenly
-from stages.registration.appearance import likeness
-from stages.registration.codes import CAMERA_FOCAL_ESTIMATED
-from stages.registration.features import Features
-from stages.registration.still import is_still
-from stages.registration.view import read_view
-from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.features import match_descriptors
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.registration.appearance import likeness
+from scanloom.stages.registration.codes import CAMERA_FOCAL_ESTIMATED
+from scanloom.stages.registration.features import Features
+from scanloom.stages.registration.still import is_still
+from scanloom.stages.registration.view import read_view
+from scanloom.stages.scans.codes import CAMERA_INTRINSICS_GUESSED
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 Floats = NDArray[np.float64]
 

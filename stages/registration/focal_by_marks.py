@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.frames.sampling import sample_evenly
-from stages.registration.focal import Focal
-from stages.registration.looks import read_looks
-from stages.registration.still import backdrop_of
-from stages.registration.turning import couples_of, marked_links
-from stages.scans.model.scan import Frame
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.registration.focal import Focal
+from scanloom.stages.registration.looks import read_looks
+from scanloom.stages.registration.still import backdrop_of
+from scanloom.stages.registration.turning import couples_of, marked_links
+from scanloom.stages.scans.model.scan import Frame
 
 # Frames spread over the scan that are compared, each with each.
 _FRAMES = 8

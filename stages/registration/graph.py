@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.registration.motion import Motion
-from stages.scans.model.scan import Pose
+from scanloom.stages._open3d import open3d
+from scanloom.stages.registration.motion import Motion
+from scanloom.stages.scans.model.scan import Pose
 
 # What any motion is off beside its noise, for lenses, shutters and clocks are never quite as said: radians,
 # and a share of the reach.

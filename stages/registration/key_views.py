@@ -6,9 +6,9 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from threading import Lock
 
-from stages.registration.features import Features
-from stages.registration.view import View, read_view
-from stages.scans.model.scan import Frame
+from scanloom.stages.registration.features import Features
+from scanloom.stages.registration.view import View, read_view
+from scanloom.stages.scans.model.scan import Frame
 
 # Views whose images are kept, of 0.3 MB each; others are read again when they are asked for.
 _HELD = 256

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.frames.matching_color import read_matching_color
-from stages.frames.projection import unproject
-from stages.registration.view import smaller
-from stages.scans.model.images import read_depth
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Camera, Frame, pinhole, scaled
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.projection import unproject
+from scanloom.stages.registration.view import smaller
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Camera, Frame, pinhole, scaled
 
 # Wider ones are taken in blocks of pixels: masks need not be finer.
 _WIDEST = 320

@@ -8,16 +8,16 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.progress import Progress
-from stages.registration.across import across, joined
-from stages.registration.appearance import likeness
-from stages.registration.chain import Chain
-from stages.registration.features import recognise
-from stages.registration.graph import Edge
-from stages.registration.motion import Motion, NoMotion, by_points, by_surface, is_near
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Pose
+from scanloom.stages.progress import Progress
+from scanloom.stages.registration.across import across, joined
+from scanloom.stages.registration.appearance import likeness
+from scanloom.stages.registration.chain import Chain
+from scanloom.stages.registration.features import recognise
+from scanloom.stages.registration.graph import Edge
+from scanloom.stages.registration.motion import Motion, NoMotion, by_points, by_surface, is_near
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Pose
 
 # Loops are looked for with this many views that should overlap and this many that look alike.
 _NEAR, _ALIKE = 5, 3

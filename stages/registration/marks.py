@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.matching_color import read_matching_color
-from stages.frames.projection import project
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Camera, Frame, Pose, pinhole
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.projection import project
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, pinhole
 
 Floats = NDArray[np.float64]
 

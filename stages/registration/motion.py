@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.registration.codes import REGISTER_PAIR_NOT_ALIGNED
-from stages.registration.features import Recognised, recognise
-from stages.registration.odometry import align, align_from_afar, meeting, told
-from stages.registration.points import Matched, at_source, joined
-from stages.registration.view import View
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Pose
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.registration.codes import REGISTER_PAIR_NOT_ALIGNED
+from scanloom.stages.registration.features import Recognised, recognise
+from scanloom.stages.registration.odometry import align, align_from_afar, meeting, told
+from scanloom.stages.registration.points import Matched, at_source, joined
+from scanloom.stages.registration.view import View
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Pose
 
 # Matched points from which a motion is believed without a surface that agrees.
 _SURE_POINTS = 15

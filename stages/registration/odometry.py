@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.diagnostics.errors import is_lack_of_memory
-from stages.registration.view import View
-from stages.scans.model.scan import Pose
+from scanloom.stages._open3d import open3d
+from scanloom.stages.diagnostics.errors import is_lack_of_memory
+from scanloom.stages.registration.view import View
+from scanloom.stages.scans.model.scan import Pose
 
 # Iterations from the coarsest of three resolutions to the finest; and where the first guess is a mere guess.
 _ITERATIONS = (4, 3, 2)

@@ -9,10 +9,10 @@ from itertools import count
 
 import numpy as np
 
-from stages.registration.chain import Chain
-from stages.registration.graph import Edge, optimised
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Pose
+from scanloom.stages.registration.chain import Chain
+from scanloom.stages.registration.graph import Edge, optimised
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Pose
 
 # Surfaces count as the same within this share of the median depth.
 _REACH_SHARE = 0.03

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Pose
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Pose
 
 # Pixels that a point is off; metres that depth is, and how this grows with its square: at first, at the least
 # and at the most. A pair tells how much its own depth is off.

@@ -11,34 +11,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.frames.sampling import sample_evenly
-from stages.params import resolve
-from stages.progress import Progress, silent
-from stages.registration.bridges import confirmed
-from stages.registration.chain import Chain, key_edges, make_chain
-from stages.registration.choosing import Placed, placed
-from stages.registration.codes import REGISTER_FRAMES_UNUSABLE, REGISTER_NOT_CONNECTED
-from stages.registration.focal import focal_of, is_guess, report_focal
-from stages.registration.focal_by_marks import focal_by_marks
-from stages.registration.graph import Edge, pieces
-from stages.registration.loops import loops
-from stages.registration.motion import NoMotion
-from stages.registration.odometry import one_thread_each
-from stages.registration.params import RegisterParams
-from stages.registration.registered import Registration
-from stages.registration.reporting import report_pieces, report_poses
-from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
-from stages.scans.codes import POSE_MISSING
-from stages.scans.model.images import read_depth
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.params import resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.registration.bridges import confirmed
+from scanloom.stages.registration.chain import Chain, key_edges, make_chain
+from scanloom.stages.registration.choosing import Placed, placed
+from scanloom.stages.registration.codes import REGISTER_FRAMES_UNUSABLE, REGISTER_NOT_CONNECTED
+from scanloom.stages.registration.focal import focal_of, is_guess, report_focal
+from scanloom.stages.registration.focal_by_marks import focal_by_marks
+from scanloom.stages.registration.graph import Edge, pieces
+from scanloom.stages.registration.loops import loops
+from scanloom.stages.registration.motion import NoMotion
+from scanloom.stages.registration.odometry import one_thread_each
+from scanloom.stages.registration.params import RegisterParams
+from scanloom.stages.registration.registered import Registration
+from scanloom.stages.registration.reporting import report_pieces, report_poses
+from scanloom.stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
+from scanloom.stages.scans.codes import POSE_MISSING
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import RegisterKeywords
+    from scanloom.stages.params.keywords import RegisterKeywords
 
 RESULT_VERSION = 4
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.printing import by_figures, table
-from stages.registration.focal import Focal
-from stages.scans.model.scan import Frame, SkippedFrame
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.registration.focal import Focal
+from scanloom.stages.scans.model.scan import Frame, SkippedFrame
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.registration.chain import Chain
-from stages.registration.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.registration.chain import Chain
+from scanloom.stages.registration.codes import (
     REGISTER_AMBIGUOUS_PLACES,
     REGISTER_CAMERA_STILL,
     REGISTER_FRAMES_REPEATED,
@@ -16,10 +16,10 @@ from stages.registration.codes import (
     REGISTER_MOTION_UNCLEAR,
     REGISTER_NOT_CONNECTED,
 )
-from stages.registration.graph import Edge
-from stages.registration.motion import Motion, angle
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Frame, Pose, SkippedFrame
+from scanloom.stages.registration.graph import Edge
+from scanloom.stages.registration.motion import Motion, angle
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Frame, Pose, SkippedFrame
 
 _STILL_M, _STILL_RAD = 0.005, np.radians(0.5)
 _DARK = 8.0

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.features import match_descriptors
-from stages.registration.features import Features
-from stages.registration.looks import Look, same_within
-from stages.registration.view import View
+from scanloom.stages.frames.features import match_descriptors
+from scanloom.stages.registration.features import Features
+from scanloom.stages.registration.looks import Look, same_within
+from scanloom.stages.registration.view import View
 
 Mask = NDArray[np.bool_]
 

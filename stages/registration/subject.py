@@ -12,19 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.frames.sampling import sample_evenly
-from stages.registration.belonging import masks_of_thing
-from stages.registration.codes import REGISTER_TURNING_OBJECT
-from stages.registration.features import Features
-from stages.registration.looks import Look, read_look, read_looks
-from stages.registration.still import Backdrop, Mask, backdrop_of, something_moves, stands_still
-from stages.registration.turning import first_poses
-from stages.registration.view import read_view
-from stages.scans.model.images import read_mask
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Frame, Pose
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.registration.belonging import masks_of_thing
+from scanloom.stages.registration.codes import REGISTER_TURNING_OBJECT
+from scanloom.stages.registration.features import Features
+from scanloom.stages.registration.looks import Look, read_look, read_looks
+from scanloom.stages.registration.still import Backdrop, Mask, backdrop_of, something_moves, stands_still
+from scanloom.stages.registration.turning import first_poses
+from scanloom.stages.registration.view import read_view
+from scanloom.stages.scans.model.images import read_mask
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Frame, Pose
 
 # Frames by which it is decided, and more by which the backdrop is known.
 _DECIDE, _BEHIND = 7, 24

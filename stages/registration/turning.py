@@ -9,15 +9,15 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.registration.features import Features, recognise
-from stages.registration.graph import Edge, optimised
-from stages.registration.looks import Look
-from stages.registration.marks import Plate, marked_motion, marks_on, moving_marks, plates_of
-from stages.registration.motion import Motion, agree
-from stages.registration.still import Backdrop
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Frame, Pose
+from scanloom.stages.registration.features import Features, recognise
+from scanloom.stages.registration.graph import Edge, optimised
+from scanloom.stages.registration.looks import Look
+from scanloom.stages.registration.marks import Plate, marked_motion, marks_on, moving_marks, plates_of
+from scanloom.stages.registration.motion import Motion, agree
+from scanloom.stages.registration.still import Backdrop
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Frame, Pose
 
 Floats = NDArray[np.float64]
 # A motion (target_from_source), and how many points or marks say so.

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.frames.matching_color import read_matching_color
-from stages.frames.projection import unproject
-from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
-from stages.registration.features import PIXELS, Features, features_of
-from stages.registration.points import deviation
-from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
+from scanloom.stages._open3d import open3d
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.frames.projection import unproject
+from scanloom.stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
+from scanloom.stages.registration.features import PIXELS, Features, features_of
+from scanloom.stages.registration.points import deviation
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
 
 # Wider depth maps are taken in blocks of 2, 3, … pixels each way: alignment gains nothing beyond.
 _WIDEST = 400

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.diagnostic import Code
 
 CAMERA_CALIBRATION_CONTRADICTORY = Code(
     "camera.calibration-contradictory",

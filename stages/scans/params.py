@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.params import param
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.tags import FAMILIES
-from stages.scans.table import LAYOUTS
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import param
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.tags import FAMILIES
+from scanloom.stages.scans.table import LAYOUTS
 
 # What makes a scan metric; one of them is enough.
 _SCALES = ("scale", "known_distance", "tag_size")

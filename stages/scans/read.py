@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from stages._opencv import require_opencv
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic, Severity
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.blas_buffers import require_buffers
-from stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
-from stages.files.noting import noting
-from stages.files.repeated import merge_repeated
-from stages.scans.codes import (
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.blas_buffers import require_buffers
+from scanloom.stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
+from scanloom.stages.files.noting import noting
+from scanloom.stages.files.repeated import merge_repeated
+from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     POSE_ASSUMED,
@@ -30,22 +30,22 @@ from stages.scans.codes import (
     SCAN_TIMES_IRREGULAR,
     SCAN_TOO_MANY_FRAMES_SKIPPED,
 )
-from stages.scans.image_folders.image_files import common_size
-from stages.scans.image_folders.rotated_bits import with_bits_turned_back
-from stages.scans.layouts import plain_views
-from stages.scans.layouts.plain_views import place_of_photos
-from stages.scans.layouts.shared.axis_alignment import aligned
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.unsupported import Refused, refused
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.poses import AS_WRITTEN, meant
-from stages.scans.model.scan import Frame, Packed, Scan, SkippedFrame
-from stages.scans.params import ScanParams
-from stages.scans.table import DISTINCT, GENERIC, LAYOUTS
-from stages.scans.transforms.adjusted_cameras import with_adjusted
-from stages.scans.transforms.masks import with_masks
-from stages.scans.transforms.scale import with_scale
-from stages.scans.transforms.up import with_up
+from scanloom.stages.scans.image_folders.image_files import common_size
+from scanloom.stages.scans.image_folders.rotated_bits import with_bits_turned_back
+from scanloom.stages.scans.layouts import plain_views
+from scanloom.stages.scans.layouts.plain_views import place_of_photos
+from scanloom.stages.scans.layouts.shared.axis_alignment import aligned
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.unsupported import Refused, refused
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.poses import AS_WRITTEN, meant
+from scanloom.stages.scans.model.scan import Frame, Packed, Scan, SkippedFrame
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.table import DISTINCT, GENERIC, LAYOUTS
+from scanloom.stages.scans.transforms.adjusted_cameras import with_adjusted
+from scanloom.stages.scans.transforms.masks import with_masks
+from scanloom.stages.scans.transforms.scale import with_scale
+from scanloom.stages.scans.transforms.up import with_up
 
 # Folders inside one that are said to look like scans.
 _MOST_NAMED = 6

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.scans.layouts import (
+from scanloom.stages.scans.layouts import (
     arkit_scenes,
     augmented_icl,
     bop,
@@ -31,12 +31,12 @@ from stages.scans.layouts import (
     sun_rgbd,
     tartan_air,
 )
-from stages.scans.layouts import recording as ros_bag
-from stages.scans.layouts.colmap import folder as colmap
-from stages.scans.layouts.kitti import sequence as kitti
-from stages.scans.layouts.kitti import stereo_pairs as kitti_stereo
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.tum import folder as tum
+from scanloom.stages.scans.layouts import recording as ros_bag
+from scanloom.stages.scans.layouts.colmap import folder as colmap
+from scanloom.stages.scans.layouts.kitti import sequence as kitti
+from scanloom.stages.scans.layouts.kitti import stereo_pairs as kitti_stereo
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.tum import folder as tum
 
 # Known by files that only they have.
 DISTINCT: tuple[Layout, ...] = (

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.params import find_changed, get_value
-from stages.simplification.codes import USAGE_METHOD_MISMATCH
-from stages.simplification.methods import METHODS, Method, Need
-from stages.simplification.params import AUTO, SimplifyParams
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import find_changed, get_value
+from scanloom.stages.simplification.codes import USAGE_METHOD_MISMATCH
+from scanloom.stages.simplification.methods import METHODS, Method, Need
+from scanloom.stages.simplification.params import AUTO, SimplifyParams
 
 
 def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, Any]:

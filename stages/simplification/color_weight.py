@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from stages import _kernels
-from stages.surface.color import attributes_of
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.surface.color import attributes_of
+from scanloom.stages.surface.mesh import Mesh
 
 
 def color_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:

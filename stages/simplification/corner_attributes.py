@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int32]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from stages.diagnostics.collector import emit
-from stages.simplification.codes import SIMPLIFY_CROWDED
-from stages.simplification.result import Simplified
-from stages.surface.edges import edges_of
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.simplification.codes import SIMPLIFY_CROWDED
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.surface.edges import edges_of
 
 # Where a larger share of the edges may not collapse for one reason, little is left to choose. A street of 1.1
 # million triangles with 5,439 holes: 11 % of them for its topology at a tenth of the triangles, 65 % at a

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import StageError
-from stages.simplification.result import Simplified
-from stages.surface.codes import MESH_FILE_DAMAGED
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Extent, Part
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.surface.codes import MESH_FILE_DAMAGED
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Extent, Part
 
 # Where a part may be divided, as shares of its triangles.
 _SHARES = np.linspace(0.2, 0.8, 13)

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.printing import by_fields
-from stages.simplification.codes import SIMPLIFY_COMPONENTS_REMOVED
-from stages.surface.edges import Ids
-from stages.surface.holes import fill_holes
-from stages.surface.mesh import Mesh
-from stages.surface.small_components import find_small_components
-from stages.surface.topology import areas, repeats_vertex
-from stages.surface.traced import Traced
-from stages.surface.welding import same_rows
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.printing import by_fields
+from scanloom.stages.simplification.codes import SIMPLIFY_COMPONENTS_REMOVED
+from scanloom.stages.surface.edges import Ids
+from scanloom.stages.surface.holes import fill_holes
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.small_components import find_small_components
+from scanloom.stages.surface.topology import areas, repeats_vertex
+from scanloom.stages.surface.traced import Traced
+from scanloom.stages.surface.welding import same_rows
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.simplification.result import Simplified
-from stages.simplification.seams.similar import equal_sets, may_have_equal
-from stages.surface.mesh import Mesh, Triangles
-from stages.surface.topology import repeats_vertex
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.seams.similar import equal_sets, may_have_equal
+from scanloom.stages.surface.mesh import Mesh, Triangles
+from scanloom.stages.surface.topology import repeats_vertex
 
 Ids = NDArray[np.integer[Any]]
 

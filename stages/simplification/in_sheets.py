@@ -14,15 +14,15 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.collector import collecting, emit
-from stages.simplification.codes import SIMPLIFY_ATTRIBUTES_LOST, SIMPLIFY_NOT_MANIFOLD
-from stages.simplification.grown_together import grown_together
-from stages.simplification.result import Details, Simplified
-from stages.simplification.seams.similar import equal_sets, may_have_equal
-from stages.simplification.task import Task
-from stages.surface.mesh import Mesh
-from stages.surface.sheets import Sheets, taken_apart
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.simplification.codes import SIMPLIFY_ATTRIBUTES_LOST, SIMPLIFY_NOT_MANIFOLD
+from scanloom.stages.simplification.grown_together import grown_together
+from scanloom.stages.simplification.result import Details, Simplified
+from scanloom.stages.simplification.seams.similar import equal_sets, may_have_equal
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.sheets import Sheets, taken_apart
 
 P = TypeVar("P")
 D = TypeVar("D", bound=Details)

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic, Where
-from stages.diagnostics.errors import UsageError
-from stages.progress import Progress
-from stages.simplification.codes import (
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.progress import Progress
+from scanloom.stages.simplification.codes import (
     SIMPLIFY_ATTRIBUTES_LOST,
     SIMPLIFY_TEXTURE_LEFT_OUT,
     USAGE_METHOD_MISMATCH,
 )
-from stages.surface.color import attributes_of
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import bounding_box
+from scanloom.stages.surface.color import attributes_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import bounding_box
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int32]

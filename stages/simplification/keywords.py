@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
-from stages.progress import Progress
-from stages.simplification.certified.params import CertifiedParams
-from stages.simplification.jia01.params import Jia01Params
-from stages.simplification.planar.params import PlanarParams
-from stages.simplification.regions import Region
-from stages.simplification.seams.params import SeamsParams
+from scanloom.stages.progress import Progress
+from scanloom.stages.simplification.certified.params import CertifiedParams
+from scanloom.stages.simplification.jia01.params import Jia01Params
+from scanloom.stages.simplification.planar.params import PlanarParams
+from scanloom.stages.simplification.regions import Region
+from scanloom.stages.simplification.seams.params import SeamsParams
 
 if TYPE_CHECKING:
-    from stages.params.keywords import (
+    from scanloom.stages.params.keywords import (
         CertifiedKeywords,
         Jia01Keywords,
         PlanarKeywords,

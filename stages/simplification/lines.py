@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.simplification.codes import SIMPLIFY_LINES_LEFT_OUT
-from stages.simplification.seams.similar import equal_sets, may_have_equal
-from stages.surface.mesh import Mesh
-from stages.surface.topology import repeats_vertex
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.simplification.codes import SIMPLIFY_LINES_LEFT_OUT
+from scanloom.stages.simplification.seams.similar import equal_sets, may_have_equal
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import repeats_vertex
 
 
 def lost_lines(mesh: Mesh) -> NDArray[np.bool_]:

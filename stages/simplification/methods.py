@@ -12,22 +12,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from stages.simplification.certified import run as certified
-from stages.simplification.certified.details import CertifiedDetails
-from stages.simplification.certified.params import CertifiedParams
-from stages.simplification.jia01 import run as jia01
-from stages.simplification.jia01.details import Jia01Details
-from stages.simplification.jia01.params import Jia01Params
-from stages.simplification.planar import run as planar
-from stages.simplification.planar.details import PlanarDetails
-from stages.simplification.planar.params import PlanarParams
-from stages.simplification.quadric import run as quadric
-from stages.simplification.quadric.details import QuadricDetails
-from stages.simplification.result import Details, Simplified
-from stages.simplification.seams import run as seams
-from stages.simplification.seams.details import SeamsDetails
-from stages.simplification.seams.params import SeamsParams
-from stages.simplification.task import Task
+from scanloom.stages.simplification.certified import run as certified
+from scanloom.stages.simplification.certified.details import CertifiedDetails
+from scanloom.stages.simplification.certified.params import CertifiedParams
+from scanloom.stages.simplification.jia01 import run as jia01
+from scanloom.stages.simplification.jia01.details import Jia01Details
+from scanloom.stages.simplification.jia01.params import Jia01Params
+from scanloom.stages.simplification.planar import run as planar
+from scanloom.stages.simplification.planar.details import PlanarDetails
+from scanloom.stages.simplification.planar.params import PlanarParams
+from scanloom.stages.simplification.quadric import run as quadric
+from scanloom.stages.simplification.quadric.details import QuadricDetails
+from scanloom.stages.simplification.result import Details, Simplified
+from scanloom.stages.simplification.seams import run as seams
+from scanloom.stages.simplification.seams.details import SeamsDetails
+from scanloom.stages.simplification.seams.params import SeamsParams
+from scanloom.stages.simplification.task import Task
 
 P = TypeVar("P")
 D = TypeVar("D", bound=Details)

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from stages.params import param
-from stages.simplification.certified.params import CertifiedParams
-from stages.simplification.jia01.params import Jia01Params
-from stages.simplification.methods import METHODS, Method
-from stages.simplification.planar.params import PlanarParams
-from stages.simplification.seams.params import SeamsParams
-from stages.simplification.shared_params import HOW, SharedParams
+from scanloom.stages.params import param
+from scanloom.stages.simplification.certified.params import CertifiedParams
+from scanloom.stages.simplification.jia01.params import Jia01Params
+from scanloom.stages.simplification.methods import METHODS, Method
+from scanloom.stages.simplification.planar.params import PlanarParams
+from scanloom.stages.simplification.seams.params import SeamsParams
+from scanloom.stages.simplification.shared_params import HOW, SharedParams
 
 AUTO = "auto"
 

@@ -10,9 +10,9 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.diagnostics.errors import UsageError
-from stages.simplification.codes import USAGE_REGION_INVALID
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.codes import USAGE_REGION_INVALID
+from scanloom.stages.surface.mesh import Mesh
 
 _FORMS = '"sphere x y z radius ..." or "box x y z x y z ...", with an importance, "lock" or both at the end'
 

@@ -8,10 +8,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from stages import _kernels
-from stages.simplification.result import Details, Simplified
-from stages.simplification.task import Task
-from stages.surface.spatial_order import is_scattered, ordered, with_rows
+from scanloom.stages import _kernels
+from scanloom.stages.simplification.result import Details, Simplified
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.surface.spatial_order import is_scattered, ordered, with_rows
 
 P = TypeVar("P")
 D = TypeVar("D", bound=Details)

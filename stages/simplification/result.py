@@ -8,12 +8,12 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.printing import by_figures, table
-from stages.simplification.dropping import Dropped
-from stages.simplification.records.record import CollapseRecord
-from stages.surface.mesh import Mesh
-from stages.texturing.bake import Baked
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.simplification.dropping import Dropped
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.texturing.bake import Baked
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.params import check, param
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check, param
 
 # Headings of the help.
 HOW_FAR = "How far: a number, bounds or both"

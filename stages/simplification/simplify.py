@@ -9,28 +9,28 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages import _kernels
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import MeshError
-from stages.params import resolve
-from stages.progress import Progress, silent
-from stages.simplification.auto import chosen, has_no_goal, require_taken
-from stages.simplification.codes import (
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.params import resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.simplification.auto import chosen, has_no_goal, require_taken
+from scanloom.stages.simplification.codes import (
     SIMPLIFY_ATTRIBUTES_LOST,
     SIMPLIFY_COORDINATES_UNWEIGHABLE,
     SIMPLIFY_IMAGES_KEPT,
     SIMPLIFY_IMAGES_REMADE,
 )
-from stages.simplification.corner_attributes import is_in_pieces
-from stages.simplification.dropping import drop_small
-from stages.simplification.kernel_input import texture_left_out
-from stages.simplification.lines import report_lost_lines
-from stages.simplification.params import AUTO, SimplifyParams
-from stages.simplification.regions import Region, resolve_control
-from stages.simplification.result import Simplified
-from stages.simplification.task import Task
-from stages.simplification.textured import (
+from scanloom.stages.simplification.corner_attributes import is_in_pieces
+from scanloom.stages.simplification.dropping import drop_small
+from scanloom.stages.simplification.kernel_input import texture_left_out
+from scanloom.stages.simplification.lines import report_lost_lines
+from scanloom.stages.simplification.params import AUTO, SimplifyParams
+from scanloom.stages.simplification.regions import Region, resolve_control
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.simplification.textured import (
     choose_texture,
     derive_max_shape,
     has_few_seams,
@@ -40,22 +40,22 @@ from stages.simplification.textured import (
     misses_count,
     plan_baking,
 )
-from stages.simplification.unmet import report_unmet
-from stages.surface.codes import MESH_NO_SURFACE
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.topology import require_measurable
+from scanloom.stages.simplification.unmet import report_unmet
+from scanloom.stages.surface.codes import MESH_NO_SURFACE
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import SimplifyKeywords
-    from stages.simplification import keywords
-    from stages.simplification.certified.details import CertifiedDetails
-    from stages.simplification.jia01.details import Jia01Details
-    from stages.simplification.planar.details import PlanarDetails
-    from stages.simplification.quadric.details import QuadricDetails
-    from stages.simplification.seams.details import SeamsDetails
+    from scanloom.stages.params.keywords import SimplifyKeywords
+    from scanloom.stages.simplification import keywords
+    from scanloom.stages.simplification.certified.details import CertifiedDetails
+    from scanloom.stages.simplification.jia01.details import Jia01Details
+    from scanloom.stages.simplification.planar.details import PlanarDetails
+    from scanloom.stages.simplification.quadric.details import QuadricDetails
+    from scanloom.stages.simplification.seams.details import SeamsDetails
 
 __all__ = ["RESULT_VERSION", "Simplified", "SimplifyParams", "simplify"]
 
@@ -132,8 +132,8 @@ def simplify(
 
     The result has the topology, the boundary loops and the orientation of the input; a boundary shrinks only
     along itself, and no triangle turns over. Equal input gives equal bytes, on any number of threads. The
-    methods stand in the table `stages.simplification.methods`, and each explains itself in its own package:
-    `stages.simplification.certified` and so on.
+    methods stand in the table `scanloom.stages.simplification.methods`, and each explains itself in its own
+    package: `scanloom.stages.simplification.certified` and so on.
 
     Parameters
     ----------
@@ -159,9 +159,10 @@ def simplify(
     -------
     Simplified
         With `details` of the method's own type. Images of the input are baked anew (`baked`, see
-        `stages.simplification.textured`), unless `keep_uv` or a method that carries them is given. Otherwise
-        the mesh has colours if the input has. `diagnostics` name what was left out, and requirements that are
-        not reached: a number of triangles without a bound, and bounds that are not proven.
+        `scanloom.stages.simplification.textured`), unless `keep_uv` or a method that carries them is given.
+        Otherwise the mesh has colours if the input has. `diagnostics` name what was left out, and
+        requirements that are not reached: a number of triangles without a bound, and bounds that are not
+        proven.
 
     Raises
     ------

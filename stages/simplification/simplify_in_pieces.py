@@ -20,15 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic, Severity, Where
-from stages.diagnostics.errors import UsageError
-from stages.progress import Progress, silent
-from stages.simplification.codes import (
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity, Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.simplification.codes import (
     SIMPLIFY_DEFAULT_COUNT,
     SIMPLIFY_DROP_BELOW_UNUSED,
 )
-from stages.simplification.cuts import (
+from scanloom.stages.simplification.cuts import (
     Cut,
     Numbers,
     halves,
@@ -37,14 +37,14 @@ from stages.simplification.cuts import (
     split,
     whole_cut,
 )
-from stages.simplification.params import SimplifyParams
-from stages.simplification.result import Simplified
-from stages.simplification.simplify import simplify
-from stages.simplification.strips import Strips
-from stages.simplification.unmet import report_unmet
-from stages.surface.codes import FUSE_TOO_LARGE
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import MOST_AT_ONCE, Pieces
+from scanloom.stages.simplification.params import SimplifyParams
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.simplification.strips import Strips
+from scanloom.stages.simplification.unmet import report_unmet
+from scanloom.stages.surface.codes import FUSE_TOO_LARGE
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import MOST_AT_ONCE, Pieces
 
 # Of meshes that are too large to be simplified at once: part of their key alone.
 RESULT_VERSION = 1

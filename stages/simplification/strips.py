@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from stages.simplification.cuts import Cut, cuts_of, joined_cuts
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Extent
+from scanloom.stages.simplification.cuts import Cut, cuts_of, joined_cuts
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Extent
 
 _NONE = np.iinfo(np.uint16).max
 

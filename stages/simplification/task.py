@@ -8,9 +8,9 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.progress import Progress, silent
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.mesh import Mesh
 
 P = TypeVar("P")
 

@@ -12,29 +12,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.asked import asked
-from stages.comparing.compare import CompareParams, compare, compare_searched, sampled_color_error
-from stages.comparing.needles import WithNeedles
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.params import find_changed
-from stages.simplification.codes import SIMPLIFY_IMAGES_KEPT
-from stages.simplification.kernel_input import texture_left_out
-from stages.simplification.methods import METHODS
-from stages.simplification.params import AUTO, SimplifyParams
-from stages.simplification.result import KeptImages, Simplified
-from stages.simplification.seams.params import SIMILAR_DISTANCE
-from stages.simplification.seams.similar import joinable_sets
-from stages.surface.color import is_textured, pixels_of
-from stages.surface.equal_positions import equal_positions
-from stages.surface.formats.gltf_materials import has_images
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
-from stages.surface.texture import Material, Texture, signed_areas
-from stages.surface.topology import areas
-from stages.texturing.bake import bake
-from stages.texturing.bake_materials import bake_materials
-from stages.texturing.material_classes import MaterialClass, material_classes
+from scanloom.stages.comparing.asked import asked
+from scanloom.stages.comparing.compare import CompareParams, compare, compare_searched, sampled_color_error
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.params import find_changed
+from scanloom.stages.simplification.codes import SIMPLIFY_IMAGES_KEPT
+from scanloom.stages.simplification.kernel_input import texture_left_out
+from scanloom.stages.simplification.methods import METHODS
+from scanloom.stages.simplification.params import AUTO, SimplifyParams
+from scanloom.stages.simplification.result import KeptImages, Simplified
+from scanloom.stages.simplification.seams.params import SIMILAR_DISTANCE
+from scanloom.stages.simplification.seams.similar import joinable_sets
+from scanloom.stages.surface.color import is_textured, pixels_of
+from scanloom.stages.surface.equal_positions import equal_positions
+from scanloom.stages.surface.formats.gltf_materials import has_images
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.texture import Material, Texture, signed_areas
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.texturing.bake import bake
+from scanloom.stages.texturing.bake_materials import bake_materials
+from scanloom.stages.texturing.material_classes import MaterialClass, material_classes
 
 # Parameters that only mean something for texture coordinates, or colours of an image, that stay.
 _OF_KEPT_UVS = frozenset(

@@ -15,35 +15,35 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.measurable import measurable
-from stages.comparing.needles import WithNeedles
-from stages.comparing.sampling import sampled
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import UsageError
-from stages.params import check, param, resolve
-from stages.printing import by_figures, rows_table, table
-from stages.progress import Progress, silent
-from stages.simplification.codes import (
+from scanloom.stages.comparing.measurable import measurable
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.comparing.sampling import sampled
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import by_figures, rows_table, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.simplification.codes import (
     SIMPLIFY_COUNT_NOT_REACHED,
     SIMPLIFY_CROWDED,
     SIMPLIFY_SEAM_DRIFT,
     SIMPLIFY_TRADEOFF,
 )
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.simplify import simplify
-from stages.surface.color import color_at, has_color
-from stages.surface.convert import MeshLike
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import write_mesh
-from stages.surface.raycasting import Floats, Located, Surface, bounding_box, interpolated, is_used
-from stages.surface.topology import areas
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.color import color_at, has_color
+from scanloom.stages.surface.convert import MeshLike
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import write_mesh
+from scanloom.stages.surface.raycasting import Floats, Located, Surface, bounding_box, interpolated, is_used
+from scanloom.stages.surface.topology import areas
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import TradeoffKeywords
+    from scanloom.stages.params.keywords import TradeoffKeywords
 
 _PERCENT = 95
 # Codes of diagnostics about a number of triangles alone.

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from stages.diagnostics.collector import emit
-from stages.params import get_value
-from stages.printing import at_most
-from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COUNT_NOT_REACHED
-from stages.simplification.params import SimplifyParams
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.params import get_value
+from scanloom.stages.printing import at_most
+from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COUNT_NOT_REACHED
+from scanloom.stages.simplification.params import SimplifyParams
 
 # With any of these, stopping short of a number of triangles is what was asked for.
 _BOUNDS = ("max_shape", "max_color", "seams.max_seam_drift", "jia01.resolution")

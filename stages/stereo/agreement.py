@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.scans.model.scan import DepthImage
-from stages.stereo.posed_views import PosedView
+from scanloom.stages import _kernels
+from scanloom.stages.scans.model.scan import DepthImage
+from scanloom.stages.stereo.posed_views import PosedView
 
 # What another view measured is before a place if it is nearer by this share of depth.
 _BEFORE = 0.025

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import ColorImage
+from scanloom.stages.scans.model.scan import ColorImage
 
 Mask = NDArray[np.bool_]
 

@@ -1,8 +1,9 @@
 """Depth by a network of the user's own, held to what our own has to pass.
 
 Of a pair, the network is run on the mirrored pair too, which gives the right image's disparity; what both do
-not agree on, small pieces and what is flat go, and the rest has the confidence of `stages.stereo.confidence`.
-Of one image, what it says is fitted to measured depth, and used only where there is none.
+not agree on, small pieces and what is flat go, and the rest has the confidence of
+`scanloom.stages.stereo.confidence`. Of one image, what it says is fitted to measured depth, and used only
+where there is none.
 """
 
 from __future__ import annotations
@@ -13,17 +14,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Where
-from stages.stereo.codes import DEPTH_NETWORK_NO_EFFECT, DEPTH_NETWORK_SIDECAR_INVALID
-from stages.stereo.confidence import confidence
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.filling import filled_with
-from stages.stereo.matching import SUBPIXELS, SearchRange, consistency, matched_pixels, textured
-from stages.stereo.networks.network import Network
-from stages.stereo.networks.sidecar import INVERSE_DEPTH
-from stages.stereo.params import DepthParams
-from stages.stereo.rectify import RectifiedRig
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.stereo.codes import DEPTH_NETWORK_NO_EFFECT, DEPTH_NETWORK_SIDECAR_INVALID
+from scanloom.stages.stereo.confidence import confidence
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.filling import filled_with
+from scanloom.stages.stereo.matching import SUBPIXELS, SearchRange, consistency, matched_pixels, textured
+from scanloom.stages.stereo.networks.network import Network
+from scanloom.stages.stereo.networks.sidecar import INVERSE_DEPTH
+from scanloom.stages.stereo.params import DepthParams
+from scanloom.stages.stereo.rectify import RectifiedRig
 
 RESULT_VERSION = 1
 

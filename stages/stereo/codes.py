@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.diagnostic import Code
 
 DEPTH_NETWORK_NO_EFFECT = Code(
     "depth.network-no-effect",

@@ -9,27 +9,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError, UsageError
-from stages.frames.matching_color import read_matching_color
-from stages.params import resolve
-from stages.progress import Progress, silent
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.model.images import read_color, read_depth, read_seen
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import Frame, Scan, SkippedFrame, pinhole
-from stages.scans.model.threads import threads_to_use
-from stages.stereo.by_network import completed, network_of
-from stages.stereo.codes import DEPTH_FAR_LEFT_OUT, DEPTH_NETWORK_NO_EFFECT
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.matching import SearchRange
-from stages.stereo.networks.network import Network
-from stages.stereo.params import DepthParams
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.params import resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
+from scanloom.stages.scans.model.images import read_color, read_depth, read_seen
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame, pinhole
+from scanloom.stages.scans.model.threads import threads_to_use
+from scanloom.stages.stereo.by_network import completed, network_of
+from scanloom.stages.stereo.codes import DEPTH_FAR_LEFT_OUT, DEPTH_NETWORK_NO_EFFECT
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.matching import SearchRange
+from scanloom.stages.stereo.networks.network import Network
+from scanloom.stages.stereo.params import DepthParams
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import DepthKeywords
+    from scanloom.stages.params.keywords import DepthKeywords
 
 RESULT_VERSION = 1
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.stereo.matching import SUBPIXELS, Disparity16, Mask, SearchRange
+from scanloom.stages.stereo.matching import SUBPIXELS, Disparity16, Mask, SearchRange
 
 # Second differences reach this far each way: a block of 3 or 5 pixels blurs a jump by that much.
 _REACH = 2
@@ -38,7 +38,7 @@ def confidence(
     Parameters
     ----------
     disparity : (h, w) int16, 1/16 px.
-    residual : (h, w) int16, 1/16 px, left against right (see `stages.stereo.matching`).
+    residual : (h, w) int16, 1/16 px, left against right (see `scanloom.stages.stereo.matching`).
     matched : (h, w), the pixels that hold a measurement.
     """
     import cv2

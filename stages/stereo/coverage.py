@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.diagnostics.collector import emit
-from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE, DEPTH_SCENE_INCOMPLETE
-from stages.stereo.params import SWEEP, DepthParams
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE, DEPTH_SCENE_INCOMPLETE
+from scanloom.stages.stereo.params import SWEEP, DepthParams
 
 # Depth is little if it covers less than this share of a thing whose outline is known, or of whole images,
 # much of which may lie where no partner looks.

@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError, UsageError
-from stages.params import resolve
-from stages.progress import Progress, silent
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.model import images
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
-from stages.scans.model.threads import threads_to_use
-from stages.stereo.by_network import completed, network_disparity, network_of, report_agreement
-from stages.stereo.codes import DEPTH_ALREADY_MEASURED, DEPTH_RANGE_EMPTY
-from stages.stereo.confidence import confidence
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.disparity import stereo_disparity, volume_bytes
-from stages.stereo.matching import (
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.params import resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_TOO_MANY_FRAMES_SKIPPED
+from scanloom.stages.scans.model import images
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from scanloom.stages.scans.model.threads import threads_to_use
+from scanloom.stages.stereo.by_network import completed, network_disparity, network_of, report_agreement
+from scanloom.stages.stereo.codes import DEPTH_ALREADY_MEASURED, DEPTH_RANGE_EMPTY
+from scanloom.stages.stereo.confidence import confidence
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.disparity import stereo_disparity, volume_bytes
+from scanloom.stages.stereo.matching import (
     LARGEST_DISPARITY,
     SUBPIXELS,
     Matcher,
@@ -38,17 +38,17 @@ from stages.stereo.matching import (
     projected,
     textured,
 )
-from stages.stereo.networks.network import Network
-from stages.stereo.pairs import report_rows, require_pair
-from stages.stereo.params import AUTO, FAST, SEVERAL, DepthParams
-from stages.stereo.rectify import RectifiedRig, rectified_rig
-from stages.stereo.smoothing import smoothed
-from stages.stereo.subpixel import refined
+from scanloom.stages.stereo.networks.network import Network
+from scanloom.stages.stereo.pairs import report_rows, require_pair
+from scanloom.stages.stereo.params import AUTO, FAST, SEVERAL, DepthParams
+from scanloom.stages.stereo.rectify import RectifiedRig, rectified_rig
+from scanloom.stages.stereo.smoothing import smoothed
+from scanloom.stages.stereo.subpixel import refined
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import DepthKeywords
+    from scanloom.stages.params.keywords import DepthKeywords
 
 __all__ = ["RESULT_VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
 
@@ -280,7 +280,7 @@ class PairStage:
         return self.rig.apply(left, right)
 
     def report_rows(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
-        """Warn if the rows of a rectified pair do not correspond; see `stages.stereo.pairs`."""
+        """Warn if the rows of a rectified pair do not correspond; see `scanloom.stages.stereo.pairs`."""
         report_rows(_grey(left), _grey(right), self.rig.principal_offset)
 
     def measure(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> DepthMap:

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.room import require_room
-from stages.printing import by_figures, table
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.room import require_room
+from scanloom.stages.printing import by_figures, table
 
 Map = NDArray[np.float32]
 Mask = NDArray[np.bool_]

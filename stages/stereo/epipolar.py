@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.poses import inverted
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.stereo.posed_views import PosedView
 
 
 def fundamental(first: PosedView, second: PosedView) -> NDArray[np.float64]:

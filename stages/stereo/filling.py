@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import ColorImage, DepthImage, Frame, SkippedFrame
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.view_images import color_of
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, SkippedFrame
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.view_images import color_of
 
 # Confidence of such depth: less than any that is measured needs.
 FILLED = 1

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.scans.model.scan import ColorImage, DepthImage, Scan, SkippedFrame
-from stages.scans.model.threads import threads_to_use
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.filling import filled_again, without_images
-from stages.stereo.kept_maps import KeptMaps
-from stages.stereo.params import DepthParams
-from stages.stereo.posed_views import PosedView
-from stages.stereo.shown import Outline, Silhouette, hull_front, shown
+from scanloom.stages import _kernels
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Scan, SkippedFrame
+from scanloom.stages.scans.model.threads import threads_to_use
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.filling import filled_again, without_images
+from scanloom.stages.stereo.kept_maps import KeptMaps
+from scanloom.stages.stereo.params import DepthParams
+from scanloom.stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.shown import Outline, Silhouette, hull_front, shown
 
 Mask = NDArray[np.bool_]
 Map = NDArray[np.float32]

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import MACHINE_DISK_FAILED
-from stages.diagnostics.errors import StageError
-from stages.files.numpy_files import mapped
-from stages.scans.model.scan import DepthImage
+from scanloom.stages.diagnostics.codes import MACHINE_DISK_FAILED
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.files.numpy_files import mapped
+from scanloom.stages.scans.model.scan import DepthImage
 
 
 class KeptMaps:

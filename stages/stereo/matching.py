@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import MACHINE_OUT_OF_MEMORY
-from stages.diagnostics.errors import StageError
+from scanloom.stages.diagnostics.codes import MACHINE_OUT_OF_MEMORY
+from scanloom.stages.diagnostics.errors import StageError
 
 Grey = NDArray[np.uint8]
 Disparity16 = NDArray[np.int16]

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import Pose
-from stages.stereo.epipolar import off_lines
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.scans.model.scan import Pose
+from scanloom.stages.stereo.epipolar import off_lines
+from scanloom.stages.stereo.posed_views import PosedView
 
 Floats = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH
-from stages.scans.model.scan import Camera
-from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_MISMATCH
+from scanloom.stages.scans.model.scan import Camera
+from scanloom.stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 # Fewer matched corners say nothing.
 _ENOUGH = 40

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.posed_views import PosedView
 
 # Points of a view at which angle and overlap are measured: so many a row and a column.
 _GRID = 8

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.stereo.view_images import Seen
+from scanloom.stages.stereo.view_images import Seen
 
 Map = NDArray[np.float32]
 

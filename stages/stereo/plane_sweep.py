@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.scans.model.scan import Camera, DepthImage, scaled
-from stages.stereo.plane_fit import refined
-from stages.stereo.posed_views import PosedView
-from stages.stereo.view_images import Seen
+from scanloom.stages import _kernels
+from scanloom.stages.scans.model.scan import Camera, DepthImage, scaled
+from scanloom.stages.stereo.plane_fit import refined
+from scanloom.stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.view_images import Seen
 
 Grey = NDArray[np.uint8]
 Map = NDArray[np.float32]

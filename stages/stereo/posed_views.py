@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.frames.projection import project, unproject
-from stages.scans.codes import POSE_INVALID, POSE_MISSING
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, pinhole
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.projection import project, unproject
+from scanloom.stages.scans.codes import POSE_INVALID, POSE_MISSING
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, pinhole
 
 # No scan is that far from its origin.
 _FARTHEST_M = 1e9

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.features import Keypoints, match_descriptors
-from stages.stereo.epipolar import off_lines
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.frames.features import Keypoints, match_descriptors
+from scanloom.stages.stereo.epipolar import off_lines
+from scanloom.stages.stereo.posed_views import PosedView
 
 # Of the views that look the same way, each is compared with the nearest, the second, the fourth … : frames of
 # a video stand so close that the nearest tell nothing, and the farther see something else.

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
-from stages.scans.model.scan import Camera, StereoRig
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
+from scanloom.stages.scans.model.scan import Camera, StereoRig
 
 # The lengths of distortion OpenCV knows: k1 k2 p1 p2, + k3, + k4–k6, + thin prism, + tilt.
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)

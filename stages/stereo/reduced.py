@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.model.images import read_color, require_size
-from stages.scans.model.scan import ColorImage, Frame, Packed, scaled
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
+from scanloom.stages.scans.model.images import read_color, require_size
+from scanloom.stages.scans.model.scan import ColorImage, Frame, Packed, scaled
 
 
 def reduced(frame: Frame, longest: int) -> Frame:

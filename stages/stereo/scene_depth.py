@@ -1,9 +1,9 @@
 """In which range of depth each view shows the scene.
 
 The folder may tell: by a bounding box, or by points that a reconstruction found in each view. Else points
-that views recognise in each other tell (see stages.stereo.recognised). Where there are none, views are taken
-to look at one thing: it stands where their optical axes come nearest to each other, and reaches as far around
-as the usual view shows.
+that views recognise in each other tell (see scanloom.stages.stereo.recognised). Where there are none, views
+are taken to look at one thing: it stands where their optical axes come nearest to each other, and reaches as
+far around as the usual view shows.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import DEPTH_RANGE_UNKNOWN
-from stages.scans.model.depth_range import Range
-from stages.scans.model.scan import Scan
-from stages.stereo.codes import DEPTH_RANGE_EMPTY
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import DEPTH_RANGE_UNKNOWN
+from scanloom.stages.scans.model.depth_range import Range
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.stereo.codes import DEPTH_RANGE_EMPTY
+from scanloom.stages.stereo.posed_views import PosedView
 
 # A stated box is tight, and poses are off by a little: it is widened by this share of its diagonal.
 _BOX_MARGIN = 0.02

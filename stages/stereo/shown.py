@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_pinhole, read_seen
-from stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, scaled
-from stages.stereo.background import Backdrop, before_backdrop, common_backdrop, measurable
-from stages.stereo.posed_views import PosedView
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_pinhole, read_seen
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, scaled
+from scanloom.stages.stereo.background import Backdrop, before_backdrop, common_backdrop, measurable
+from scanloom.stages.stereo.posed_views import PosedView
 
 Mask = NDArray[np.bool_]
 

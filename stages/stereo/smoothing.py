@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.scans.model.scan import ColorImage
-from stages.stereo.matching import Disparity16
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.stereo.matching import Disparity16
 
 
 def smoothed(

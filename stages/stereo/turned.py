@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.stereo.epipolar import fundamental, off_line
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.epipolar import fundamental, off_line
+from scanloom.stages.stereo.posed_views import PosedView
 
 _CORNERS = 1000
 # A corner and its surroundings need 31 px.

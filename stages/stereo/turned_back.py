@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.model.images import read_color, read_mask
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import Frame, Packed, Scan
-from stages.scans.model.threads import threads_to_use
-from stages.stereo.codes import DEPTH_IMAGES_TURNED
-from stages.stereo.params import DepthParams
-from stages.stereo.posed_views import PosedView
-from stages.stereo.turned import Corners, corners, turned
-from stages.stereo.view_images import color_of, grey_of
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
+from scanloom.stages.scans.model.images import read_color, read_mask
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import Frame, Packed, Scan
+from scanloom.stages.scans.model.threads import threads_to_use
+from scanloom.stages.stereo.codes import DEPTH_IMAGES_TURNED
+from scanloom.stages.stereo.params import DepthParams
+from scanloom.stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.turned import Corners, corners, turned
+from scanloom.stages.stereo.view_images import color_of, grey_of
 
 
 def turned_back(

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.model.images import read_pinhole
-from stages.scans.model.scan import ColorImage, Frame
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
+from scanloom.stages.scans.model.images import read_pinhole
+from scanloom.stages.scans.model.scan import ColorImage, Frame
+from scanloom.stages.stereo.posed_views import PosedView
 
 
 @dataclass(frozen=True, eq=False)

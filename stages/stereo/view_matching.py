@@ -9,22 +9,22 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_seen
-from stages.scans.model.scan import ColorImage, DepthImage, Scan, SkippedFrame
-from stages.stereo.agreement import merged
-from stages.stereo.codes import DEPTH_VIEW_WITHOUT_PARTNER
-from stages.stereo.coverage import Counts
-from stages.stereo.depth import PairStage
-from stages.stereo.matching import SearchRange
-from stages.stereo.networks.network import Network
-from stages.stereo.params import SWEEP, DepthParams
-from stages.stereo.plane_sweep import plane_sweep
-from stages.stereo.posed_views import PosedView
-from stages.stereo.shown import Outline, grown, hull_front, shown
-from stages.stereo.view_images import Seen, color_of, grey_of
-from stages.stereo.view_pair import depth_in_view, rectified_views
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_seen
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Scan, SkippedFrame
+from scanloom.stages.stereo.agreement import merged
+from scanloom.stages.stereo.codes import DEPTH_VIEW_WITHOUT_PARTNER
+from scanloom.stages.stereo.coverage import Counts
+from scanloom.stages.stereo.depth import PairStage
+from scanloom.stages.stereo.matching import SearchRange
+from scanloom.stages.stereo.networks.network import Network
+from scanloom.stages.stereo.params import SWEEP, DepthParams
+from scanloom.stages.stereo.plane_sweep import plane_sweep
+from scanloom.stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.shown import Outline, grown, hull_front, shown
+from scanloom.stages.stereo.view_images import Seen, color_of, grey_of
+from scanloom.stages.stereo.view_pair import depth_in_view, rectified_views
 
 # Images of views, and where they show the thing, are kept up to so many bytes.
 _KEPT_BYTES = 1 << 28

@@ -13,9 +13,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import Camera, DepthImage
-from stages.stereo.posed_views import PosedView
-from stages.stereo.rectify import RectifiedRig
+from scanloom.stages.scans.model.scan import Camera, DepthImage
+from scanloom.stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.rectify import RectifiedRig
 
 # Rays more oblique than this to the rectified axis (cosine) would stretch the image, and are left out; where
 # that is half of them, the views stand one behind the other.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import DepthImage
-from stages.stereo.agreement import Said
-from stages.stereo.background import steps
-from stages.stereo.plane_sweep import HALF_MARGIN
+from scanloom.stages.scans.model.scan import DepthImage
+from scanloom.stages.stereo.agreement import Said
+from scanloom.stages.stereo.background import steps
+from scanloom.stages.stereo.plane_sweep import HALF_MARGIN
 
 Map = NDArray[np.float32]
 

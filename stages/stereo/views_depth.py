@@ -13,48 +13,48 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError
-from stages.frames.features import Keypoints, detect_keypoints
-from stages.params import resolve
-from stages.progress import Progress, silent
-from stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_TOO_MANY_FRAMES_SKIPPED
-from stages.scans.model.depth_range import Range, range_of_points
-from stages.scans.model.images import read_seen
-from stages.scans.model.prefetch import read_ahead
-from stages.scans.model.scan import ColorImage, DepthImage, Frame, Pose, Scan, SkippedFrame
-from stages.scans.model.threads import threads_to_use
-from stages.stereo.agreement import agreeing_views
-from stages.stereo.by_network import completed, network_of
-from stages.stereo.codes import (
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.features import Keypoints, detect_keypoints
+from scanloom.stages.params import resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_TOO_MANY_FRAMES_SKIPPED
+from scanloom.stages.scans.model.depth_range import Range, range_of_points
+from scanloom.stages.scans.model.images import read_seen
+from scanloom.stages.scans.model.prefetch import read_ahead
+from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.threads import threads_to_use
+from scanloom.stages.stereo.agreement import agreeing_views
+from scanloom.stages.stereo.by_network import completed, network_of
+from scanloom.stages.stereo.codes import (
     DEPTH_IMAGES_SMALLER,
     DEPTH_POSES_MOVED,
     DEPTH_VIEW_UNCONFIRMED,
     DEPTH_VIEW_WITHOUT_PARTNER,
 )
-from stages.stereo.coverage import Counts, report_coverage
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.hull_fill import filled_in
-from stages.stereo.kept_maps import KeptMaps
-from stages.stereo.matching import SearchRange
-from stages.stereo.nearer_poses import nearer_poses
-from stages.stereo.params import OF_PAIRS, SWEEP, DepthParams
-from stages.stereo.partners import partners
-from stages.stereo.plane_fill import filled_on_planes
-from stages.stereo.posed_views import PosedView, posed_views
-from stages.stereo.recognised import Recognised, neighbours, recognised
-from stages.stereo.reduced import reduced
-from stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
-from stages.stereo.shown import in_hull, outline_of
-from stages.stereo.turned_back import turned_back
-from stages.stereo.view_images import color_of, grey_of
-from stages.stereo.view_matching import images_of, measured_view
-from stages.stereo.views_confidence import views_confidence
+from scanloom.stages.stereo.coverage import Counts, report_coverage
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.hull_fill import filled_in
+from scanloom.stages.stereo.kept_maps import KeptMaps
+from scanloom.stages.stereo.matching import SearchRange
+from scanloom.stages.stereo.nearer_poses import nearer_poses
+from scanloom.stages.stereo.params import OF_PAIRS, SWEEP, DepthParams
+from scanloom.stages.stereo.partners import partners
+from scanloom.stages.stereo.plane_fill import filled_on_planes
+from scanloom.stages.stereo.posed_views import PosedView, posed_views
+from scanloom.stages.stereo.recognised import Recognised, neighbours, recognised
+from scanloom.stages.stereo.reduced import reduced
+from scanloom.stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
+from scanloom.stages.stereo.shown import in_hull, outline_of
+from scanloom.stages.stereo.turned_back import turned_back
+from scanloom.stages.stereo.view_images import color_of, grey_of
+from scanloom.stages.stereo.view_matching import images_of, measured_view
+from scanloom.stages.stereo.views_confidence import views_confidence
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import DepthKeywords
+    from scanloom.stages.params.keywords import DepthKeywords
 
 RESULT_VERSION = 7
 
@@ -82,26 +82,26 @@ def views_depth(
     """Measure the depth of every view of a scan without a rig, in the order of its frames.
 
     Each view is matched with a few others at once: planes of depth before it are swept (see
-    stages.stereo.plane_sweep). With `views="pairs"`, or a network of pairs, it makes a stereo pair with each
-    of them instead: rows are made to correspond, the pair is matched as any other, depth is brought back into
-    the view, and what its partners say is merged. What is found stays where the maps of enough other views
-    say the same, and where it is sure enough with what they say.
+    scanloom.stages.stereo.plane_sweep). With `views="pairs"`, or a network of pairs, it makes a stereo pair
+    with each of them instead: rows are made to correspond, the pair is matched as any other, depth is brought
+    back into the view, and what its partners say is merged. What is found stays where the maps of enough
+    other views say the same, and where it is sure enough with what they say.
 
     Background matches anything, and gets no depth. Masks tell it, else a backdrop that all views have around
-    the thing (see stages.stereo.background); in pairs also the want of texture. Where masks
+    the thing (see scanloom.stages.stereo.background); in pairs also the want of texture. Where masks
     cut a thing out of all views, nothing is kept outside the hull of its silhouettes. What no view measured
-    of a thing lies on that hull (see stages.stereo.hull_fill); what no view measured of plain patches of
-    planes lies on these (see stages.stereo.plane_fill). If depth covers little of what the views show,
-    or much of it was not measured, that is emitted after the last map.
+    of a thing lies on that hull (see scanloom.stages.stereo.hull_fill); what no view measured of plain
+    patches of planes lies on these (see scanloom.stages.stereo.plane_fill). If depth covers little of what
+    the views show, or much of it was not measured, that is emitted after the last map.
 
     Images larger than `max_side` are made smaller first, and those that are upside down against their poses
-    are turned back (see stages.stereo.turned); both are emitted before the first map.
+    are turned back (see scanloom.stages.stereo.turned); both are emitted before the first map.
 
     Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
     is kept either) or for each frame; else in that of the points which views recognise in each other, or of
-    a cube where the optical axes meet (see stages.stereo.scene_depth). `min_depth` and `max_depth` win over
-    all of these. Where recognised points lie elsewhere than the poses say, poses are brought nearer to them
-    (see stages.stereo.nearer_poses), which is emitted, too.
+    a cube where the optical axes meet (see scanloom.stages.stereo.scene_depth). `min_depth` and `max_depth`
+    win over all of these. Where recognised points lie elsewhere than the poses say, poses are brought nearer
+    to them (see scanloom.stages.stereo.nearer_poses), which is emitted, too.
 
     Parameters
     ----------

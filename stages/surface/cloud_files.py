@@ -9,21 +9,21 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.codes import FILE_UNREADABLE
-from stages.files.opening import require_regular, said_of
-from stages.files.own_process import DiedError, asked
-from stages.surface.codes import (
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.codes import FILE_UNREADABLE
+from scanloom.stages.files.opening import require_regular, said_of
+from scanloom.stages.files.own_process import DiedError, asked
+from scanloom.stages.surface.codes import (
     MACHINE_EXTRA_MISSING,
     MESH_CLOUD_DAMAGED,
     MESH_NO_SURFACE,
     USAGE_EXTENSION_UNKNOWN,
 )
-from stages.surface.formats.cloud_parts import collected
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Mesh, validated
-from stages.surface.mesh_files import EXTENSIONS, read_whatever_it_holds
+from scanloom.stages.surface.formats.cloud_parts import collected
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh, validated
+from scanloom.stages.surface.mesh_files import EXTENSIONS, read_whatever_it_holds
 
 # What reads them, and what else that needs.
 _READERS = {".las": ("laspy",), ".laz": ("laspy", "lazrs"), ".e57": ("pye57",)}
@@ -123,7 +123,7 @@ def _read_elsewhere(path: Path) -> Mesh:
     seconds = _SECONDS + _SECONDS_A_BYTE * path.stat().st_size
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         try:
-            told = asked("stages.surface.formats.cloud_process", [str(path), folder], seconds)
+            told = asked("scanloom.stages.surface.formats.cloud_process", [str(path), folder], seconds)
         except DiedError as error:
             raise InputError(
                 MESH_CLOUD_DAMAGED,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import MeshError
-from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
-from stages.surface.formats.gltf_materials import multiplies_colors
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Material, Pixels
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
+from scanloom.stages.surface.formats.gltf_materials import multiplies_colors
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Material, Pixels
 
 _Floats = NDArray[np.floating]
 

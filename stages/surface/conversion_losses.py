@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from stages.diagnostics.collector import emit
-from stages.surface.codes import MESH_CONVERSION_LOSS
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.surface.codes import MESH_CONVERSION_LOSS
+from scanloom.stages.surface.mesh import Mesh
 
 
 def report_losses(class_name: str, losses: Iterable[str]) -> None:

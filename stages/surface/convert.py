@@ -12,16 +12,16 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import MeshError
-from stages.surface.color import sampled, tinted
-from stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TrimeshMesh
-from stages.surface.mesh import Mesh, validated
-from stages.surface.open3d_meshes import from_open3d, from_open3d_legacy, to_open3d, to_open3d_legacy
-from stages.surface.texture import Image, Material
-from stages.surface.trimesh_meshes import from_trimesh, to_trimesh
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.surface.color import sampled, tinted
+from scanloom.stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TrimeshMesh
+from scanloom.stages.surface.mesh import Mesh, validated
+from scanloom.stages.surface.open3d_meshes import from_open3d, from_open3d_legacy, to_open3d, to_open3d_legacy
+from scanloom.stages.surface.texture import Image, Material
+from scanloom.stages.surface.trimesh_meshes import from_trimesh, to_trimesh
 
 __all__ = [
     "MeshLike",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Triangles
+from scanloom.stages.surface.mesh import Triangles
 
 Ids = NDArray[np.integer[Any]]
 

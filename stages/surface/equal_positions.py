@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Vertices
+from scanloom.stages.surface.mesh import Vertices
 
 
 def equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[np.int64]]:

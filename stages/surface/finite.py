@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import MeshError
-from stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NOT_FINITE
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NOT_FINITE
 
 # Largest number of the formats that hold single precision alone: glTF, STL, USD.
 LARGEST_SINGLE = float(np.finfo(np.float32).max)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.edges import Edges, Ids, edges_of, next_corner
-from stages.surface.mesh import Mesh, Triangles, Vertices
-from stages.surface.topology import FLAT
-from stages.surface.traced import Traced
+from scanloom.stages.surface.edges import Edges, Ids, edges_of, next_corner
+from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
+from scanloom.stages.surface.topology import FLAT
+from scanloom.stages.surface.traced import Traced
 
 # The work grows with the cube of the number of edges: at this many, about a second.
 _MOST_EDGES = 500

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stages import _kernels
+from scanloom.stages import _kernels
 
 
 def give_back() -> None:

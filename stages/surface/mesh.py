@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import MeshError
-from stages.files.image_bytes import encoded_png
-from stages.printing import counted, extent_in_words, line, table
-from stages.surface.codes import MESH_INDEX_OUT_OF_RANGE
-from stages.surface.finite import LARGEST_SINGLE, require_finite
-from stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
-from stages.surface.thumbnail import thumbnail
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.files.image_bytes import encoded_png
+from scanloom.stages.printing import counted, extent_in_words, line, table
+from scanloom.stages.surface.codes import MESH_INDEX_OUT_OF_RANGE
+from scanloom.stages.surface.finite import LARGEST_SINGLE, require_finite
+from scanloom.stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
+from scanloom.stages.surface.thumbnail import thumbnail
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import MeshKeywords
+    from scanloom.stages.params.keywords import MeshKeywords
 
 __all__ = [
     "Colors",

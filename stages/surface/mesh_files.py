@@ -16,26 +16,26 @@ from typing import Any, cast
 
 import numpy as np
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError, UsageError, is_lack_of_memory
-from stages.files.blas_buffers import require_buffers
-from stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
-from stages.files.opening import content_of
-from stages.files.replacing import replacing
-from stages.surface.codes import (
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError, UsageError, is_lack_of_memory
+from scanloom.stages.files.blas_buffers import require_buffers
+from scanloom.stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.surface.codes import (
     MESH_COMPRESSION_UNKNOWN,
     MESH_FILE_DAMAGED,
     MESH_LEFT_OUT,
     MESH_NO_SURFACE,
     USAGE_EXTENSION_UNKNOWN,
 )
-from stages.surface.convert import as_mesh, to_trimesh
-from stages.surface.formats.gltf import read_gltf
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.formats.obj import read_obj, write_obj
-from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.mesh import Mesh, require_writable
-from stages.surface.welding import merge_vertices
+from scanloom.stages.surface.convert import as_mesh, to_trimesh
+from scanloom.stages.surface.formats.gltf import read_gltf
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.formats.obj import read_obj, write_obj
+from scanloom.stages.surface.formats.ply import read_ply, write_ply
+from scanloom.stages.surface.mesh import Mesh, require_writable
+from scanloom.stages.surface.welding import merge_vertices
 
 EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 # Formats that hold the shape alone.

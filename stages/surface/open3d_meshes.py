@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.surface.codes import MESH_LEFT_OUT
-from stages.surface.color import tinted
-from stages.surface.conversion_losses import find_material_losses, report_losses
-from stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TensorMap
-from stages.surface.formats.colors import to_uint8
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image, Material, Pixels, Texture
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.surface.codes import MESH_LEFT_OUT
+from scanloom.stages.surface.color import tinted
+from scanloom.stages.surface.conversion_losses import find_material_losses, report_losses
+from scanloom.stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TensorMap
+from scanloom.stages.surface.formats.colors import to_uint8
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, Material, Pixels, Texture
 
 if TYPE_CHECKING:
     from open3d import geometry, t  # noqa: TID251
@@ -155,7 +155,7 @@ def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
     Open3D's `clone` and `to_legacy` drop materials. Data that has no place is reported
     (`mesh.conversion-loss`).
     """
-    from stages._open3d import open3d
+    from scanloom.stages._open3d import open3d
 
     o3d = open3d()
     tensor = o3d.core.Tensor
@@ -201,7 +201,7 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
 
     Base colours are multiplied into the images. Data that has no place is reported (`mesh.conversion-loss`).
     """
-    from stages._open3d import open3d
+    from scanloom.stages._open3d import open3d
 
     o3d = open3d()
     result = o3d.geometry.TriangleMesh(

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.documents import read_document
-from stages.files.opening import opened
-from stages.files.replacing import replacing
-from stages.surface.codes import MESH_FILE_DAMAGED
-from stages.surface.finite import require_finite
-from stages.surface.memory import give_back
-from stages.surface.mesh import NOT_WRITTEN, Mesh
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.documents import read_document
+from scanloom.stages.files.opening import opened
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.surface.codes import MESH_FILE_DAMAGED
+from scanloom.stages.surface.finite import require_finite
+from scanloom.stages.surface.memory import give_back
+from scanloom.stages.surface.mesh import NOT_WRITTEN, Mesh
 
 Point = tuple[float, float, float]
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Part, Pieces
-from stages.surface.raycasting import Floats, bounding_box
-from stages.surface.runs import Runs
-from stages.surface.topology import areas
-from stages.surface.vertex_normals import normal_sums, unit, vertex_normals
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Part, Pieces
+from scanloom.stages.surface.raycasting import Floats, bounding_box
+from scanloom.stages.surface.runs import Runs
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.vertex_normals import normal_sums, unit, vertex_normals
 
 # Vertices that are kept of all of them, about: no point is farther from the surface than from one of these.
 _LANDMARKS = 200_000

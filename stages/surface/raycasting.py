@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.surface.mesh import Mesh, Triangles
+from scanloom.stages._open3d import open3d
+from scanloom.stages.surface.mesh import Mesh, Triangles
 
 Floats = NDArray[np.float64]
 

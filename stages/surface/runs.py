@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.memory import give_back
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Part, counted_from
+from scanloom.stages.surface.memory import give_back
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Part, counted_from
 
 # Triangles in a run.
 _LENGTH = 500_000

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.surface.mesh import Triangles
+from scanloom.stages import _kernels
+from scanloom.stages.surface.mesh import Triangles
 
 Ids = NDArray[np.integer[Any]]
 

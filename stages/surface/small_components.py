@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.edges import components
-from stages.surface.mesh import Mesh
-from stages.surface.welding import same_rows
+from scanloom.stages.surface.edges import components
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.welding import same_rows
 
 
 def find_small_components(

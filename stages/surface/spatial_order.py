@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.surface.mesh import Mesh
 
 Rows = NDArray[np.integer[Any]]
 

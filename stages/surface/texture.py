@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.errors import MeshError
-from stages.files.image_bytes import decoded_image, encoded_png, kind_of, promised_size
-from stages.printing import counted, line
-from stages.surface.codes import MESH_NOT_FINITE, MESH_TEXTURE_DAMAGED
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.files.image_bytes import decoded_image, encoded_png, kind_of, promised_size
+from scanloom.stages.printing import counted, line
+from scanloom.stages.surface.codes import MESH_NOT_FINITE, MESH_TEXTURE_DAMAGED
 
 Pixels = NDArray[np.uint8]
 

@@ -1,7 +1,7 @@
 """A small picture of triangles, for notebooks: without a ray caster, whose import alone takes seconds.
 
 Triangles are seen from 30° above, y up, without perspective; of those that cover the centre of a pixel the
-nearest is drawn. `stages.picturing` draws pictures that are looked at for longer.
+nearest is drawn. `scanloom.stages.picturing` draws pictures that are looked at for longer.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.rasterize import Covered, covered
-from stages.surface.texture import Texture
+from scanloom.stages.surface.rasterize import Covered, covered
+from scanloom.stages.surface.texture import Texture
 
 WIDTH, HEIGHT = 240, 180
 # Rays a pixel, along each side: the mean of them smooths outlines.

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import MeshError
-from stages.printing import by_figures, table
-from stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NO_SURFACE
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
-from stages.surface.mesh import Mesh, Triangles, Vertices
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NO_SURFACE
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
+from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
 
 # A triangle whose height is less than this share of its longest edge has no usable normal: with positions
 # of metres and edges of millimetres, rounding alone moves a vertex by that much.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.edges import Ids
-from stages.surface.mesh import Mesh, Triangles
+from scanloom.stages.surface.edges import Ids
+from scanloom.stages.surface.mesh import Mesh, Triangles
 
 
 @dataclass(frozen=True, eq=False)

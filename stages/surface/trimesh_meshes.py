@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import MeshError
-from stages.surface.codes import MESH_LEFT_OUT
-from stages.surface.foreign_meshes import TrimeshMesh
-from stages.surface.formats.colors import srgb_from_linear, to_uint8
-from stages.surface.mesh import Mesh, validated
-from stages.surface.texture import WRAPS, Image, Material, Texture
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.surface.codes import MESH_LEFT_OUT
+from scanloom.stages.surface.foreign_meshes import TrimeshMesh
+from scanloom.stages.surface.formats.colors import srgb_from_linear, to_uint8
+from scanloom.stages.surface.mesh import Mesh, validated
+from scanloom.stages.surface.texture import WRAPS, Image, Material, Texture
 
 if TYPE_CHECKING:
     from trimesh import Trimesh

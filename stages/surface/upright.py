@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.surface.codes import SCALE_UP_CONTRADICTED
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.surface.codes import SCALE_UP_CONTRADICTED
+from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.surface.codes import MESH_FILE_DAMAGED, MESH_NOT_FINITE
-from stages.surface.formats.ply_format import CORNERS, LENGTH, Rows, rows_of_triangles
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface.codes import MESH_FILE_DAMAGED, MESH_NOT_FINITE
+from scanloom.stages.surface.formats.ply_format import CORNERS, LENGTH, Rows, rows_of_triangles
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats
 
 Keys = NDArray[np.int64]
 

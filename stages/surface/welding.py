@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh import Mesh
 
 
 def merge_vertices(mesh: Mesh, apart: NDArray[Any] | None = None) -> Mesh:

@@ -16,32 +16,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.compare import ColorError, CompareParams, compare_surfaces
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic, Where
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.params import check, param, resolve
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.surface.color import has_color, is_transparent
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.formats.gltf_materials import is_shown_as_it_is, shown_as_it_is
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Surface, bounding_box
-from stages.surface.texture import Image, Material, Texture
-from stages.surface.topology import areas, require_area
-from stages.texturing.codes import TEXTURE_ATLAS_TOO_SMALL, TEXTURE_BAKE_LEFT_OUT
-from stages.texturing.detail import SAMPLES_PER_DETAIL, detail_of
-from stages.texturing.facing import FacingColors
-from stages.texturing.pages import Pages, fitted
-from stages.texturing.painted_pages import painted_pages
-from stages.texturing.reducing import reduced
+from scanloom.stages.comparing.compare import ColorError, CompareParams, compare_surfaces
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.color import has_color, is_transparent
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.formats.gltf_materials import is_shown_as_it_is, shown_as_it_is
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Surface, bounding_box
+from scanloom.stages.surface.texture import Image, Material, Texture
+from scanloom.stages.surface.topology import areas, require_area
+from scanloom.stages.texturing.codes import TEXTURE_ATLAS_TOO_SMALL, TEXTURE_BAKE_LEFT_OUT
+from scanloom.stages.texturing.detail import SAMPLES_PER_DETAIL, detail_of
+from scanloom.stages.texturing.facing import FacingColors
+from scanloom.stages.texturing.pages import Pages, fitted
+from scanloom.stages.texturing.painted_pages import painted_pages
+from scanloom.stages.texturing.reducing import reduced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import BakeKeywords
+    from scanloom.stages.params.keywords import BakeKeywords
 
 RESULT_VERSION = 7
 

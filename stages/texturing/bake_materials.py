@@ -16,31 +16,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.asked import asked
-from stages.comparing.compare import sampled_color_error
-from stages.diagnostics.collector import collecting, emit
-from stages.progress import Progress, silent
-from stages.surface.color import color_at
-from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
-from stages.surface.formats.gltf_materials import GltfStatements, multiplies_colors
-from stages.surface.formats.mtl import MtlStatements
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import bounding_box
-from stages.surface.texture import Image, Material, Texture, signed_areas
-from stages.surface.topology import areas
-from stages.texturing.bake import Baked
-from stages.texturing.codes import SIMPLIFY_IMAGES_SMALLER, TEXTURE_BAKE_LEFT_OUT
-from stages.texturing.correspondence import Correspondence, TexelPoints, locate_vertices
-from stages.texturing.detail import details_of
-from stages.texturing.filling import fill_gaps
-from stages.texturing.image_format import (
+from scanloom.stages.comparing.asked import asked
+from scanloom.stages.comparing.compare import sampled_color_error
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
+from scanloom.stages.surface.formats.gltf_materials import GltfStatements, multiplies_colors
+from scanloom.stages.surface.formats.mtl import MtlStatements
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import bounding_box
+from scanloom.stages.surface.texture import Image, Material, Texture, signed_areas
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.texturing.bake import Baked
+from scanloom.stages.texturing.codes import SIMPLIFY_IMAGES_SMALLER, TEXTURE_BAKE_LEFT_OUT
+from scanloom.stages.texturing.correspondence import Correspondence, TexelPoints, locate_vertices
+from scanloom.stages.texturing.detail import details_of
+from scanloom.stages.texturing.filling import fill_gaps
+from scanloom.stages.texturing.image_format import (
     EncodedImage,
     ImageFormat,
     choose_format,
     encode_within,
     resize_image,
 )
-from stages.texturing.material_classes import (
+from scanloom.stages.texturing.material_classes import (
     BASE_COLOR,
     FACTORS,
     MaterialClass,
@@ -49,8 +49,8 @@ from stages.texturing.material_classes import (
     is_opaque,
     value_at,
 )
-from stages.texturing.pages import Pages, lay_out_within
-from stages.texturing.tangent_frames import decode_normals, encode_normals, tangent_frames
+from scanloom.stages.texturing.pages import Pages, lay_out_within
+from scanloom.stages.texturing.tangent_frames import decode_normals, encode_normals, tangent_frames
 
 Pixels = NDArray[np.uint8]
 

@@ -14,14 +14,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.surface.equal_positions import equal_positions
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Located, unit_normals
-from stages.surface.texture import signed_areas
-from stages.texturing.facing import INWARDS, PROBES, move_inwards
-from stages.texturing.pages import Pages
-from stages.texturing.sampling import sample_image
+from scanloom.stages import _kernels
+from scanloom.stages.surface.equal_positions import equal_positions
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Located, unit_normals
+from scanloom.stages.surface.texture import signed_areas
+from scanloom.stages.texturing.facing import INWARDS, PROBES, move_inwards
+from scanloom.stages.texturing.pages import Pages
+from scanloom.stages.texturing.sampling import sample_image
 
 Pixels = NDArray[np.uint8]
 

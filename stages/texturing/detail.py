@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.color import pixels_of
-from stages.surface.mesh import Mesh
-from stages.surface.texture import signed_areas
-from stages.surface.topology import areas
+from scanloom.stages.surface.color import pixels_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import signed_areas
+from scanloom.stages.surface.topology import areas
 
 # Samples in a length of one detail of the original, at least. On a scanned banana and a fused room more of
 # them change the error by less than 0.1 dB.

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.color import color_at
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Surface, unit_normals
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats, Surface, unit_normals
 
 # Surfaces that are passed on the way to one that faces the right way, to each side.
 _PASSED = 4

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._opencv import require_opencv
-from stages.files.image_bytes import encoded_image, encoded_png, kind_of
-from stages.surface.texture import Image
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.files.image_bytes import encoded_image, encoded_png, kind_of
+from scanloom.stages.surface.texture import Image
 
 Pixels = NDArray[np.uint8]
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.texturing.alignment import Shifts, no_larger, shifted
+from scanloom.stages.texturing.alignment import Shifts, no_larger, shifted
 
 # Thirds of levels to add in the cells of a grid: of ten thousand photos they take 13 megabytes.
 LocalExposure = NDArray[np.int8]
@@ -43,7 +43,7 @@ def local_exposure_of(
     drawn : (h, w, 3) uint8, the textured mesh from the photo's camera.
     shown : (h, w), where it shows the mesh.
     photo : (h, w, 3) uint8.
-    shifts : of the photo; see `stages.texturing.alignment`.
+    shifts : of the photo; see `scanloom.stages.texturing.alignment`.
     """
     import cv2
 

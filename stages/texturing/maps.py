@@ -15,15 +15,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.files.image_bytes import encoded_gray_png
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.surface.memory import give_back
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import unit_normals
-from stages.surface.texture import Texture, signed_areas
-from stages.surface.topology import areas
-from stages.texturing.texture import Textured
+from scanloom.stages import _kernels
+from scanloom.stages.files.image_bytes import encoded_gray_png
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.surface.memory import give_back
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import unit_normals
+from scanloom.stages.surface.texture import Texture, signed_areas
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.texturing.texture import Textured
 
 _NO_PHOTO = 255
 # Texels that are measured at a time, by all threads: each takes some hundred bytes.

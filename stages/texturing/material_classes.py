@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.color import pixels_of
-from stages.surface.formats.gltf_materials import GltfStatements, multiplies_colors
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image, Material
+from scanloom.stages.surface.color import pixels_of
+from scanloom.stages.surface.formats.gltf_materials import GltfStatements, multiplies_colors
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, Material
 
 # The place of a texture in a material: the keys of the tree that lead to it.
 Path = tuple[str, ...]

@@ -10,13 +10,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.errors import MeshError
-from stages.progress import Progress, silent
-from stages.surface.mesh import Mesh
-from stages.surface.texture import signed_areas
-from stages.surface.topology import areas
-from stages.texturing.codes import TEXTURE_ATLAS_TOO_SMALL
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import signed_areas
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.texturing.codes import TEXTURE_ATLAS_TOO_SMALL
 
 # Of an image, that charts fill in the mean; used to choose its size.
 _FILLED = 0.62

@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.progress import Progress, silent
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.surface.mesh import Mesh
-from stages.texturing.facing import FacingColors
-from stages.texturing.filling import filled_up
-from stages.texturing.pages import Pages, Texels, texels_of
-from stages.texturing.texel_samples import END, WITHIN, borders, samples_under
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.texturing.facing import FacingColors
+from scanloom.stages.texturing.filling import filled_up
+from scanloom.stages.texturing.pages import Pages, Texels, texels_of
+from scanloom.stages.texturing.texel_samples import END, WITHIN, borders, samples_under
 
 # Levels that what lies beyond the border of a chart may differ from what it shows: a step of colour along an
 # edge, where charts like to end, must not show before it.

@@ -11,18 +11,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.surface.memory import give_back
-from stages.surface.mesh import Mesh
-from stages.surface.texture import signed_areas
-from stages.texturing.alignment import no_larger, shifts_of
-from stages.texturing.exposure import Exposure
-from stages.texturing.local_exposure import local_exposure_of
-from stages.texturing.pages import Pages, Texels, texels_of
-from stages.texturing.photos import Photos
-from stages.texturing.seams import beside_photos
-from stages.texturing.views import (
+from scanloom.stages import _kernels
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.surface.memory import give_back
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import signed_areas
+from scanloom.stages.texturing.alignment import no_larger, shifts_of
+from scanloom.stages.texturing.exposure import Exposure
+from scanloom.stages.texturing.local_exposure import local_exposure_of
+from scanloom.stages.texturing.pages import Pages, Texels, texels_of
+from scanloom.stages.texturing.photos import Photos
+from scanloom.stages.texturing.seams import beside_photos
+from scanloom.stages.texturing.views import (
     Correction,
     DrawnMesh,
     kernel_camera,

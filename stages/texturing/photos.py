@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic, Where
-from stages.diagnostics.errors import InputError
-from stages.progress import Progress
-from stages.scans.codes import FRAME_POSE_MISSING
-from stages.scans.model.images import read_photo
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
-from stages.scans.model.sharpness import sharpness
-from stages.texturing.codes import TEXTURE_PHOTOS_UNUSABLE
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.codes import FRAME_POSE_MISSING
+from scanloom.stages.scans.model.images import read_photo
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
+from scanloom.stages.scans.model.sharpness import sharpness
+from scanloom.stages.texturing.codes import TEXTURE_PHOTOS_UNUSABLE
 
 # Photos are kept in memory if all together have no more bytes; else they are read again when they are needed.
 _KEPT_BYTES = 250_000_000

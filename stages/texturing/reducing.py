@@ -13,11 +13,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._opencv import require_opencv
-from stages.surface.color import pixels_of
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image, signed_areas
-from stages.surface.topology import areas
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.surface.color import pixels_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, signed_areas
+from scanloom.stages.surface.topology import areas
 
 
 def reduced(mesh: Mesh, texel_size: float, finer: float) -> Mesh:

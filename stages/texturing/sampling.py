@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
+from scanloom.stages import _kernels
 
 Pixels = NDArray[np.uint8]
 

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
+from scanloom.stages import _kernels
 
 # Fewer pairs of texels tell nothing.
 _LEAST_PAIRS = 100

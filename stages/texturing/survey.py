@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.comparing.codes import TEXTURE_PHOTOS_MISMATCH
-from stages.diagnostics.errors import InputError
-from stages.surface.mesh import Mesh
-from stages.surface.topology import areas
-from stages.texturing.codes import TEXTURE_PHOTOS_INCONSISTENT
-from stages.texturing.exposure import Exposures, exposures, no_exposure
-from stages.texturing.photos import Photos
-from stages.texturing.views import DrawnMesh, see
+from scanloom.stages import _kernels
+from scanloom.stages.comparing.codes import TEXTURE_PHOTOS_MISMATCH
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.texturing.codes import TEXTURE_PHOTOS_INCONSISTENT
+from scanloom.stages.texturing.exposure import Exposures, exposures, no_exposure
+from scanloom.stages.texturing.photos import Photos
+from scanloom.stages.texturing.views import DrawnMesh, see
 
 Floats = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import unit_normals
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import unit_normals
 
 Floats = NDArray[np.float32]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Mesh
-from stages.texturing.pages import Pages, Texels
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.texturing.pages import Pages, Texels
 
 Floats = NDArray[np.float64]
 

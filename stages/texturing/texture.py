@@ -18,43 +18,43 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic, Where
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.image_bytes import encoded_image
-from stages.params import check, param, resolve
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import both
-from stages.scans.model.scan import Frame, Scan, SkippedFrame
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.formats.gltf_materials import shown_as_it_is
-from stages.surface.memory import give_back
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image, Material, Texture
-from stages.surface.topology import require_area
-from stages.surface.vertex_normals import vertex_normals
-from stages.texturing.codes import (
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.image_bytes import encoded_image
+from scanloom.stages.params import check, param, resolve
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import both
+from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.formats.gltf_materials import shown_as_it_is
+from scanloom.stages.surface.memory import give_back
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, Material, Texture
+from scanloom.stages.surface.topology import require_area
+from scanloom.stages.surface.vertex_normals import vertex_normals
+from scanloom.stages.texturing.codes import (
     TEXTURE_PHOTOS_INCONSISTENT,
     TEXTURE_PHOTOS_UNUSABLE,
     TEXTURE_SURFACE_UNSEEN,
 )
-from stages.texturing.exposure import Exposures
-from stages.texturing.filling import filled_up
-from stages.texturing.local_exposure import in_levels
-from stages.texturing.pages import Pages, laid_out
-from stages.texturing.painting import PASSES, Painted, Painter, Shown, levels_of
-from stages.texturing.photos import Photos, photos_of
-from stages.texturing.seams import SeamSums
-from stages.texturing.survey import judged, survey
-from stages.texturing.views import Correction, DrawnMesh, drawn_mesh
+from scanloom.stages.texturing.exposure import Exposures
+from scanloom.stages.texturing.filling import filled_up
+from scanloom.stages.texturing.local_exposure import in_levels
+from scanloom.stages.texturing.pages import Pages, laid_out
+from scanloom.stages.texturing.painting import PASSES, Painted, Painter, Shown, levels_of
+from scanloom.stages.texturing.photos import Photos, photos_of
+from scanloom.stages.texturing.seams import SeamSums
+from scanloom.stages.texturing.survey import judged, survey
+from scanloom.stages.texturing.views import Correction, DrawnMesh, drawn_mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import TextureKeywords
+    from scanloom.stages.params.keywords import TextureKeywords
 
 RESULT_VERSION = 16
 

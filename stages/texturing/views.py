@@ -9,19 +9,19 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.errors import InputError
-from stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE
-from stages.scans.model.images import read_depth
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Camera, ColorImage, Frame, Pose, pinhole, scaled
-from stages.surface.mesh import Mesh
-from stages.texturing.alignment import Shifts
-from stages.texturing.back_projection import with_lacking
-from stages.texturing.exposure import Exposure
-from stages.texturing.local_exposure import LocalExposure, made_even
-from stages.texturing.photos import Photo, Photos
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.posed_depth import MAX_ANGLE, MAX_ANGLE_ALONE
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Pose, pinhole, scaled
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.texturing.alignment import Shifts
+from scanloom.stages.texturing.back_projection import with_lacking
+from scanloom.stages.texturing.exposure import Exposure
+from scanloom.stages.texturing.local_exposure import LocalExposure, made_even
+from scanloom.stages.texturing.photos import Photo, Photos
 
 # Of a kernel's call: focal lengths, centre and size, and the pose.
 KernelCamera = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
@@ -96,7 +96,8 @@ def see(
 
     Parameters
     ----------
-    exposures, corrections : of each photo; see `stages.texturing.exposure`, `alignment` and `local_exposure`.
+    exposures, corrections : of each photo; see `scanloom.stages.texturing.exposure`, `alignment` and
+        `local_exposure`.
     progress : called after each photo.
     numbers : the photos to look with, in this order; all by default.
     remember : for `see_again`.

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.surface.mesh import Mesh, Texture
+from scanloom.stages.surface.mesh import Mesh, Texture
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
 from texture_soundness import border, soundness

@@ -25,9 +25,9 @@ from textured import (  # noqa: E402
     run_pymeshlab,
 )
 
-from stages.surface.color import color_at  # noqa: E402
-from stages.surface.mesh import Image, Material, Mesh  # noqa: E402
-from stages.surface.mesh_files import write_mesh  # noqa: E402
+from scanloom.stages.surface.color import color_at  # noqa: E402
+from scanloom.stages.surface.mesh import Image, Material, Mesh  # noqa: E402
+from scanloom.stages.surface.mesh_files import write_mesh  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

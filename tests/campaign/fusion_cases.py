@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import StageError
-from stages.fusion.bricks import Cube, coordinates
-from stages.fusion.joining import Joined, Piece, write_piece
-from stages.fusion.voxels import BLOCK, Box, Keys
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.fusion.bricks import Cube, coordinates
+from scanloom.stages.fusion.joining import Joined, Piece, write_piece
+from scanloom.stages.fusion.voxels import BLOCK, Box, Keys
 from tests.campaign.kernel_rules import assert_manifold
 from tests.campaign.random_views import Shot, random_shots
 

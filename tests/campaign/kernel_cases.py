@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from stages.cleaning.clean import clean
-from stages.comparing.certify import certify
-from stages.normal_meshes.normal_mesh import decode
-from stages.normal_meshes.remesh import remesh
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.normal_meshes.normal_mesh import decode
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
 from tests.campaign.kernel_rules import assert_same_bytes, assert_sound, border_edges, sampled_distance
 from tests.campaign.random_meshes import CLOSED, random_mesh
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Mesh, validated
-from stages.surface.raycasting import closest_weights
+from scanloom.stages.surface.mesh import Mesh, validated
+from scanloom.stages.surface.raycasting import closest_weights
 
 _POINTS = 300
 

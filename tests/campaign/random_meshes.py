@@ -9,7 +9,7 @@ from coloured_meshes import of_trimesh, sheet
 from numpy.typing import NDArray
 from seamed_meshes import folded_strips, two_cubes, wrapped_ball
 
-from stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh import Mesh
 
 # Closed and manifold once they are welded: what comes of them has no border either.
 CLOSED = ("ball", "ring", "wrapped ball", "cubes")

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from stages.inspecting.inspect import inspect
-from stages.normal_meshes.normal_mesh import decode
-from stages.scans.calibration.rig_calibration import read_rig
-from stages.scans.read import read_scan
-from stages.scans.trajectory.files import read_trajectory
-from stages.simplification.records.load import load_record
-from stages.surface.mesh import Mesh, validated
-from stages.surface.mesh_files import read_mesh
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.stages.inspecting.inspect import inspect
+from scanloom.stages.normal_meshes.normal_mesh import decode
+from scanloom.stages.scans.calibration.rig_calibration import read_rig
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.trajectory.files import read_trajectory
+from scanloom.stages.simplification.records.load import load_record
+from scanloom.stages.surface.mesh import Mesh, validated
+from scanloom.stages.surface.mesh_files import read_mesh
 from tests.pipeline import toy
 
 

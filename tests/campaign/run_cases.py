@@ -20,8 +20,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame
 from tests.campaign.verdict import SKIPPED, Verdict, judged
 
 _CAMERA = Camera(64, 48, 55.0, 55.0, 31.5, 23.5)
@@ -205,7 +205,7 @@ def _start(
     command = [
         sys.executable,
         "-m",
-        "cli.app",
+        "scanloom.cli.app",
         "run",
         str(scan),
         "-o",

@@ -16,11 +16,11 @@ from coloured_meshes import sheet
 from saved_records import recorded
 from seamed_meshes import wrapped_ball
 
-from pipeline.config import Config
-from stages.normal_meshes.remesh import remesh
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import write_mesh
+from scanloom.pipeline.config import Config
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import write_mesh
 from tests.campaign.tiny_scans import SCANS
 from tests.pipeline import toy
 

@@ -87,7 +87,7 @@ def test_a_failure_of_any_kind_is_told_kept_and_repeated(
 ) -> None:
     # What Python runs at its start stands in for a reader's own fault.
     (tmp_path / "sitecustomize.py").write_text(
-        f"import os, sys\nimport stages.surface.mesh_files as files\ndef fault(path):\n    {wrong}\n"
+        f"import os, sys\nimport scanloom.stages.surface.mesh_files as files\ndef fault(path):\n    {wrong}\n"
         "files.read_mesh = fault\n"
     )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(tmp_path), _PATHS)))

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tiny_recordings import recording, ros_bag
 
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 _SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 _CAMERA = Camera(32, 24, 100.0, 100.0, 16.0, 12.0)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from cli.errors import failure_of
-from cli.exit_codes import BAD_INPUT
-from cli.output import one_line
-from stages.diagnostics.errors import ScanloomError
+from scanloom.cli.errors import failure_of
+from scanloom.cli.exit_codes import BAD_INPUT
+from scanloom.cli.output import one_line
+from scanloom.stages.diagnostics.errors import ScanloomError
 
 ACCEPTED, REFUSED, FAILED, SKIPPED = "accepted", "refused", "failed", "skipped"
 

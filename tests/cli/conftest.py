@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
-from cli.app import run_command
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
+from scanloom.cli.app import run_command
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
 
 CAMERA = Camera(width=96, height=72, fx=80.0, fy=80.0, cx=47.5, cy=35.5)
 WALL, CENTRE, RADIUS = 1.2, np.array([0.0, 0.0, 1.0]), 0.25

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages import InputError, ScanParams, read_scan
-from stages.adjusting.cameras import motion
-from stages.scans.model.scan import Camera
+from scanloom import InputError, ScanParams, read_scan
+from scanloom.stages.adjusting.cameras import motion
+from scanloom.stages.scans.model.scan import Camera
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.mesh_files import read_mesh
 
 Run = Callable[..., Any]
 

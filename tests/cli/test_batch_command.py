@@ -18,13 +18,13 @@ import browsers
 import pytest
 from small_scans import write_small_scan, write_small_scans
 
-from pipeline.batch import opening
-from pipeline.batch.claims import RELEASED, Claim, Claims
-from pipeline.batch.queue import standing_queue
-from pipeline.batch.records import FAILED, UNUSABLE, Record, Records
+from scanloom.pipeline.batch import opening
+from scanloom.pipeline.batch.claims import RELEASED, Claim, Claims
+from scanloom.pipeline.batch.queue import standing_queue
+from scanloom.pipeline.batch.records import FAILED, UNUSABLE, Record, Records
 
 Run = Callable[..., Any]
-SCANLOOM = [sys.executable, "-m", "cli.app"]
+SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
 QUICK = ("--until", "adjust", "--jobs", 1, "--threads", 1)
 
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from cli.irregular_places import COLORS
-from stages.cleaning.check import CLASSES
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
+from scanloom.cli.irregular_places import COLORS
+from scanloom.stages.cleaning.check import CLASSES
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
 
 Run = Callable[..., Any]
 

@@ -13,9 +13,9 @@ import pytest
 from clouds import cloud, write_cloud
 from coloured_sheet import bumpy
 
-from stages.picturing.page.one_file import is_page
-from stages.surface.cloud_files import read_mesh_or_cloud
-from stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.picturing.page.one_file import is_page
+from scanloom.stages.surface.cloud_files import read_mesh_or_cloud
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 
 Run = Callable[..., Any]
 

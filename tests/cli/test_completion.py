@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from cli.app import COMMANDS, run_command
-from cli.completing import settings
-from pipeline.config import Config
-from pipeline.graph import STAGES
-from pipeline.quality import QUALITIES
-from stages.params import described
+from scanloom.cli.app import COMMANDS, run_command
+from scanloom.cli.completing import settings
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import STAGES
+from scanloom.pipeline.quality import QUALITIES
+from scanloom.stages.params import described
 
 ROOT = Path(__file__).resolve().parents[2]
 Offered = Callable[[str], list[str]]
@@ -107,7 +107,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A home folder of its own, and a program `scanloom` to find."""
     program = tmp_path / "bin" / "scanloom"
     program.parent.mkdir()
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m cli.app "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m scanloom.cli.app "$@"\n')
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

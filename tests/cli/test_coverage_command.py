@@ -15,7 +15,7 @@ FEW = ("--set", "texture.enabled=false", "--set", "report.enabled=false", "--set
 
 @pytest.fixture(scope="module")
 def out(tiny_scan: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from cli.app import run_command
+    from scanloom.cli.app import run_command
 
     folder = tmp_path_factory.mktemp("out")
     assert run_command(["run", str(tiny_scan), "-o", str(folder), "--quiet", *FEW]) == 0

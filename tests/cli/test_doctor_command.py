@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from stages import _kernels
+from scanloom.stages import _kernels
 
 Run = Callable[..., Any]
 
@@ -64,7 +64,7 @@ def test_the_bundle_holds_no_home_as_json_writes_it(
 
 
 def test_what_is_odd_has_a_line_of_its_own(scanloom: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stages.inspecting.system.ignores_case", lambda folder: True)  # noqa: ARG005
+    monkeypatch.setattr("scanloom.stages.inspecting.system.ignores_case", lambda folder: True)  # noqa: ARG005
     lines = [line for line in scanloom("doctor").stdout.splitlines() if line.startswith("odd: ")]
     assert len(lines) == 1
     assert "upper and lower case" in lines[0]

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cli.exit_codes import MEANINGS, in_short
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.mesh import Mesh
+from scanloom.cli.exit_codes import MEANINGS, in_short
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.surface.formats.ply import read_ply, write_ply
+from scanloom.stages.surface.mesh import Mesh
 
 Run = Callable[..., Any]
 ROOT = Path(__file__).parents[2]
@@ -182,15 +182,18 @@ def test_a_guess_at_what_was_meant_is_asked_once(
 # The first imports of the program take most of a second; by the last delay some commands are over. By the
 # first one, the line after the first import has been run, which takes Ctrl-C in hand.
 @pytest.mark.slow
-@pytest.mark.parametrize("program", [["-m", "cli.app"], ["-c", "from cli.start import main; main()"]])
+@pytest.mark.parametrize(
+    "program", [["-m", "scanloom.cli.app"], ["-c", "from scanloom.cli.start import main; main()"]]
+)
 @pytest.mark.parametrize("delay", [0.02, 0.05, 0.1, 0.2, 0.4, 0.8])
 def test_ctrl_c_while_imports_run_is_a_sentence(program: list[str], delay: float, tmp_path: Path) -> None:
-    # Python tells each import as it is done: that of `cli.interrupts` is the first moment that is ours.
+    # Python tells each import as it is done: that of `scanloom.cli.interrupts` is the first moment that is
+    # ours.
     words = [sys.executable, "-X", "importtime", *program, "clean", "missing.ply", str(tmp_path / "out.ply")]
     started = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT)
     assert started.stderr is not None
     said = ""
-    while "cli.interrupts" not in said:
+    while "scanloom.cli.interrupts" not in said:
         said = started.stderr.readline()
     time.sleep(delay)
     started.send_signal(signal.SIGINT)
@@ -206,7 +209,7 @@ def test_ctrl_c_while_imports_run_is_a_sentence(program: list[str], delay: float
 def test_a_damaged_image_is_one_line_and_none_of_opencvs(tmp_path):
     for name in ("im2.ppm", "im6.ppm"):
         (tmp_path / name).write_bytes(b"P6\n640 480\n255\n" + bytes(1000))
-    words = [sys.executable, "-c", "from cli.start import main; main()", "inspect", str(tmp_path)]
+    words = [sys.executable, "-c", "from scanloom.cli.start import main; main()", "inspect", str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT, timeout=120)
     assert done.returncode == 3
     (line,) = done.stderr.strip().splitlines()

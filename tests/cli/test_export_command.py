@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
-from stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 
 Run = Callable[..., Any]
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from seamed_meshes import edge_counts, welded, wrapped_ball
 
-from stages.exporting.export import export
-from stages.exporting.same_packing import same_packing
-from stages.surface.mesh import Image, Material, Mesh, Texture
-from stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.exporting.export import export
+from scanloom.stages.exporting.same_packing import same_packing
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 
 Run = Callable[..., Any]
 

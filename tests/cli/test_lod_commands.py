@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages import bake
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom import bake
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 from tests.made.coloured_meshes import sheet
 
 Run = Callable[..., Any]

@@ -10,7 +10,7 @@ import pytest
 from coloured_meshes import sheet
 from tiles_read import read_tiles
 
-from stages import bake, lod, write_mesh
+from scanloom.stages import bake, lod, write_mesh
 
 Run = Callable[..., Any]
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from cli.app import run_command
-from stages.surface.formats.ply import write_ply
+from scanloom.cli.app import run_command
+from scanloom.stages.surface.formats.ply import write_ply
 from tests.made.coloured_meshes import sheet
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"

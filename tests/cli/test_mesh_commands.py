@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.progress import Progress
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
+from scanloom.stages.progress import Progress
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
 
 Run = Callable[..., Any]
 
@@ -231,7 +231,7 @@ def test_ctrl_c_writes_what_there_is_if_asked(
     def interrupting(*_: object) -> Iterator[Progress]:
         yield lambda *_: signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr("cli.output.Output.progress", interrupting)
+    monkeypatch.setattr("scanloom.cli.output.Output.progress", interrupting)
     words = ("simplify", source, target, "--ratio", 0.01)
     assert scanloom(*words).exit_code == 130
     assert not target.exists()
@@ -375,7 +375,7 @@ def test_an_unforeseen_error_is_a_sentence_too(
     def fail(*_: object, **__: object) -> None:
         raise KeyError("oops")
 
-    monkeypatch.setattr("stages.clean", fail)
+    monkeypatch.setattr("scanloom.stages.clean", fail)
     ran = scanloom("clean", ball, tmp_path / "out.ply", "--json")
     assert ran.exit_code == 1
     assert "bug in scanloom" in json.loads(ran.stdout)["error"]

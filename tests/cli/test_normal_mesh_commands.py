@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from cli.app import run_command
-from stages.normal_meshes.normal_mesh import decode
-from stages.surface.formats.ply import read_vertex_values, write_ply
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
+from scanloom.cli.app import run_command
+from scanloom.stages.normal_meshes.normal_mesh import decode
+from scanloom.stages.surface.formats.ply import read_vertex_values, write_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
 
 Run = Callable[..., Any]
 SMALL = ("--levels", 2, "--base-triangles", 80)

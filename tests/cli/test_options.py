@@ -10,11 +10,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from cli.options import build, given, with_options
-from cli.output import Output
-from cli.rendering import render
-from stages.diagnostics.errors import UsageError
-from stages.params import check, param
+from scanloom.cli.options import build, given, with_options
+from scanloom.cli.output import Output
+from scanloom.cli.rendering import render
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check, param
 
 
 @dataclass(frozen=True, kw_only=True)

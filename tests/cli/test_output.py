@@ -12,12 +12,18 @@ import numpy as np
 import pytest
 import typer
 
-import stages
-from cli.errors import bug_of, failure_of
-from cli.output import Output, lines_of, one_line, to_json
-from pipeline.run.schema import SCHEMA
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import InputError, MeshError, StageError, UsageError, is_lack_of_memory
+from scanloom import stages
+from scanloom.cli.errors import bug_of, failure_of
+from scanloom.cli.output import Output, lines_of, one_line, to_json
+from scanloom.pipeline.run.schema import SCHEMA
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import (
+    InputError,
+    MeshError,
+    StageError,
+    UsageError,
+    is_lack_of_memory,
+)
 
 
 def test_json_holds_only_what_every_reader_takes() -> None:

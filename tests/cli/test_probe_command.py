@@ -6,9 +6,9 @@ from pathlib import Path
 import networks
 import pytest
 
-from cli.app import run_command
-from stages.stereo.networks import probe
-from stages.stereo.networks.sidecar import Sidecar, read_sidecar, sidecar_of, written
+from scanloom.cli.app import run_command
+from scanloom.stages.stereo.networks import probe
+from scanloom.stages.stereo.networks.sidecar import Sidecar, read_sidecar, sidecar_of, written
 
 
 @pytest.fixture(autouse=True)

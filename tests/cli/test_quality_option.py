@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.config import Config
-from pipeline.quality import QUALITIES
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.quality import QUALITIES
 
 Run = Callable[..., Any]
 

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import recordings
 
-from pipeline.config import Config
-from stages.params import describe_all
+from scanloom.pipeline.config import Config
+from scanloom.stages.params import describe_all
 
 Run = Callable[..., Any]
-SCANLOOM = [sys.executable, "-m", "cli.app"]
+SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
 
 
 def states(ran: Any) -> dict[str, str]:
@@ -366,7 +366,7 @@ def test_the_installed_program_knows_its_version() -> None:
 
 def test_help_imports_no_heavy_library() -> None:
     code = (
-        "import sys, cli.app; cli.app.run_command(['--help']); "
+        "import sys, scanloom.cli.app; scanloom.cli.app.run_command(['--help']); "
         "print([name for name in ('cv2', 'open3d', 'scipy', 'trimesh') if name in sys.modules])"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

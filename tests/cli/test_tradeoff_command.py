@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from stages import load_record, read_mesh
+from scanloom import load_record, read_mesh
 
 Run = Callable[..., Any]
 FEW = ("--steps", 4, "--samples", 500)

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from coloured_meshes import sheet
 
-from stages import lod
+from scanloom.stages import lod
 
 Run = Callable[..., Any]
 
@@ -24,7 +24,7 @@ def test_tiles_without_a_page_are_shown_and_nothing_is_written(tmp_path: Path) -
     hierarchy = lod.build(sheet(8), cell_triangles=128, root_triangles=100, ratio=4.0, threads=1)
     lod.write_tiles(hierarchy, tmp_path / "tiles")
     before = sorted(tmp_path.rglob("*"))
-    words = [sys.executable, "-m", "cli.app", "view", str(tmp_path / "tiles"), "--no-open"]
+    words = [sys.executable, "-m", "scanloom.cli.app", "view", str(tmp_path / "tiles"), "--no-open"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as started:
         try:
             assert started.stdout is not None
@@ -44,7 +44,7 @@ def test_tiles_without_a_page_are_shown_and_nothing_is_written(tmp_path: Path) -
 def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
     scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from stages.picturing.page.serving import FolderServer
+    from scanloom.stages.picturing.page.serving import FolderServer
 
     def interrupted(self: FolderServer) -> None:  # noqa: ARG001
         raise KeyboardInterrupt

@@ -12,16 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-import stages
-from cli.output import Output
-from cli.rendering import render
-from cli.watch import watching
-from pipeline.run.events import Waiting
-from stages import Mesh
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.surface.formats.ply import write_ply
+from scanloom import Mesh, stages
+from scanloom.cli.output import Output
+from scanloom.cli.rendering import render
+from scanloom.cli.watch import watching
+from scanloom.pipeline.run.events import Waiting
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.surface.formats.ply import write_ply
 
 Run = Callable[..., Any]
 
@@ -150,7 +149,7 @@ def test_what_a_library_warns_of_is_a_line_too(
         warnings.warn("overflow\nin a library", RuntimeWarning, stacklevel=1)
         return cleaned(*given)
 
-    monkeypatch.setattr("stages.clean", warning_of)
+    monkeypatch.setattr("scanloom.stages.clean", warning_of)
     ran = scanloom("clean", ball, tmp_path / "out.ply", "--quiet", "--strict", "--json")
     assert ran.exit_code == 1
     assert ran.warnings == ["overflow\nin a library"]

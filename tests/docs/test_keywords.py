@@ -4,7 +4,7 @@ import ast
 
 from making import keywords
 
-import stages
+from scanloom import stages
 
 
 def test_the_module_of_keywords_is_as_the_script_writes_it():
@@ -17,11 +17,11 @@ def test_the_names_of_the_package_are_as_the_script_writes_them():
 
 def test_a_new_name_in_the_table_is_imported_and_listed(monkeypatch):
     monkeypatch.setitem(stages._NAMES_OF, "progress", ("silent",))
-    monkeypatch.setitem(stages._MODULE_OF, "silent", "stages.progress")
+    monkeypatch.setitem(stages._MODULE_OF, "silent", "scanloom.stages.progress")
 
     text = keywords.write_package()
 
-    assert "\n    from stages.progress import silent\n" in text
+    assert "\n    from scanloom.stages.progress import silent\n" in text
     assert '\n    "show",\n    "silent",\n    "simplify",\n' in text
 
 

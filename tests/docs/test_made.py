@@ -11,9 +11,9 @@ from making.docstrings import as_markdown
 from making.markdown import code, definitions, escaped
 from markdown_it import MarkdownIt
 
-import stages
-from pipeline.config import Config
-from stages.params import describe_all
+from scanloom import stages
+from scanloom.pipeline.config import Config
+from scanloom.stages.params import describe_all
 
 # Words and all signs that mean something in Markdown.
 TEXTS = st.text(st.sampled_from("ab *_<>[]|#$~{}\\&!1.-"), min_size=1).map(lambda text: f"a{text}z")

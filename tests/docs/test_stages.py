@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.graph import STAGES
+from scanloom.pipeline.graph import STAGES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "stages"

@@ -13,9 +13,9 @@ import pytest
 from small_sample import write_small_sample
 from typer.main import get_command
 
-from cli.app import app, run_command
-from pipeline.config import Config
-from stages import read_mesh, write_mesh
+from scanloom import read_mesh, write_mesh
+from scanloom.cli.app import app, run_command
+from scanloom.pipeline.config import Config
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config import Config
-from pipeline.evaluation.params import ReportParams
-from pipeline.run.run import run
-from stages.comparing.compare import CompareParams, compare
-from stages.surface.formats.ply import read_ply, write_ply_cloud
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box, interpolated
-from stages.surface.topology import topology
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.evaluation.params import ReportParams
+from scanloom.pipeline.run.run import run
+from scanloom.stages.comparing.compare import CompareParams, compare
+from scanloom.stages.surface.formats.ply import read_ply, write_ply_cloud
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface, bounding_box, interpolated
+from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ import hashlib
 
 import pytest
 
-from stages.normal_meshes.normal_mesh import decode
+from scanloom.stages.normal_meshes.normal_mesh import decode
 
 LINEAR = (
     "c25tAXrMQu08TNETO7ONV1qDgofze95kaGG9jOnZ2J+Ip5OufGR+ThKsfjS55w5fnqdjz5f+Ja2mR2Dy2FH5BEqqcifhRRi7"

@@ -7,7 +7,7 @@ import hashlib
 
 import pytest
 
-from stages.normal_meshes.normal_mesh import decode
+from scanloom.stages.normal_meshes.normal_mesh import decode
 
 ALONG = (
     "c25tAlAQse48VNEzO6+NR1qDgof1iaFosIwJpKHyRTpp6o28gIovIb4KTBUKYUPOATicgtri2Uq7c5PpP12B1S/epb2WQF8pRuRE"

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
 
 NO_TRIANGLES = np.zeros((0, 3), np.int32)
 

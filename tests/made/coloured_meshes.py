@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from stages.surface.mesh import Mesh
-from stages.surface.topology import topology
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import topology
 
 
 def sheet(n: int = 40, noise: float = 0.001, height: float = 0.1) -> Mesh:

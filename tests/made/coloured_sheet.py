@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from stages import Image, Material, Mesh, Texture
-from stages.files.image_bytes import encoded_image
+from scanloom import Image, Material, Mesh, Texture
+from scanloom.stages.files.image_bytes import encoded_image
 
 UP = (0.0, -1.0, 0.0)
 

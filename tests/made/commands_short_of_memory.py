@@ -17,8 +17,8 @@ from contextlib import redirect_stdout
 
 import numpy as np
 
-from cli.app import run_command
-from stages._open3d import imported
+from scanloom.cli.app import run_command
+from scanloom.stages._open3d import imported
 from tests.made.short_of_memory import limit
 
 # With less than the 16 MiB that every command asks for before it reads its words, all end as with none.

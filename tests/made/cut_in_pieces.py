@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.surface import pieces
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Extent, Pieces, Written, write_pieces
-from stages.surface.piecewise import Piecewise
+from scanloom.stages.surface import pieces
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Extent, Pieces, Written, write_pieces
+from scanloom.stages.surface.piecewise import Piecewise
 
 
 def cut_in_pieces(path: Path, mesh: Mesh, of: np.ndarray) -> Piecewise:

@@ -24,7 +24,7 @@ def hang(event, args):
         time.sleep(1000)
 
 
-if any("pipeline.batch.child" in word for word in sys.orig_argv):
+if any("scanloom.pipeline.batch.child" in word for word in sys.orig_argv):
     sys.addaudithook(hang)
 """
 

@@ -4,8 +4,8 @@ import os
 import sys
 from pathlib import Path
 
-from pipeline.cache.entry import Recipe
-from pipeline.cache.store import Cache
+from scanloom.pipeline.cache.entry import Recipe
+from scanloom.pipeline.cache.store import Cache
 
 ON_WINDOWS = sys.platform == "win32"
 MAY_WRITE_ANYWHERE = ON_WINDOWS or os.geteuid() == 0

@@ -10,11 +10,11 @@ import trimesh
 from coloured_meshes import assert_same_topology
 from numpy.typing import NDArray
 
-from stages.normal_meshes.normal_mesh import NormalMesh
-from stages.normal_meshes.remesh import remesh
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
-from stages.surface.topology import topology
+from scanloom.stages.normal_meshes.normal_mesh import NormalMesh
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.topology import topology
 
 # So that made meshes of some thousand triangles are remeshed in no time.
 SMALL = {"levels": 2, "base_triangles": 120}

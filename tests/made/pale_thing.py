@@ -8,7 +8,7 @@ import numpy as np
 from posed_scene import pose
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 
 CAMERA = Camera(320, 240, 420.0, 420.0, 159.5, 119.5)
 # Centres (x, y, z; y down) and radii of the balls, metres.

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stages.scans.model.scan import Camera, Frame
-from stages.surface.mesh import Mesh
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.surface.mesh import Mesh
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from stages.scans.model.scan import Camera, Frame
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 

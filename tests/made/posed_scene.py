@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 
 CAMERA = Camera(240, 180, 300.0, 305.0, 121.0, 87.0)
 RADIUS, BOARD_Z, BOARD = 0.22, 0.25, 0.4  # of the ball at the origin, metres; the board reaches ±0.4

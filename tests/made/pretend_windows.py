@@ -51,12 +51,12 @@ def pretend() -> None:
 
 def _import_what_asks_for_the_system() -> None:
     """Import all libraries while this is Linux, then forget the sources themselves."""
-    importlib.import_module("cli.app").app()
+    importlib.import_module("scanloom.cli.app").app()
     for name in ("cv2", "scipy.spatial", "trimesh"):
         importlib.import_module(name)
     for name in [name for name in sys.modules if name.split(".")[0] == "scanloom"]:
         # The kernels can be loaded once only.
-        if name != "stages._kernels":
+        if name != "scanloom.stages._kernels":
             del sys.modules[name]
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.files.images import read_raw_depth, read_stored
-from stages.surface.mesh_files import EXTENSIONS, read_mesh
+from scanloom.stages.files.images import read_raw_depth, read_stored
+from scanloom.stages.surface.mesh_files import EXTENSIONS, read_mesh
 from tests.made.short_of_memory import Call, ended
 
 

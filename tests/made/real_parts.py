@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh import Mesh
 
 
 def quarter(mesh: Mesh) -> Mesh:

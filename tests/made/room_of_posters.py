@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import Camera, Frame, Pose
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
 CAMERA = Camera(320, 240, 270.0, 270.0, 159.5, 119.5)
 # Half of the room's sides and its height, metres; pixels of a wall's paper, and of a poster on it, a metre.

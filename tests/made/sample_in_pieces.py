@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from stages.fusion import writing
-from stages.fusion.fuse import fuse_to_file
-from stages.fusion.params import FuseParams
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.read import read_scan
-from stages.surface import pieces
+from scanloom.stages.fusion import writing
+from scanloom.stages.fusion.fuse import fuse_to_file
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface import pieces
 
 _SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from seamed_meshes import folded_strips
 
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
 
 
 def ring() -> Mesh:

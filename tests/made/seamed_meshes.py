@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
 def picture(width: int = 64, height: int = 32) -> Image:

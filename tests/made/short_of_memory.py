@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels as kernels
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels as kernels
+from scanloom.stages.surface.mesh import Mesh
 from tests.made.coloured_meshes import sheet
 
 DONE, MEMORY = "done", "memory"

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from stages.simplification.methods import BOUND, Method
-from stages.surface.mesh import Mesh
+from scanloom.stages.simplification.methods import BOUND, Method
+from scanloom.stages.surface.mesh import Mesh
 
 # Vertices that methods place freely may leave the bounding box by this share of its diagonal.
 FREE_SHARE = 0.01

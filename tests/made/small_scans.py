@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 _CAMERA = Camera(width=64, height=48, fx=56.0, fy=56.0, cx=31.5, cy=23.5)
 _WALL = 1.2

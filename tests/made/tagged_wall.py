@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 CAMERA = Camera(640, 480, 520.0, 520.0, 318.0, 241.0)
 # Pixels of the wall's picture a metre; how many times as fine photos are drawn as they are taken.

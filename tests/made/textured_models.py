@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 from seamed_meshes import wrapped_ball
 
-from stages.surface.formats.gltf_materials import GltfStatements
-from stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.surface.formats.gltf_materials import GltfStatements
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
 def waves(width: int = 512, height: int = 256) -> NDArray[np.uint8]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
 

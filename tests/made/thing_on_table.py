@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 Floats = NDArray[np.float64]
 

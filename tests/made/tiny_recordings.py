@@ -10,11 +10,11 @@ import dataclasses
 import numpy as np
 from recordings import COLOR, DEPTH, Image, Recording, Stream, made, stamped, transform
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import POSE_ASSUMED
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.scan import Scan
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import POSE_ASSUMED
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.read import read_scan
 
 START = 1_700_000_000_000_000_000
 INTERVAL = 33_000_000

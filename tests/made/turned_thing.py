@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 Floats = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from stages.files.image_bytes import encoded_png
-from stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.files.image_bytes import encoded_png
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 # Kinds of texture: what each material of the mesh has.
 TEXTURES = (

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.adjusting.cameras import Cameras, motion
-from stages.adjusting.lens import project
-from stages.adjusting.lifting import in_color
-from stages.adjusting.tracks import Tracks
-from stages.adjusting.view import View
+from scanloom.stages.adjusting.cameras import Cameras, motion
+from scanloom.stages.adjusting.lens import project
+from scanloom.stages.adjusting.lifting import in_color
+from scanloom.stages.adjusting.tracks import Tracks
+from scanloom.stages.adjusting.view import View
 
 SIZE = (320, 240)
 DEPTH_LENS = np.array([290.0, 290.0, 159.5, 119.5])

@@ -32,7 +32,7 @@ def scan(toy: ModuleType, tmp_path: Path) -> Path:
 def warnings() -> Iterator[list[str]]:
     """What is emitted in the test, as texts."""
     # Not before it is asked for: some runs of these tests change the system that it is imported on.
-    from stages.diagnostics.collector import listening
+    from scanloom.stages.diagnostics.collector import listening
 
     said: list[str] = []
     with listening(lambda one: said.append(str(one))):
@@ -42,6 +42,6 @@ def warnings() -> Iterator[list[str]]:
 @pytest.fixture
 def cache(tmp_path: Path, warnings: list[str]) -> Any:  # noqa: ARG001
     # Not before it is asked for: some runs of these tests change the system that it is imported on.
-    from pipeline.cache.store import Cache
+    from scanloom.pipeline.cache.store import Cache
 
     return Cache(tmp_path / "cache")

@@ -21,7 +21,7 @@ if sys.argv[4:] == ["windows"]:
 
 import toy  # noqa: E402
 
-from pipeline.cache.store import Cache  # noqa: E402
+from scanloom.pipeline.cache.store import Cache  # noqa: E402
 
 RESULTS = ("mixed.bin", "cut.bin", "tables/counts.txt")
 WATCHED = {

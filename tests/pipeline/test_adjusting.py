@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.artifacts.adjusted_cameras import apply_adjusted, write_adjusted
-from pipeline.config import Config
-from pipeline.run.run import run
-from stages import adjust
-from stages.adjusting.cameras import motion
-from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.model.images import read_color
-from stages.scans.read import read_scan
-from stages.scans.trajectory.files import read_tum
-from stages.scans.transforms.adjusted_cameras import with_adjusted
+from scanloom import adjust
+from scanloom.pipeline.artifacts.adjusted_cameras import apply_adjusted, write_adjusted
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import run
+from scanloom.stages.adjusting.cameras import motion
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.model.images import read_color
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.trajectory.files import read_tum
+from scanloom.stages.scans.transforms.adjusted_cameras import with_adjusted
 
 pytestmark = pytest.mark.slow
 

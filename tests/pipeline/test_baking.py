@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 from coloured_meshes import sheet
 
-from pipeline.config import Config
-from pipeline.graph import plan_for, skip_reasons
-from pipeline.steps.bake import BakeSection, write_baked
-from stages.comparing.compare import compare
-from stages.progress import silent
-from stages.scans.model.scan import Scan
-from stages.simplification.simplify import simplify
-from stages.surface.mesh_files import read_mesh
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import plan_for, skip_reasons
+from scanloom.pipeline.steps.bake import BakeSection, write_baked
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.progress import silent
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh_files import read_mesh
 
 
 def scan() -> Scan:

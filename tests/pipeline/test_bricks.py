@@ -12,14 +12,14 @@ import cv2
 import pytest
 from sample_in_pieces import part_of_sample, small_pieces
 
-from pipeline.config import Config
-from pipeline.run.run import run
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import StageError
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.read import read_scan
-from stages.surface.formats.ply import read_ply
-from stages.surface.topology import topology
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.topology import topology
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 # All that would be derived of the frames together is given: a frame more changes no brick it does not touch.
@@ -45,7 +45,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.M
     quiet = figures(scan, tmp_path / "quiet")["fuse"]
     assert quiet["bricks"] == quiet["bricks_fused"] > 10
 
-    from pipeline.artifacts import fused_bricks as bricks
+    from scanloom.pipeline.artifacts import fused_bricks as bricks
 
     store, left = bricks.KeptBricks.store, [7]
 
@@ -75,7 +75,7 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
     quiet = figures(scan, tmp_path / "quiet", *tight)["fuse"]
     first, _, third, _ = (Path(str(frame.depth)) for frame in read_scan(scan).frames)
 
-    from pipeline.artifacts import fused_bricks as bricks
+    from scanloom.pipeline.artifacts import fused_bricks as bricks
 
     whole, store, left = third.read_bytes(), bricks.KeptBricks.store, [7]
 
@@ -118,7 +118,7 @@ def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytes
     assert again() == 3
 
     # After it was found, where only what it holds can tell.
-    from pipeline.artifacts import fused_bricks as bricks
+    from scanloom.pipeline.artifacts import fused_bricks as bricks
 
     get = bricks.KeptBricks.get
     for name in ("surface.npz", "frame_counts.npy"):

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, drafts, flip, make, stored
 
-from pipeline.cache import store as cache_module
-from pipeline.cache.entry import Recipe
-from pipeline.cache.store import Cache
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import StageError
+from scanloom.pipeline.cache import store as cache_module
+from scanloom.pipeline.cache.entry import Recipe
+from scanloom.pipeline.cache.store import Cache
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import StageError
 
 
 def test_entry_comes_back_as_it_was_stored(cache):

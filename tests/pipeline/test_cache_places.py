@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from kept_entries import MAY_WRITE_ANYWHERE, ON_WINDOWS, RECIPE, make, stored
 
-from pipeline.cache.entry import Recipe
-from stages.diagnostics.errors import StageError
+from scanloom.pipeline.cache.entry import Recipe
+from scanloom.stages.diagnostics.errors import StageError
 
 
 def what_is_outside(tmp_path: Path) -> Path:

@@ -9,8 +9,8 @@ from types import ModuleType
 import pytest
 from kept_entries import ON_WINDOWS, RECIPE, drafts, flip, make, stored
 
-from pipeline.cache.store import Cache
-from stages.diagnostics.errors import StageError
+from scanloom.pipeline.cache.store import Cache
+from scanloom.stages.diagnostics.errors import StageError
 
 
 def test_slower_of_two_makers_uses_the_entry_of_the_faster(cache):
@@ -86,7 +86,7 @@ def test_entry_that_is_being_read_is_not_replaced_where_open_files_cannot_be_mov
 def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cache):
     script = (
         "import time; from pathlib import Path\n"
-        "from pipeline.cache.store import Cache; from pipeline.cache.entry import Recipe\n"
+        "from scanloom.pipeline.cache.store import Cache; from scanloom.pipeline.cache.entry import Recipe\n"
         "def make(folder):\n"
         "    (folder / 'part').write_bytes(b'half'); print('made', flush=True); time.sleep(60)\n"
         f"Cache(Path({str(cache.folder)!r})).store(Recipe('fuse', {{'fuse': 1}}), make)\n"
@@ -104,7 +104,7 @@ def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cac
 def test_draft_of_another_machine_is_its_own_matter(cache, monkeypatch):
     # Its lock may be held where this machine cannot see it.
     with monkeypatch.context() as patched:
-        patched.setattr("pipeline.cache.store.machine_mark", lambda: "m00000000")
+        patched.setattr("scanloom.pipeline.cache.store.machine_mark", lambda: "m00000000")
         cache._new_draft("fuse")[1].release()
     stored(cache)
     cache.remove_abandoned()

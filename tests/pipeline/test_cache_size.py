@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.cache.cache_size import CacheParams, bytes_of
-from pipeline.config import Config
-from stages.diagnostics.errors import UsageError
+from scanloom.pipeline.cache.cache_size import CacheParams, bytes_of
+from scanloom.pipeline.config import Config
+from scanloom.stages.diagnostics.errors import UsageError
 
 
 @pytest.mark.parametrize(

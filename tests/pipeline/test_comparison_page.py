@@ -14,9 +14,8 @@ import trimesh
 from browsers import browser
 from clouds import cloud
 
-import stages
-from pipeline.report.comparison_page import page_of_comparison
-from stages import Mesh
+from scanloom import Mesh, stages
+from scanloom.pipeline.report.comparison_page import page_of_comparison
 
 pytestmark = pytest.mark.slow
 UP = (0.0, 0.0, 1.0)

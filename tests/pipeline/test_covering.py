@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from page_content import shown
 
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from pipeline.run.again import run_again
-from pipeline.run.asked import Asked, from_anywhere
-from pipeline.run.run import CACHE_VARIABLE, run
-from pipeline.steps.coverage import VALUES
-from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame
-from stages.surface.formats.ply import read_ply, read_vertex_values
-from stages.surface.mesh_files import read_mesh
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.again import run_again
+from scanloom.pipeline.run.asked import Asked, from_anywhere
+from scanloom.pipeline.run.run import CACHE_VARIABLE, run
+from scanloom.pipeline.steps.coverage import VALUES
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values
+from scanloom.stages.surface.mesh_files import read_mesh
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 QUICK = (
@@ -151,7 +151,7 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
 
 
 def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> None:
-    from pipeline.report.page import page_of_run
+    from scanloom.pipeline.report.page import page_of_run
 
     out = here / "out"
     run_again(out, "coverage", {})

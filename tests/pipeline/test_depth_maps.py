@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from pipeline.artifacts.depth_maps import write_depth_maps
-from stages.diagnostics.errors import InputError
-from stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
+from scanloom.pipeline.artifacts.depth_maps import write_depth_maps
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
 
 FRAME = Frame("a", Camera(8, 6, 5.0, 5.0, 3.5, 2.5), world_from_camera=np.eye(4))
 

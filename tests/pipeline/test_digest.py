@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.cache.digest import canonical, digest, file_digest, label_digests, scan_digest
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import StageError
-from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from scanloom.pipeline.cache.digest import canonical, digest, file_digest, label_digests, scan_digest
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 json_values = st.recursive(

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import Config
-from pipeline.expectation import BASE_BYTES, Cost, expected
-from pipeline.run.dry_run import DryRun, foresee
-from pipeline.run.run import run
-from stages.diagnostics.errors import UsageError
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.expectation import BASE_BYTES, Cost, expected
+from scanloom.pipeline.run.dry_run import DryRun, foresee
+from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.errors import UsageError
 
 SCAN = Path(__file__).parents[2] / "samples" / "rgbd"
 QUICK = (

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config import Config
-from pipeline.graph import skip_reasons
-from pipeline.run.run import CACHE_VARIABLE, run
-from pipeline.steps.upright import UprightSection, estimate_up
-from stages.scans.model.scan import Scan
-from stages.scans.read import read_scan
-from stages.surface.mesh_files import read_mesh
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import skip_reasons
+from scanloom.pipeline.run.run import CACHE_VARIABLE, run
+from scanloom.pipeline.steps.upright import UprightSection, estimate_up
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.mesh_files import read_mesh
 from tests.made.coloured_sheet import sheet
 
 SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from thing_on_table import BALL, frames
 
-from pipeline.artifacts.poses import Poses
-from pipeline.config import Config
-from pipeline.run.dry_run import foresee
-from pipeline.run.run import RunResult, run
-from pipeline.steps.fuse import FusedMesh, fuse_separate, write_fused
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import UsageError
-from stages.fusion.params import FuseParams
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Frame, Scan
-from stages.surface.formats.ply import read_ply
+from scanloom.pipeline.artifacts.poses import Poses
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.dry_run import foresee
+from scanloom.pipeline.run.run import RunResult, run
+from scanloom.pipeline.steps.fuse import FusedMesh, fuse_separate, write_fused
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.surface.formats.ply import read_ply
 
 QUICK = ("adjust.enabled=false", "texture.enabled=false", "fuse.voxel_size=0.02")
 # Level cameras that look ahead say nothing better of up than this.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from photographed import CAMERA, photo, pose
 
-from pipeline.evaluation.held_out import like_neighbours
-from stages.scans.model.scan import Frame
+from scanloom.pipeline.evaluation.held_out import like_neighbours
+from scanloom.stages.scans.model.scan import Frame
 
 
 @pytest.fixture

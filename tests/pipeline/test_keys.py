@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from pipeline.cache.entry import Recipe
+from scanloom.pipeline.cache.entry import Recipe
 
 ALL = ["mix", "cut", "count"]
 

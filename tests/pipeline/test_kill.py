@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from pipeline.cache.store import Cache
+from scanloom.pipeline.cache.store import Cache
 
 pytestmark = pytest.mark.slow
 

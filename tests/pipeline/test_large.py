@@ -11,15 +11,15 @@ import pytest
 from page_content import shown
 from sample_in_pieces import part_of_sample, small_pieces
 
-from pipeline.config import Config
-from pipeline.evaluation.measures import SIGNED_SAMPLES
-from pipeline.run.dry_run import foresee
-from pipeline.run.run import RunResult, run
-from stages import coverage, lod, read_scan
-from stages.comparing.certify import certify
-from stages.comparing.compare import compare
-from stages.comparing.deviations import deviations
-from stages.surface.formats.ply import read_ply, read_vertex_values
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.evaluation.measures import SIGNED_SAMPLES
+from scanloom.pipeline.run.dry_run import foresee
+from scanloom.pipeline.run.run import RunResult, run
+from scanloom.stages import coverage, lod, read_scan
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.comparing.deviations import deviations
+from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values
 
 QUICK = (
     *("adjust.enabled=false", "texture.enabled=false", "export.web=false", "fuse.voxel_size=0.015"),

@@ -10,17 +10,17 @@ import pytest
 from coloured_meshes import sheet
 from tiles_read import read_tiles
 
-from pipeline.config import Config
-from pipeline.graph import STAGES, plan_for, skip_reasons
-from pipeline.run.run import CACHE_VARIABLE, run
-from pipeline.steps.lod import LodSection, write_levels
-from stages import lod
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import UsageError
-from stages.progress import silent
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame, Scan
-from stages.surface.formats.ply import read_ply
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import STAGES, plan_for, skip_reasons
+from scanloom.pipeline.run.run import CACHE_VARIABLE, run
+from scanloom.pipeline.steps.lod import LodSection, write_levels
+from scanloom.stages import lod
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.progress import silent
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.surface.formats.ply import read_ply
 
 QUICK = (
     "texture.enabled=false",

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 from small_scans import write_small_scan
 
-from pipeline.config import Config
-from pipeline.expectation import BASE_BYTES, Expectation
-from pipeline.run.limits import LimitGuard, Limits, within
-from pipeline.run.needs import expected_of
-from pipeline.run.run import run
-from stages.diagnostics.errors import StageError
-from stages.scans.read import read_scan
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.expectation import BASE_BYTES, Expectation
+from scanloom.pipeline.run.limits import LimitGuard, Limits, within
+from scanloom.pipeline.run.needs import expected_of
+from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.scans.read import read_scan
 
 STAGES = ("adjust", "fuse", "clean")
 MB = 10**6

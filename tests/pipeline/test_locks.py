@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cache.locks import take_folder, take_lock, try_folder, try_lock
+from scanloom.pipeline.cache.locks import take_folder, take_lock, try_folder, try_lock
 
 
 def test_several_share_a_lock_and_one_alone_has_it(tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_a_lock_is_waited_for(tmp_path: Path, shared: bool) -> None:
 
 def test_a_lock_goes_with_the_process(tmp_path: Path) -> None:
     script = (
-        "import time; from pathlib import Path; from pipeline.cache.locks import take_lock\n"
+        "import time; from pathlib import Path; from scanloom.pipeline.cache.locks import take_lock\n"
         f"lock = take_lock(Path({str(tmp_path / 'a.lock')!r})); print('held', flush=True); time.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:

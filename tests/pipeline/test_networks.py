@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from photographed import CAMERA, photos
 
-from pipeline.config import Config
-from pipeline.run.dry_run import foresee
-from pipeline.run.run import run
-from stages import InputError, ScanParams, read_scan
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Frame
-from stages.stereo.networks.sidecar import Sidecar, sidecar_of, written
+from scanloom import InputError, ScanParams, read_scan
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.dry_run import foresee
+from scanloom.pipeline.run.run import run
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.stereo.networks.sidecar import Sidecar, sidecar_of, written
 
 ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth", range=(0.0, 1.0))
 

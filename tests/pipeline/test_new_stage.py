@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.graph import STAGES
-from pipeline.stage import AnyStage
+from scanloom.pipeline.graph import STAGES
+from scanloom.pipeline.stage import AnyStage
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -20,9 +20,9 @@ FUNCTION = '''"""Area of a mesh."""
 
 from dataclasses import dataclass
 
-from stages.params import check, param
-from stages.surface.mesh import Mesh
-from stages.surface.topology import areas
+from scanloom.stages.params import check, param
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import areas
 
 RESULT_VERSION = 1
 
@@ -44,10 +44,10 @@ STEP = '''"""The stage `area`: the area of the clean mesh."""
 
 from dataclasses import dataclass
 
-from pipeline.result_versions import always
-from pipeline.stage import Artifact, Context, Stage
-from pipeline.steps.clean import CleanMesh
-from stages.area.area import AreaParams, area
+from scanloom.pipeline.result_versions import always
+from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.stages.area.area import AreaParams, area
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,10 @@ STAGE = Stage(
 '''
 COMMAND = '''"""The command `area`."""
 
-from cli.mesh_arguments import MeshFile, read_file
-from cli.output import Output
-from stages.area.area import AreaParams
-from stages.area.area import area as measure
+from scanloom.cli.mesh_arguments import MeshFile, read_file
+from scanloom.cli.output import Output
+from scanloom.stages.area.area import AreaParams
+from scanloom.stages.area.area import area as measure
 
 
 def area(source: MeshFile, params: AreaParams, out: Output) -> None:
@@ -92,7 +92,11 @@ def area(source: MeshFile, params: AreaParams, out: Output) -> None:
 LINES = (
     ("pipeline/graph.py", "    clean,\n", "    area,\n    clean,\n"),
     ("pipeline/graph.py", "    clean.STAGE,\n", "    clean.STAGE,\n    area.STAGE,\n"),
-    ("pipeline/config.py", "\n\n@dataclass", "\nfrom stages.area.area import AreaParams\n\n\n@dataclass"),
+    (
+        "pipeline/config.py",
+        "\n\n@dataclass",
+        "\nfrom scanloom.stages.area.area import AreaParams\n\n\n@dataclass",
+    ),
     (
         "pipeline/config.py",
         "    upright: ",
@@ -122,7 +126,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run_scanloom(checkout: Path, *words: str) -> str:
-    program = "import sys; from cli.app import main; sys.exit(main(sys.argv[1:]))"
+    program = "import sys; from scanloom.cli.app import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run(
         [sys.executable, "-c", program, *words],
         cwd=checkout,

@@ -13,12 +13,12 @@ import pytest
 from coloured_meshes import sheet
 from page_content import shown
 
-from pipeline.evaluation.photos import write_photos
-from pipeline.report.page import page_of_mesh, page_of_run
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.scans.model.scan import Camera, Frame
-from stages.surface.formats.ply import write_ply
+from scanloom.pipeline.evaluation.photos import write_photos
+from scanloom.pipeline.report.page import page_of_mesh, page_of_run
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.surface.formats.ply import write_ply
 
 CAMERA = Camera(80, 60, 70, 70, 39.5, 29.5)
 

@@ -15,15 +15,15 @@ import pytest
 from coloured_meshes import sheet
 from page_content import shown
 
-import pipeline.report.page
-from pipeline.evaluation.deviations import FIGURES, MESH, kept_of, read_deviations, write_deviations
-from pipeline.evaluation.photos import write_photos
-from pipeline.report.page import page_of_run
-from stages import Image, Material, Mesh, Texture, deviations
-from stages.diagnostics.errors import InputError
-from stages.scans.model.scan import Camera, Frame
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh_files import write_mesh
+import scanloom.pipeline.report.page
+from scanloom import Image, Material, Mesh, Texture, deviations
+from scanloom.pipeline.evaluation.deviations import FIGURES, MESH, kept_of, read_deviations, write_deviations
+from scanloom.pipeline.evaluation.photos import write_photos
+from scanloom.pipeline.report.page import page_of_run
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh_files import write_mesh
 
 N = 8
 
@@ -59,7 +59,7 @@ def looks_of(page: bytes) -> dict[str, Any]:
 
 def values_of(page: bytes, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and values of the first model, by the file itself."""
-    from stages._kernels import decode_rows
+    from scanloom.stages._kernels import decode_rows
 
     glb = base64.b64decode(shown(page)["files"][0])
     length = struct.unpack_from("<I", glb, 12)[0]
@@ -117,7 +117,7 @@ def test_what_the_report_measured_is_not_measured_again(out: Path, monkeypatch: 
     found = deviations(sheet(N), light(), signed_samples=2000)
     write_deviations(out / "pictures", found)
     again = looks_of(page_of_run(out, 5_000_000))
-    monkeypatch.setattr(pipeline.report.page.stages, "deviations", silent)
+    monkeypatch.setattr(scanloom.pipeline.report.page.stages, "deviations", silent)
     assert looks_of(page_of_run(out, 5_000_000))["deviation"] == again["deviation"]
     kept, read = kept_of(found), read_deviations(out / "pictures")
     assert read is not None

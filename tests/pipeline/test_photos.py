@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.config import Config
-from pipeline.evaluation.deviations import FIGURES, MESH
-from pipeline.evaluation.photos import FILE, write_photos
-from pipeline.graph import skip_reasons
-from pipeline.run.run import CACHE_VARIABLE, run
-from stages.scans.model.scan import Camera, Frame
-from stages.scans.read import read_scan
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.evaluation.deviations import FIGURES, MESH
+from scanloom.pipeline.evaluation.photos import FILE, write_photos
+from scanloom.pipeline.graph import skip_reasons
+from scanloom.pipeline.run.run import CACHE_VARIABLE, run
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.read import read_scan
 
 SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 QUICK = (

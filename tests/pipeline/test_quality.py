@@ -2,11 +2,11 @@
 
 import pytest
 
-from pipeline.config import Config
-from pipeline.graph import STAGES
-from pipeline.quality import QUALITIES, STANDARD
-from stages.diagnostics.errors import UsageError
-from stages.params import flatten, get_value
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import STAGES
+from scanloom.pipeline.quality import QUALITIES, STANDARD
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import flatten, get_value
 
 OTHERS = sorted(set(QUALITIES) - {STANDARD})
 

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.config import Config
-from pipeline.run.run import run
-from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.read import read_scan
-from stages.scans.trajectory.files import read_tum
-from stages.surface.formats.ply import read_ply
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.trajectory.files import read_tum
+from scanloom.stages.surface.formats.ply import read_ply
 
 pytestmark = pytest.mark.slow
 

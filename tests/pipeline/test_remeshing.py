@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from coloured_meshes import MESHES
 
-from pipeline.config import Config
-from pipeline.evaluation.normal_mesh import report_levels
-from pipeline.run.run import CACHE_VARIABLE, run
-from pipeline.steps.remesh import NormalMeshFiles, RemeshSection, write_normal_mesh
-from stages.comparing.compare import CompareParams
-from stages.normal_meshes.normal_mesh import decode
-from stages.normal_meshes.remesh import remesh
-from stages.picturing.viewpoints import viewpoints
-from stages.progress import silent
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame
-from stages.surface.formats.ply import read_ply
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.evaluation.normal_mesh import report_levels
+from scanloom.pipeline.run.run import CACHE_VARIABLE, run
+from scanloom.pipeline.steps.remesh import NormalMeshFiles, RemeshSection, write_normal_mesh
+from scanloom.stages.comparing.compare import CompareParams
+from scanloom.stages.normal_meshes.normal_mesh import decode
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.picturing.viewpoints import viewpoints
+from scanloom.stages.progress import silent
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.surface.formats.ply import read_ply
 
 pytestmark = pytest.mark.slow
 

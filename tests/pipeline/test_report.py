@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.evaluation.deviations import read_deviations
-from pipeline.evaluation.measures import measure_and_draw as make
-from pipeline.evaluation.params import ReportParams
-from stages.comparing.compare import CompareParams, compare
-from stages.diagnostics.errors import InputError
-from stages.surface.mesh import Mesh
+from scanloom.pipeline.evaluation.deviations import read_deviations
+from scanloom.pipeline.evaluation.measures import measure_and_draw as make
+from scanloom.pipeline.evaluation.params import ReportParams
+from scanloom.stages.comparing.compare import CompareParams, compare
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface.mesh import Mesh
 
 SQUARE = Mesh(
     np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]], np.int32)

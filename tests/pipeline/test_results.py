@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.cache.digest import file_digest
-from pipeline.run.events import StageFinished, StageProgress, StageStarted
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import InputError, StageError
+from scanloom.pipeline.cache.digest import file_digest
+from scanloom.pipeline.run.events import StageFinished, StageProgress, StageStarted
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import InputError, StageError
 
 NAMES = ["cut.bin", "mixed.bin", "tables/counts.txt"]
 
@@ -156,7 +156,7 @@ def test_full_disk_while_results_are_placed(toy, scan, out, monkeypatch):
     def refuse(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("pipeline.cache.files.shutil.copyfile", refuse)
+    monkeypatch.setattr("scanloom.pipeline.cache.files.shutil.copyfile", refuse)
     with pytest.raises(StageError, match=r"results cannot be written to .*: the disk is full"):
         toy.run(scan, out)
     assert files(out) == ["mixed.bin", "tables/counts.txt"]

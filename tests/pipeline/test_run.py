@@ -15,23 +15,23 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.artifacts.depth_maps import depth_scale
-from pipeline.cache.digest import digest, file_digest
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from pipeline.evaluation.measures import edge_figures
-from pipeline.graph import STAGES
-from pipeline.run.events import RunStarted
-from pipeline.run.run import CACHE_VARIABLE, run
-from pipeline.run.schema import SCHEMA
-from stages.diagnostics.errors import InputError, UsageError
-from stages.params import describe_all, flatten
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.scan import Camera, Frame
-from stages.scans.read import read_scan
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Mesh
+from scanloom.pipeline.artifacts.depth_maps import depth_scale
+from scanloom.pipeline.cache.digest import digest, file_digest
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.evaluation.measures import edge_figures
+from scanloom.pipeline.graph import STAGES
+from scanloom.pipeline.run.events import RunStarted
+from scanloom.pipeline.run.run import CACHE_VARIABLE, run
+from scanloom.pipeline.run.schema import SCHEMA
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.params import describe_all, flatten
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
 CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
@@ -211,7 +211,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
 def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
     out = Path(shutil.copytree(made, tmp_path / "out"))
     code = (
-        "import sys; from pipeline.config import Config; from pipeline.run.run import run\n"
+        "import sys; from scanloom.pipeline.config import Config; from scanloom.pipeline.run.run import run\n"
         f"result = run({str(rgbd)!r}, {str(out)!r}, Config().set({QUICK!r}))\n"
         "print([o.cached for o in result.stages], {'open3d', 'scipy', 'trimesh'} & set(sys.modules))"
     )
@@ -275,7 +275,7 @@ def test_results_do_not_depend_on_the_run(rgbd, made, tmp_path):
 @pytest.mark.slow
 def test_killed_at_random_moments_and_restarted(rgbd, tmp_path):
     code = (
-        "from pipeline.config import Config; from pipeline.run.run import run; import sys\n"
+        "from scanloom.pipeline.config import Config; from scanloom.pipeline.run.run import run; import sys\n"
         f"run({str(rgbd)!r}, sys.argv[1], Config().set({QUICK!r}))"
     )
     started = time.perf_counter()
@@ -508,7 +508,7 @@ def test_a_killed_run_leaves_nothing_that_it_does_not_know_again(rgbd, tmp_path,
 
     for at in ("copy_whole", "Results.write_report"):
         with monkeypatch.context() as patched:
-            patched.setattr(f"pipeline.run.results.{at}", killed)
+            patched.setattr(f"scanloom.pipeline.run.results.{at}", killed)
             with pytest.raises(KilledError):
                 run(rgbd, out, quick(), until="clean")
         run(rgbd, out, quick("clean.min_island_area=0.5"), until="clean")

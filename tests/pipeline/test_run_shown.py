@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.run.engine import Outcome
-from pipeline.run.run import RunResult
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import UsageError
-from stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
+from scanloom.pipeline.run.engine import Outcome
+from scanloom.pipeline.run.run import RunResult
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
 
 
 def outcome(stage: str, *, cached: bool, diagnostics: tuple[Diagnostic, ...] = ()) -> Outcome:

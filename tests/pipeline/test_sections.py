@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.sections import Sections
-from stages.diagnostics.errors import UsageError
-from stages.params import check, param
+from scanloom.pipeline.sections import Sections
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check, param
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from photographed import CAMERA, paint, photos
 
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from pipeline.run.dry_run import foresee
-from pipeline.run.run import RunResult, run, wanted_of
-from stages import InputError
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Frame
-from stages.surface.color import color_at
-from stages.surface.mesh_files import read_mesh
+from scanloom import InputError
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.dry_run import foresee
+from scanloom.pipeline.run.run import RunResult, run, wanted_of
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.mesh_files import read_mesh
 
 pytestmark = pytest.mark.slow
 

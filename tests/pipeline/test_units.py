@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from coloured_meshes import sheet
 
-from pipeline.cache.store import Cache
-from pipeline.config import Config
-from pipeline.report.page import page_of_run
-from pipeline.report.page_told import deviation_tables, told_of
-from pipeline.run.document import compose
-from pipeline.run.run import wanted_of
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.scan import Camera, Frame, Scan
-from stages.scans.model.world import Scale
-from stages.surface.formats.ply import write_ply
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.report.page import page_of_run
+from scanloom.pipeline.report.page_told import deviation_tables, told_of
+from scanloom.pipeline.run.document import compose
+from scanloom.pipeline.run.run import wanted_of
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.scans.model.world import Scale
+from scanloom.stages.surface.formats.ply import write_ply
 
 CAMERA = Camera(8, 6, 5.0, 5.0, 3.5, 2.5)
 

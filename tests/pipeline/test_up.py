@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.artifacts.depth_maps import write_depth_maps
-from pipeline.artifacts.poses import Poses
-from pipeline.artifacts.up_direction import UpDirection
-from pipeline.cache.digest import label_digests, scan_digest
-from pipeline.config import Config
-from pipeline.graph import STAGES, plan_for
-from pipeline.run.run import run
-from pipeline.steps import upright
-from pipeline.steps.upright import UprightSection
-from stages.diagnostics.collector import collecting
-from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
-from stages.scans.model.world import Y_UP, Z_DOWN, Z_UP, WorldUp
-from stages.scans.read import read_scan
-from stages.stereo.depth import depth_scan
-from stages.surface.mesh import Mesh
+from scanloom.pipeline.artifacts.depth_maps import write_depth_maps
+from scanloom.pipeline.artifacts.poses import Poses
+from scanloom.pipeline.artifacts.up_direction import UpDirection
+from scanloom.pipeline.cache.digest import label_digests, scan_digest
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import STAGES, plan_for
+from scanloom.pipeline.run.run import run
+from scanloom.pipeline.steps import upright
+from scanloom.pipeline.steps.upright import UprightSection
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from scanloom.stages.scans.model.world import Y_UP, Z_DOWN, Z_UP, WorldUp
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.depth import depth_scan
+from scanloom.stages.surface.mesh import Mesh
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 UP = np.array((0.0, -1.0, 0.0))

@@ -10,14 +10,13 @@ from typing import Any
 import pytest
 from own_modules import modules_of
 
-import pipeline
-import stages
-from pipeline.config import Config
-from pipeline.graph import STAGES
-from pipeline.stage import Stage
-from pipeline.steps.clean import CleanMesh
-from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
-from stages.surface.pieces import table_of
+from scanloom import pipeline, stages
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import STAGES
+from scanloom.pipeline.stage import Stage
+from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from scanloom.stages.surface.pieces import table_of
 
 ROOT = Path(stages.__file__).parents[1]
 MODULES = modules_of(pipeline, stages)
@@ -76,7 +75,11 @@ def stage_named(name: str) -> Stage:
 
 def test_they_are_found():
     names = {module.__name__ for module in STATING}
-    assert {"stages.fusion.fuse", "stages.simplification.simplify", "pipeline.evaluation.measures"} <= names
+    assert {
+        "scanloom.stages.fusion.fuse",
+        "scanloom.stages.simplification.simplify",
+        "scanloom.pipeline.evaluation.measures",
+    } <= names
     assert len(STATING) >= 12
 
 

@@ -11,14 +11,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from cli.app import app
-from pipeline.config import Config
-from pipeline.run.run import CACHE_VARIABLE, run
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Scan
-from stages.scans.read import read_scan
-from stages.stereo.views_depth import views_depth
-from stages.surface.formats.ply import read_ply
+from scanloom.cli.app import app
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import CACHE_VARIABLE, run
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.views_depth import views_depth
+from scanloom.stages.surface.formats.ply import read_ply
 
 pytestmark = pytest.mark.slow
 

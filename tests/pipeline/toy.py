@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.cache.digest import scan_digest
-from pipeline.cache.store import Cache
-from pipeline.run.engine import Engine, Outcome, Source
-from pipeline.run.events import Events, unwatched
-from pipeline.sections import Sections
-from pipeline.stage import AnyStage, Artifact, Context, Stage
-from stages.diagnostics.collector import listening
-from stages.params import check, param
-from stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.pipeline.cache.digest import scan_digest
+from scanloom.pipeline.cache.store import Cache
+from scanloom.pipeline.run.engine import Engine, Outcome, Source
+from scanloom.pipeline.run.events import Events, unwatched
+from scanloom.pipeline.sections import Sections
+from scanloom.pipeline.stage import AnyStage, Artifact, Context, Stage
+from scanloom.stages.diagnostics.collector import listening
+from scanloom.stages.params import check, param
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +200,7 @@ def run(
     warnings: list[str] | None = None,
     overwrite: bool = False,
 ) -> list[Outcome]:
-    """Run the toy pipeline as pipeline.run.run does the real one."""
+    """Run the toy pipeline as scanloom.pipeline.run.run does the real one."""
     out.mkdir(parents=True, exist_ok=True)
     scan = read_scan(folder)
     content = scan_digest(scan)

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.scans.model.images import read_color, read_depth, read_right
-from stages.scans.read import read_scan
-from stages.surface.formats.ply import read_ply
-from stages.surface.raycasting import Surface
+from scanloom.stages.scans.model.images import read_color, read_depth, read_right
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.raycasting import Surface
 
 pytestmark = pytest.mark.slow
 

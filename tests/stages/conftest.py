@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from sample_in_pieces import sample_in_pieces
 
-from stages.surface import piecewise
+from scanloom.stages.surface import piecewise
 
 
 @pytest.fixture(scope="session")

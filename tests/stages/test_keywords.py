@@ -7,7 +7,7 @@ from typing import Any
 
 from own_modules import modules_of
 
-import stages
+from scanloom import stages
 
 MODULES = modules_of(stages)
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages import _kernels
-from stages.surface.mesh_files import write_mesh
+from scanloom.stages import _kernels
+from scanloom.stages.surface.mesh_files import write_mesh
 from tests.made.coloured_meshes import sheet
 from tests.made.short_of_memory import DONE, MEMORY
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from stages._open3d import _explain
+from scanloom.stages._open3d import _explain
 
 HIDE_SYSTEM_LIBUSB = """
 import ctypes
@@ -17,7 +17,7 @@ def init(self, name, *args, **kwargs):
         print("packaged libusb loaded")
     real(self, name, *args, **kwargs)
 ctypes.CDLL.__init__ = init
-from stages._open3d import open3d
+from scanloom.stages._open3d import open3d
 mesh = open3d().t.geometry.TriangleMesh.create_sphere()
 print(mesh.vertex.positions.shape[0])
 """
@@ -41,7 +41,7 @@ def test_imports_without_system_libusb():
 
 PLOT = """
 import sys
-from stages._open3d import open3d
+from scanloom.stages._open3d import open3d
 plots = sys.modules[open3d().visualization.draw_plotly.__module__]
 assert "dash" not in sys.modules
 page = plots.html.Div(children=[plots.dcc.Graph(figure={})])

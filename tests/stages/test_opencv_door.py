@@ -8,7 +8,7 @@ import pytest
 
 LACKING = """
 import numpy
-from stages.files.image_bytes import encoded_png
+from scanloom.stages.files.image_bytes import encoded_png
 from tests.made.short_of_memory import limit
 limit({spare} << 20)
 try:

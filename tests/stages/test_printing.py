@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-import stages
-from stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, StereoRig, Texture, lod
-from stages.printing import line
-from stages.scans.model.scan import Packed, SkippedFrame
-from stages.surface import thumbnail
-from stages.surface.codes import MESH_LEFT_OUT
+from scanloom import stages
+from scanloom.stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, StereoRig, Texture, lod
+from scanloom.stages.printing import line
+from scanloom.stages.scans.model.scan import Packed, SkippedFrame
+from scanloom.stages.surface import thumbnail
+from scanloom.stages.surface.codes import MESH_LEFT_OUT
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages import (
+from scanloom.stages import (
     Mesh,
     ScanParams,
     certify,
@@ -25,8 +25,8 @@ from stages import (
     repair,
     simplify,
 )
-from stages.progress import Progress
-from stages.simplification.methods import METHODS
+from scanloom.stages.progress import Progress
+from scanloom.stages.simplification.methods import METHODS
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "rgbd"
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages.printing.rounding import rounded_down, rounded_up
+from scanloom.stages.printing.rounding import rounded_down, rounded_up
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
-import stages
-from stages import Mesh
+from scanloom import Mesh, stages
 
 
 def replayed(mesh: Mesh, tmp_path) -> Mesh:

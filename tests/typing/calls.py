@@ -11,8 +11,8 @@ import trimesh
 from numpy.typing import NDArray
 from typing_extensions import assert_type
 
-import stages
-from stages import (
+import scanloom
+from scanloom import (
     Camera,
     Mesh,
     MeshLike,
@@ -44,18 +44,18 @@ from stages import (
 mesh, scan = read_mesh("mesh.ply"), read_scan(Path("folder"))
 image = np.zeros((4, 4, 3), np.uint8)
 
-_ = stages.simplfy  # error: attr-defined
+_ = scanloom.simplfy  # error: attr-defined
 
 # Keywords are those of the parameters.
 fuse(scan)
 fuse(scan, voxel_size=0.01, device="CPU:0")
-fuse(scan, stages.FuseParams(voxel_size=0.01), max_depth=3)
+fuse(scan, scanloom.FuseParams(voxel_size=0.01), max_depth=3)
 fuse(scan.frames[:10], voxel_size=None)
 fuse(scan, voxel_siz=0.01)  # error: call-arg
 fuse(scan, voxel_size="1 cm")  # error: arg-type
 fuse(scan, min_weight=1.5)  # error: arg-type
 fuse(scan, max_jump=None)  # error: arg-type
-fuse(scan, stages.CleanParams())  # error: arg-type
+fuse(scan, scanloom.CleanParams())  # error: arg-type
 fuse("folder")  # error: arg-type
 clean(mesh, keep_largest=True, progress=lambda done, total: done < total)
 clean(mesh, keep_largest="yes")  # error: arg-type
@@ -76,8 +76,8 @@ views_depth(scan, partners=4)
 views_depth(scan, partner=4)  # error: call-arg
 mesh.with_(colors=None)
 mesh.with_(color=None)  # error: call-arg
-stages.FuseParams(voxel=1.0)  # error: call-arg
-stages.FuseParams(0.01)  # error: call-arg
+scanloom.FuseParams(voxel=1.0)  # error: call-arg
+scanloom.FuseParams(0.01)  # error: call-arg
 
 # A mesh is ours, Open3D's, trimesh's, or a pair of arrays.
 ours: list[MeshLike] = [mesh, to_open3d(mesh), to_open3d_legacy(mesh), to_trimesh(mesh)]
@@ -98,7 +98,7 @@ clean(o3d.geometry.PointCloud())  # error: arg-type
 clean(o3d.t.geometry.PointCloud())  # error: arg-type
 
 # Results have types.
-assert_type(stages.__version__, str)
+assert_type(scanloom.__version__, str)
 assert_type(mesh, Mesh)
 assert_type(scan, Scan)
 assert_type(scan.frames[0].camera, Camera)
@@ -114,11 +114,11 @@ assert_type(decode("mesh.snm").levels, tuple[Mesh, ...])
 assert_type(topology(mesh).is_manifold, bool)
 assert_type(render(mesh, viewpoints(mesh)[0]), NDArray[np.uint8])
 assert_type(planar_patches(mesh).triangle_patch, NDArray[np.int32])
-assert_type(inspect(scan).diagnostics, tuple[stages.Diagnostic, ...])
+assert_type(inspect(scan).diagnostics, tuple[scanloom.Diagnostic, ...])
 assert_type(to_trimesh(mesh), trimesh.Trimesh)
 assert_type(to_open3d(mesh), o3d.t.geometry.TriangleMesh)
 assert_type(to_open3d_legacy(mesh), o3d.geometry.TriangleMesh)
-assert_type(bake(mesh, mesh).mesh.texture, stages.Texture | None)
+assert_type(bake(mesh, mesh).mesh.texture, scanloom.Texture | None)
 _ = fuse(scan).voxels  # error: attr-defined
 _ = mesh.faces  # error: attr-defined
 _ = mesh.colors.shape  # error: union-attr
@@ -127,7 +127,7 @@ depth(image, image)  # error: call-arg
 
 # Methods of `simplify` have keywords and details of their own.
 simplify(mesh, ratio=0.1, lock=[0, 1], progress=lambda done, total: done < total)
-simplify(mesh, stages.SimplifyParams(max_shape=0.01, max_color=20), triangles=1000)
+simplify(mesh, scanloom.SimplifyParams(max_shape=0.01, max_color=20), triangles=1000)
 simplify(mesh, ratios=0.1)  # error: call-overload
 simplify(mesh, ratio="half")  # error: call-overload
 simplify(mesh, max_texture=20)  # error: call-overload
@@ -137,17 +137,17 @@ assert_type(simplify(mesh, method="seams", ratio=0.1).details.seam_drift, float)
 assert_type(simplify(mesh, ratio=0.1).vertex_source, NDArray[np.int32])
 _ = simplify(mesh, method="quadric", ratio=0.1).details.proven  # error: attr-defined
 # Parameters of one method are an object or a dict.
-simplify(mesh, method="planar", planar=stages.PlanarParams(crease_angle=30))
+simplify(mesh, method="planar", planar=scanloom.PlanarParams(crease_angle=30))
 simplify(mesh, method="planar", planar={"crease_angle": 30})
 simplify(mesh, ratio=0.1, seams={"set_penalty": 0.2})
-simplify(mesh, stages.SimplifyParams(planar=stages.PlanarParams(noise_angle=0)), method="planar")
+simplify(mesh, scanloom.SimplifyParams(planar=scanloom.PlanarParams(noise_angle=0)), method="planar")
 simplify(mesh, method="planar", planar={"angle": 30})  # error: call-overload
 simplify(mesh, method="planar", planar={"crease_angle": "flat"})  # error: call-overload
 simplify(mesh, crease_angle=30)  # error: call-overload
-_ = stages.SimplifyParams().crease_angle  # error: attr-defined
-assert_type(stages.SimplifyParams().planar.crease_angle, float)
+_ = scanloom.SimplifyParams().crease_angle  # error: attr-defined
+assert_type(scanloom.SimplifyParams().planar.crease_angle, float)
 depth_scan(scan, sgbm={"p1": 100}, matcher="hh4")
-depth_scan(scan, sgbm=stages.SgbmParams(left_right="match"))
+depth_scan(scan, sgbm=scanloom.SgbmParams(left_right="match"))
 depth_scan(scan, sgbm={"p3": 100})  # error: arg-type
 depth_scan(scan, p1=100)  # error: call-arg
 planar_patches(mesh, max_shape=0.01, threads=2)

@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 
-from stages import Box, Sphere, UsageError, read_mesh, simplify, write_mesh
+from scanloom import Box, Sphere, UsageError, read_mesh, simplify, write_mesh
 
 path, method, *options = sys.argv[1:]
 mesh = read_mesh(path)

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from stages import MeshError, StageError, UsageError, read_mesh, write_mesh
+from scanloom import MeshError, StageError, UsageError, read_mesh, write_mesh
 
 mesh = read_mesh(sys.argv[1])
 print(*mesh.diagnostics, sep="\n")

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 
-from stages import DepthMap, ScanParams, depth_scan, fuse, inspect, read_scan, register, write_mesh
+from scanloom import DepthMap, ScanParams, depth_scan, fuse, inspect, read_scan, register, write_mesh
 
 path, every = sys.argv[1:]
 scan = read_scan(path, ScanParams(every=int(every)))

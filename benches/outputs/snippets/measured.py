@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 
-from stages import (
+from scanloom import (
     as_mesh,
     planar_patches,
     read_mesh,

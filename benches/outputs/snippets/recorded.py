@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 
-from stages import UsageError, load_record, read_mesh, simplify, write_mesh
+from scanloom import UsageError, load_record, read_mesh, simplify, write_mesh
 
 path, method, *options = sys.argv[1:]
 numbers = {name: float(number) for name, number in (option.split("=") for option in options)}

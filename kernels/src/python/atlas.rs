@@ -1,4 +1,4 @@
-//! `stages._kernels.lay_out` and `texels`.
+//! `scanloom.stages._kernels.lay_out` and `texels`.
 
 use numpy::ndarray::{Array2, Array3};
 use numpy::{
@@ -17,7 +17,7 @@ use crate::atlas::{cut, pack, texels as under};
 type Found = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
 
 /// A surface laid out in images.
-#[pyclass(frozen, get_all, module = "stages._kernels")]
+#[pyclass(frozen, get_all, module = "scanloom.stages._kernels")]
 pub struct LaidOut {
     charts: Py<PyArray1<i32>>,
     pages: Py<PyArray1<i32>>,

@@ -1,4 +1,4 @@
-//! `stages._kernels.certify`.
+//! `scanloom.stages._kernels.certify`.
 
 use numpy::{PyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;

@@ -1,4 +1,4 @@
-//! `stages._kernels.color_weight`.
+//! `scanloom.stages._kernels.color_weight`.
 
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;

@@ -1,4 +1,4 @@
-//! `stages._kernels.strip_order`, `encode_rows`, `encode_triangles`, `decode_rows`, `decode_indices` and `unfilter`:
+//! `scanloom.stages._kernels.strip_order`, `encode_rows`, `encode_triangles`, `decode_rows`, `decode_indices` and `unfilter`:
 //! buffers as EXT_meshopt_compression keeps them.
 //!
 //! The work is meshoptimizer's. It takes its own memory by C++, where a failure would end the process: what it needs is

@@ -1,4 +1,4 @@
-//! `stages._kernels.fit`.
+//! `scanloom.stages._kernels.fit`.
 
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;

@@ -1,4 +1,4 @@
-//! `stages._kernels.oriented_depth`, `touched_blocks` and `Volume`.
+//! `scanloom.stages._kernels.oriented_depth`, `touched_blocks` and `Volume`.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -140,7 +140,7 @@ pub fn touched_blocks(
 }
 
 /// A field of signed distances in blocks of 8³ voxels.
-#[pyclass(frozen, module = "stages._kernels")]
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct Volume {
     inner: Mutex<crate::fusion::volume::Volume>,
     truncation: f32,

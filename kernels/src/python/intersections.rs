@@ -1,4 +1,4 @@
-//! `stages._kernels.intersecting_triangles`.
+//! `scanloom.stages._kernels.intersecting_triangles`.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;

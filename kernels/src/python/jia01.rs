@@ -1,4 +1,4 @@
-//! `stages._kernels.simplify` and `side_lengths`, which its default resolution is made from.
+//! `scanloom.stages._kernels.simplify` and `side_lengths`, which its default resolution is made from.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;

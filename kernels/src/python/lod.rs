@@ -1,4 +1,4 @@
-//! `stages._kernels.build_levels` and `stages._kernels.assemble_front`.
+//! `scanloom.stages._kernels.build_levels` and `scanloom.stages._kernels.assemble_front`.
 
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;

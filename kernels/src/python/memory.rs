@@ -1,4 +1,4 @@
-//! `stages._kernels.give_back`.
+//! `scanloom.stages._kernels.give_back`.
 
 use pyo3::prelude::*;
 

@@ -1,4 +1,4 @@
-//! The thin layer that Python sees as `stages._kernels`, a file for each kernel.
+//! The thin layer that Python sees as `scanloom.stages._kernels`, a file for each kernel.
 //!
 //! Arrays are checked and copied while the GIL is held; the work runs without it (see [`detached`]).
 
@@ -42,13 +42,13 @@ static ALLOCATOR: Allocator = Allocator;
 const ALWAYS: usize = 1 << 20;
 
 create_exception!(
-    stages._kernels,
+    scanloom.stages._kernels,
     InvalidMeshError,
     PyValueError,
     "The mesh breaks a rule the kernels need; the message names the elements."
 );
 create_exception!(
-    stages._kernels,
+    scanloom.stages._kernels,
     LimitError,
     PyOverflowError,
     "The result would be larger than the stated limit."

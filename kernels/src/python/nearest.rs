@@ -1,4 +1,4 @@
-//! `stages._kernels.NearestSurface`.
+//! `scanloom.stages._kernels.NearestSurface`.
 
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
@@ -16,7 +16,7 @@ use crate::texture::nearest::{Located, Surface};
 type Found<T> = (Py<PyArray1<i32>>, Py<PyArray2<f64>>, Py<PyArray1<T>>);
 
 /// A surface that is asked for its nearest points.
-#[pyclass(frozen, module = "stages._kernels")]
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct NearestSurface(Surface);
 
 #[pymethods]

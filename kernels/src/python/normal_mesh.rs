@@ -1,4 +1,4 @@
-//! `stages._kernels.remesh` and `decode_normal_mesh`.
+//! `scanloom.stages._kernels.remesh` and `decode_normal_mesh`.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::create_exception;
@@ -26,14 +26,14 @@ use crate::snm::SnmError as DecodeError;
 use crate::subdivision::contents::{Offset, Scheme};
 
 create_exception!(
-    stages._kernels,
+    scanloom.stages._kernels,
     SnmError,
     PyValueError,
     "A file is no normal mesh, or damaged before the first level ends."
 );
 
 /// A base mesh and its refinements.
-#[pyclass(frozen, module = "stages._kernels")]
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct NormalMesh {
     made: Made,
     #[pyo3(get)]

@@ -1,4 +1,4 @@
-//! `stages._kernels.spatial_order`.
+//! `scanloom.stages._kernels.spatial_order`.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;

@@ -1,4 +1,4 @@
-//! `stages._kernels.simplify_planar` and `stages._kernels.planar_patches`.
+//! `scanloom.stages._kernels.simplify_planar` and `scanloom.stages._kernels.planar_patches`.
 
 use std::collections::BTreeMap;
 

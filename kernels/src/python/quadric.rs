@@ -1,4 +1,4 @@
-//! `stages._kernels.simplify_by_quadrics`.
+//! `scanloom.stages._kernels.simplify_by_quadrics`.
 
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;

@@ -1,4 +1,4 @@
-//! `stages._kernels.match_descriptors`.
+//! `scanloom.stages._kernels.match_descriptors`.
 
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2};

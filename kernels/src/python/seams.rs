@@ -1,4 +1,4 @@
-//! `stages._kernels.simplify_seams`.
+//! `scanloom.stages._kernels.simplify_seams`.
 
 use std::collections::BTreeMap;
 

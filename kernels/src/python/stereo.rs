@@ -1,4 +1,4 @@
-//! `stages._kernels.match_pair` and `weighted_medians`.
+//! `scanloom.stages._kernels.match_pair` and `weighted_medians`.
 
 use numpy::ndarray::Array2;
 use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3};

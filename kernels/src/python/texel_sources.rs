@@ -1,4 +1,4 @@
-//! `stages._kernels.draw_sources`, `locate_texels`, `sample_texels` and `sample_points`.
+//! `scanloom.stages._kernels.draw_sources`, `locate_texels`, `sample_texels` and `sample_points`.
 
 use numpy::ndarray::Array2;
 use numpy::{

@@ -1,4 +1,4 @@
-//! `stages._kernels.DrawnMesh`, `Photo`, `View`, `SurfacePoints` and `TexturedSurface`.
+//! `scanloom.stages._kernels.DrawnMesh`, `Photo`, `View`, `SurfacePoints` and `TexturedSurface`.
 
 use std::sync::{Arc, Mutex};
 
@@ -60,7 +60,7 @@ fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
 }
 
 /// A mesh that many cameras look at.
-#[pyclass(frozen, module = "stages._kernels")]
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct DrawnMesh(Clusters);
 
 #[pymethods]
@@ -99,7 +99,7 @@ impl DrawnMesh {
 }
 
 /// The colours that a camera took.
-#[pyclass(frozen, module = "stages._kernels")]
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct Photo(Arc<Colors>);
 
 #[pymethods]
@@ -125,7 +125,7 @@ impl Photo {
 }
 
 /// A photo with what its camera sees of the mesh, and what it measured.
-#[pyclass(frozen, module = "stages._kernels")]
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct View(Photographed);
 
 #[pymethods]
@@ -197,7 +197,7 @@ fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
 }
 
 /// Points of a surface, by their triangles, each with the few views that show it best.
-#[pyclass(frozen, module = "stages._kernels")]
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct SurfacePoints(Mutex<Points>);
 
 /// Of an image whose points are levelled, and of what is levelled at once.
@@ -412,7 +412,7 @@ impl SurfacePoints {
 }
 
 /// A mesh laid out in images.
-#[pyclass(frozen, module = "stages._kernels")]
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
 pub struct TexturedSurface {
     clusters: Clusters,
     points: Vec<[f64; 3]>,

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages._kernels import intersecting_triangles
-from stages.cleaning.regularity import NO_OTHER, Limits, irregular_neighbourhoods
-from stages.cleaning.repairs.edited import Edited
-from stages.cleaning.repairs.neighbourhood import grown
-from stages.cleaning.repairs.places import is_of_triangles, missing_in
-from stages.progress import silent
-from stages.surface.edges import Ids
-from stages.surface.mesh import Vertices
+from scanloom.stages._kernels import intersecting_triangles
+from scanloom.stages.cleaning.regularity import NO_OTHER, Limits, irregular_neighbourhoods
+from scanloom.stages.cleaning.repairs.edited import Edited
+from scanloom.stages.cleaning.repairs.neighbourhood import grown
+from scanloom.stages.cleaning.repairs.places import is_of_triangles, missing_in
+from scanloom.stages.progress import silent
+from scanloom.stages.surface.edges import Ids
+from scanloom.stages.surface.mesh import Vertices
 
 # Whatever a written triangle can change the class of shares a vertex with it, or has a neighbour that does.
 _RINGS = 2

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.edges import Ids
-from stages.surface.mesh import Mesh, Vertices
-from stages.surface.vertex_normals import vertex_normals
-from stages.surface.welding import same_rows
+from scanloom.stages.surface.edges import Ids
+from scanloom.stages.surface.mesh import Mesh, Vertices
+from scanloom.stages.surface.vertex_normals import vertex_normals
+from scanloom.stages.surface.welding import same_rows
 
 # The number of the corners of a triangle that is gone.
 GONE = -1

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.cleaning.regularity import Limits, irregular_neighbourhoods
-from stages.cleaning.repairs.edited import GONE
-from stages.cleaning.repairs.neighbourhood import Neighbourhood
-from stages.cleaning.repairs.operations import FINE, RIM, TANGLED, TURNS, WORSE, Operations
-from stages.cleaning.repairs.places import REPAIRABLE, is_of_triangles, missing_in
-from stages.cleaning.repairs.ragged import distinct_pairs
-from stages.surface.edges import Ids
-from stages.surface.mesh import Vertices
-from stages.surface.texture import Texture, signed_areas
+from scanloom.stages.cleaning.regularity import Limits, irregular_neighbourhoods
+from scanloom.stages.cleaning.repairs.edited import GONE
+from scanloom.stages.cleaning.repairs.neighbourhood import Neighbourhood
+from scanloom.stages.cleaning.repairs.operations import FINE, RIM, TANGLED, TURNS, WORSE, Operations
+from scanloom.stages.cleaning.repairs.places import REPAIRABLE, is_of_triangles, missing_in
+from scanloom.stages.cleaning.repairs.ragged import distinct_pairs
+from scanloom.stages.surface.edges import Ids
+from scanloom.stages.surface.mesh import Vertices
+from scanloom.stages.surface.texture import Texture, signed_areas
 
 # Triangles of no use: one may become another of these on the way to being none.
 FLAWS = ("degenerate_triangles", "caps", "needles")

@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.cleaning.repairs.edited import GONE, Edited
-from stages.cleaning.repairs.ragged import spread
-from stages.surface.edges import Edges, Ids, edges_of
-from stages.surface.mesh import Vertices
-from stages.surface.topology import repeats_vertex
+from scanloom.stages.cleaning.repairs.edited import GONE, Edited
+from scanloom.stages.cleaning.repairs.ragged import spread
+from scanloom.stages.surface.edges import Edges, Ids, edges_of
+from scanloom.stages.surface.mesh import Vertices
+from scanloom.stages.surface.topology import repeats_vertex
 
 
 @dataclass(frozen=True, eq=False)

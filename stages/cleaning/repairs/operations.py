@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.cleaning.regularity import corner_angles
-from stages.cleaning.repairs.edited import GONE
-from stages.cleaning.repairs.neighbourhood import Neighbourhood
-from stages.cleaning.repairs.ragged import distinct_pairs
-from stages.surface.edges import Ids, next_corner
-from stages.surface.mesh import Mesh, Vertices
+from scanloom.stages.cleaning.regularity import corner_angles
+from scanloom.stages.cleaning.repairs.edited import GONE
+from scanloom.stages.cleaning.repairs.neighbourhood import Neighbourhood
+from scanloom.stages.cleaning.repairs.ragged import distinct_pairs
+from scanloom.stages.surface.edges import Ids, next_corner
+from scanloom.stages.surface.mesh import Mesh, Vertices
 
 # Why something is not repaired, by number; 0 is for what may be.
 REASONS = (

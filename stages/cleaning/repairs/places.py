@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.cleaning.check import CLASSES
-from stages.surface.edges import Ids
+from scanloom.stages.cleaning.check import CLASSES
+from scanloom.stages.surface.edges import Ids
 
 # The classes with a repair, in the order of their numbers.
 REPAIRABLE = tuple(name for name, (_, treatment, _) in CLASSES.items() if treatment == "marking")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.surface.edges import Ids
+from scanloom.stages.surface.edges import Ids
 
 
 def spread(start: Ids, count: Ids) -> tuple[Ids, Ids]:

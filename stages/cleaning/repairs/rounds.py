@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.cleaning.regularity import Limits, corner_angles, irregular_neighbourhoods
-from stages.cleaning.repairs.edited import Edited
-from stages.cleaning.repairs.judging import Judged, judge
-from stages.cleaning.repairs.neighbourhood import Neighbourhood, grown, inner, neighbourhood
-from stages.cleaning.repairs.operations import (
+from scanloom.stages.cleaning.regularity import Limits, corner_angles, irregular_neighbourhoods
+from scanloom.stages.cleaning.repairs.edited import Edited
+from scanloom.stages.cleaning.repairs.judging import Judged, judge
+from scanloom.stages.cleaning.repairs.neighbourhood import Neighbourhood, grown, inner, neighbourhood
+from scanloom.stages.cleaning.repairs.operations import (
     FINE,
     RIM,
     Operations,
@@ -31,8 +31,8 @@ from stages.cleaning.repairs.operations import (
     smoothings,
     together,
 )
-from stages.cleaning.repairs.places import REPAIRABLE, edge_keys
-from stages.surface.edges import Ids
+from scanloom.stages.cleaning.repairs.places import REPAIRABLE, edge_keys
+from scanloom.stages.surface.edges import Ids
 
 # An operation looks two rings far. What comes of one may look beyond, and waits.
 _RINGS = 2

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.inspecting.coverage.probes import Ids
-from stages.inspecting.coverage.views import Floats
-from stages.surface.edges import edges_of, next_corner
-from stages.surface.piecewise import OnePiece, Piecewise
+from scanloom.stages.inspecting.coverage.probes import Ids
+from scanloom.stages.inspecting.coverage.views import Floats
+from scanloom.stages.surface.edges import edges_of, next_corner
+from scanloom.stages.surface.piecewise import OnePiece, Piecewise
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.inspecting.coverage.borders import Border
-from stages.inspecting.coverage.patches import Patch, cut_up, squares, unit
-from stages.inspecting.coverage.space import Space
-from stages.inspecting.coverage.views import Floats
+from scanloom.stages.inspecting.coverage.borders import Border
+from scanloom.stages.inspecting.coverage.patches import Patch, cut_up, squares, unit
+from scanloom.stages.inspecting.coverage.space import Space
+from scanloom.stages.inspecting.coverage.views import Floats
 
 # Stretches of border at most; each is looked at with all others.
 _STRETCHES = 4000

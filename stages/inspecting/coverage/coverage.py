@@ -16,34 +16,34 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.diagnostics.collector import collecting
-from stages.inspecting.coverage.borders import Border, border_of
-from stages.inspecting.coverage.continued import continued
-from stages.inspecting.coverage.covered import Coverage, Covered
-from stages.inspecting.coverage.kinds import KINDS, MISSING, THIN
-from stages.inspecting.coverage.missing import before, patches_of_holes, patches_of_space
-from stages.inspecting.coverage.nearest import looks_at
-from stages.inspecting.coverage.params import CoverageParams
-from stages.inspecting.coverage.patches import Patch
-from stages.inspecting.coverage.place import Place, place_of
-from stages.inspecting.coverage.probes import laid_out, with_rims
-from stages.inspecting.coverage.rims import caps
-from stages.inspecting.coverage.seen import Ground, Seen, look
-from stages.inspecting.coverage.sight import Sight
-from stages.inspecting.coverage.standpoints import Standing, Standpoint
-from stages.inspecting.coverage.thin import Limits, kinds_at, patches_of_thin
-from stages.inspecting.coverage.views import Floats, Singles
-from stages.params import resolve
-from stages.progress import Progress, silent
-from stages.scans.model.scan import Frame, Scan
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.piecewise import OnePiece, Piecewise, piecewise
-from stages.surface.topology import require_area, require_manifold
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.inspecting.coverage.borders import Border, border_of
+from scanloom.stages.inspecting.coverage.continued import continued
+from scanloom.stages.inspecting.coverage.covered import Coverage, Covered
+from scanloom.stages.inspecting.coverage.kinds import KINDS, MISSING, THIN
+from scanloom.stages.inspecting.coverage.missing import before, patches_of_holes, patches_of_space
+from scanloom.stages.inspecting.coverage.nearest import looks_at
+from scanloom.stages.inspecting.coverage.params import CoverageParams
+from scanloom.stages.inspecting.coverage.patches import Patch
+from scanloom.stages.inspecting.coverage.place import Place, place_of
+from scanloom.stages.inspecting.coverage.probes import laid_out, with_rims
+from scanloom.stages.inspecting.coverage.rims import caps
+from scanloom.stages.inspecting.coverage.seen import Ground, Seen, look
+from scanloom.stages.inspecting.coverage.sight import Sight
+from scanloom.stages.inspecting.coverage.standpoints import Standing, Standpoint
+from scanloom.stages.inspecting.coverage.thin import Limits, kinds_at, patches_of_thin
+from scanloom.stages.inspecting.coverage.views import Floats, Singles
+from scanloom.stages.params import resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.piecewise import OnePiece, Piecewise, piecewise
+from scanloom.stages.surface.topology import require_area, require_manifold
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import CoverageKeywords
+    from scanloom.stages.params.keywords import CoverageKeywords
 
 RESULT_VERSION = 3
 

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.inspecting.coverage.evidence import Evidence
-from stages.inspecting.coverage.painted import Painted, painted
-from stages.inspecting.coverage.place import Place
-from stages.inspecting.coverage.probes import Probes
-from stages.inspecting.coverage.thin import Limits
-from stages.inspecting.coverage.views import Floats
-from stages.printing import by_figures, table
-from stages.scans.model.scan import SkippedFrame
-from stages.surface.mesh import Mesh
-from stages.surface.piecewise import OnePiece, Piecewise
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.inspecting.coverage.evidence import Evidence
+from scanloom.stages.inspecting.coverage.painted import Painted, painted
+from scanloom.stages.inspecting.coverage.place import Place
+from scanloom.stages.inspecting.coverage.probes import Probes
+from scanloom.stages.inspecting.coverage.thin import Limits
+from scanloom.stages.inspecting.coverage.views import Floats
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.scans.model.scan import SkippedFrame
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.piecewise import OnePiece, Piecewise
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.inspecting.coverage.views import Floats
+from scanloom.stages.inspecting.coverage.views import Floats
 
 
 def all_around(count: int) -> Floats:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.inspecting.coverage.probes import Ids, Probes
-from stages.inspecting.coverage.views import Floats, Singles, View
+from scanloom.stages.inspecting.coverage.probes import Ids, Probes
+from scanloom.stages.inspecting.coverage.views import Floats, Singles, View
 
 # Of its depth, and of the edges of the mesh: so far a surface may be off a depth map that measured it.
 _SAME_DEPTH = np.float32(0.03)

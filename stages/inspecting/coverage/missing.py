@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.sampling import sample_evenly
-from stages.inspecting.coverage.patches import Patch, cut_up, squares, total_area
-from stages.inspecting.coverage.rims import Cap
-from stages.inspecting.coverage.sight import Sight
-from stages.inspecting.coverage.space import BLANK, HIDDEN, NOTHING, Frontier, Space
-from stages.inspecting.coverage.surroundings import open_sectors
-from stages.inspecting.coverage.views import Floats
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.inspecting.coverage.patches import Patch, cut_up, squares, total_area
+from scanloom.stages.inspecting.coverage.rims import Cap
+from scanloom.stages.inspecting.coverage.sight import Sight
+from scanloom.stages.inspecting.coverage.space import BLANK, HIDDEN, NOTHING, Frontier, Space
+from scanloom.stages.inspecting.coverage.surroundings import open_sectors
+from scanloom.stages.inspecting.coverage.views import Floats
 
 # What is told of the sides of a frontier.
 _KINDS = {NOTHING: "unseen", BLANK: "blank", HIDDEN: "hidden"}

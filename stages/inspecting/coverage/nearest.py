@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.sampling import sample_evenly
-from stages.inspecting.coverage.views import Floats, Singles, View
-from stages.scans.model.scan import Camera
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.inspecting.coverage.views import Floats, Singles, View
+from scanloom.stages.scans.model.scan import Camera
 
 # Points of a place that are looked up in each frame.
 _POINTS = 24

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.inspecting.coverage.kinds import KINDS, THIN, WELL
-from stages.inspecting.coverage.probes import Ids, Probes
-from stages.inspecting.coverage.views import Floats
-from stages.surface.piecewise import OnePiece, Piecewise
+from scanloom.stages.inspecting.coverage.kinds import KINDS, THIN, WELL
+from scanloom.stages.inspecting.coverage.probes import Ids, Probes
+from scanloom.stages.inspecting.coverage.views import Floats
+from scanloom.stages.surface.piecewise import OnePiece, Piecewise
 
 # How dark it is where no light falls, and where that comes from: viewers may have none.
 _AMBIENT, _LIGHT = 0.6, np.array((0.35, 0.55, 0.75)) / np.linalg.norm((0.35, 0.55, 0.75))

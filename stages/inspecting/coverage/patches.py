@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.inspecting.coverage.views import Floats
+from scanloom.stages.inspecting.coverage.views import Floats
 
 # Facing the other way is as far apart as so many of the largest patches.
 _TURN = 0.7
@@ -24,7 +24,7 @@ class Patch:
 
     Attributes
     ----------
-    kind : of `stages.inspecting.coverage.kinds`.
+    kind : of `scanloom.stages.inspecting.coverage.kinds`.
     points : (k, 3) float64, metres, from the origin on.
     normals : (k, 3) float64, to where one looks at it from.
     areas : (k,) float64, m².

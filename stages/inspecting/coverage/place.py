@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from stages.inspecting.coverage.kinds import KINDS
-from stages.inspecting.coverage.nearest import Look, Looks
-from stages.inspecting.coverage.patches import Patch
-from stages.inspecting.coverage.standpoints import Standpoint
-from stages.inspecting.coverage.views import Floats
-from stages.printing import by_figures
+from scanloom.stages.inspecting.coverage.kinds import KINDS
+from scanloom.stages.inspecting.coverage.nearest import Look, Looks
+from scanloom.stages.inspecting.coverage.patches import Patch
+from scanloom.stages.inspecting.coverage.standpoints import Standpoint
+from scanloom.stages.inspecting.coverage.views import Floats
+from scanloom.stages.printing import by_figures
 
 Point = tuple[float, float, float]
 
@@ -21,7 +21,7 @@ class Place:
 
     Attributes
     ----------
-    kind : of `stages.inspecting.coverage.kinds`.
+    kind : of `scanloom.stages.inspecting.coverage.kinds`.
     point : in the middle of it, in the scan's world, metres.
     normal : (3,) unit, to where one looks at it from.
     area : m².

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.inspecting.coverage.views import Floats, Singles
-from stages.surface.piecewise import OnePiece, Piece, Piecewise, rows_of
-from stages.surface.raycasting import is_used
-from stages.surface.topology import areas
+from scanloom.stages.inspecting.coverage.views import Floats, Singles
+from scanloom.stages.surface.piecewise import OnePiece, Piece, Piecewise, rows_of
+from scanloom.stages.surface.raycasting import is_used
+from scanloom.stages.surface.topology import areas
 
 Ids = NDArray[np.int64]
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.inspecting.coverage.borders import Border
-from stages.inspecting.coverage.views import Floats
+from scanloom.stages.inspecting.coverage.borders import Border
+from scanloom.stages.inspecting.coverage.views import Floats
 
 # Of the angle between a cap and the triangles around it, the least cosine: at the open end of a tube they
 # stand at right angles.

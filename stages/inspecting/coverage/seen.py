@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.inspecting.codes import COVERAGE_MESH_UNMEASURED
-from stages.inspecting.coverage.evidence import Evidence, Measured, measured_by
-from stages.inspecting.coverage.nearest import Remembered
-from stages.inspecting.coverage.probes import Probes, probes_of
-from stages.inspecting.coverage.space import Space
-from stages.inspecting.coverage.views import Floats, View, read_view
-from stages.progress import Progress
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Frame, SkippedFrame
-from stages.surface.piecewise import OnePiece, Piecewise
-from stages.surface.raycasting import is_used
-from stages.surface.topology import areas
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.inspecting.codes import COVERAGE_MESH_UNMEASURED
+from scanloom.stages.inspecting.coverage.evidence import Evidence, Measured, measured_by
+from scanloom.stages.inspecting.coverage.nearest import Remembered
+from scanloom.stages.inspecting.coverage.probes import Probes, probes_of
+from scanloom.stages.inspecting.coverage.space import Space
+from scanloom.stages.inspecting.coverage.views import Floats, View, read_view
+from scanloom.stages.progress import Progress
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Frame, SkippedFrame
+from scanloom.stages.surface.piecewise import OnePiece, Piecewise
+from scanloom.stages.surface.raycasting import is_used
+from scanloom.stages.surface.topology import areas
 
 # Edges of the mesh that a cell of space is wide, where nobody says it.
 _CELL_EDGES = 4.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.inspecting.coverage.views import Floats
-from stages.surface.piecewise import OnePiece, Piece, Piecewise
-from stages.surface.raycasting import Surface
+from scanloom.stages.inspecting.coverage.views import Floats
+from scanloom.stages.surface.piecewise import OnePiece, Piece, Piecewise
+from scanloom.stages.surface.raycasting import Surface
 
 # Of the size of the mesh: so much farther a box counts as it reaches, for rounding.
 _SLACK = 1e-6

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.projection import unproject
-from stages.inspecting.coverage.views import Floats, Singles, View
+from scanloom.stages.frames.projection import unproject
+from scanloom.stages.inspecting.coverage.views import Floats, Singles, View
 
 # What is known of a cell: a frame looked through it; one measured what is before it, or has no depth there;
 # it holds what one measured, or the surface.

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.sampling import sample_evenly
-from stages.inspecting.coverage.directions import all_around
-from stages.inspecting.coverage.patches import Patch
-from stages.inspecting.coverage.sight import Sight
-from stages.inspecting.coverage.space import Space
-from stages.inspecting.coverage.views import Floats
+from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.inspecting.coverage.directions import all_around
+from scanloom.stages.inspecting.coverage.patches import Patch
+from scanloom.stages.inspecting.coverage.sight import Sight
+from scanloom.stages.inspecting.coverage.space import Space
+from scanloom.stages.inspecting.coverage.views import Floats
 
 # Directions that are tried, those not too flat, and distances, of the usual one.
 _DIRECTIONS = 192

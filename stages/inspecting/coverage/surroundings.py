@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.inspecting.coverage.sight import Sight
-from stages.inspecting.coverage.views import Floats
+from scanloom.stages.inspecting.coverage.sight import Sight
+from scanloom.stages.inspecting.coverage.views import Floats
 
 # Directions in the plane of a patch, and how far they are turned out of it, degrees: to both sides, because
 # what goes on beside it may lie a little before or behind it.

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.inspecting.coverage.evidence import Evidence
-from stages.inspecting.coverage.kinds import KINDS, THIN
-from stages.inspecting.coverage.patches import Patch, cut_up
-from stages.inspecting.coverage.probes import Laid, Probes
-from stages.surface.edges import components
+from scanloom.stages.inspecting.coverage.evidence import Evidence
+from scanloom.stages.inspecting.coverage.kinds import KINDS, THIN
+from scanloom.stages.inspecting.coverage.patches import Patch, cut_up
+from scanloom.stages.inspecting.coverage.probes import Laid, Probes
+from scanloom.stages.surface.edges import components
 
 _WEIGHTS = np.array([KINDS[kind].weight for kind in THIN])
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.frames.rigid_pose import require_rigid_pose
-from stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
-from stages.scans.codes import FRAME_IMAGE_MISSING
-from stages.scans.model.images import read_depth, read_seen
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Camera, DepthImage, Frame, pinhole
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.rigid_pose import require_rigid_pose
+from scanloom.stages.registration.codes import SCAN_DEPTH_MOSTLY_EMPTY
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
+from scanloom.stages.scans.model.images import read_depth, read_seen
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Camera, DepthImage, Frame, pinhole
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

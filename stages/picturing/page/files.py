@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stages.files.opening import content_of
+from scanloom.stages.files.opening import content_of
 
 _HERE = Path(__file__).parent
 _LIBRARY = ("library.js", "LICENSES.txt")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.files.opening import content_of, opened
+from scanloom.stages.files.opening import content_of, opened
 
 _HERE = Path(__file__).parent
 # What each page has in its first kilobyte.

@@ -12,18 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting, emit
-from stages.exporting.images import with_images
-from stages.exporting.presets import preset
-from stages.files.opening import content_of
-from stages.picturing.codes import REPORT_REDUCED
-from stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
-from stages.picturing.page.standing import facing
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.simplification.simplify import simplify
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.mesh import Mesh
-from stages.surface.upright import turn_along_z
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.exporting.images import with_images
+from scanloom.stages.exporting.presets import preset
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.picturing.codes import REPORT_REDUCED
+from scanloom.stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
+from scanloom.stages.picturing.page.standing import facing
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.upright import turn_along_z
 
 # How often models are made lighter, until the page is small enough.
 _ATTEMPTS = 8

@@ -15,11 +15,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import unquote
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.files.codes import FILE_PATH_INVALID
-from stages.files.opening import content_of
-from stages.picturing.codes import MACHINE_PORT_TAKEN
-from stages.picturing.page.files import INDEX
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.files.codes import FILE_PATH_INVALID
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.picturing.codes import MACHINE_PORT_TAKEN
+from scanloom.stages.picturing.page.files import INDEX
 
 HOST = "127.0.0.1"
 # What is given, and as what; anything else is not found.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Floats
 
 # Of its area: what of a surface looks one way on balance where it was seen from one side; 0 if it is closed.
 _ONE_SIDED = 0.1

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration.table_values import number_row
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID
-from stages.scans.model.poses import rigid
-from stages.scans.model.scan import Camera, Pose
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration.table_values import number_row
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID
+from scanloom.stages.scans.model.poses import rigid
+from scanloom.stages.scans.model.scan import Camera, Pose
 
 _DOCUMENT = "CalibrationInformation"
 _DEPTH, _COLOR = "CALIBRATION_CameraLocationD0", "CALIBRATION_CameraLocationPV0"

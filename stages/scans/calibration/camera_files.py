@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.images import read_array
-from stages.files.row_numbers import numbers_on
-from stages.scans.calibration import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.images import read_array
+from scanloom.stages.files.row_numbers import numbers_on
+from scanloom.stages.scans.calibration import (
     azure_kinect,
     named_arrays,
     named_text,
@@ -28,17 +28,23 @@ from stages.scans.calibration import (
     ros_text,
     zed,
 )
-from stages.scans.calibration.contradictions import check_camera
-from stages.scans.calibration.image_size import for_images, stated_size, with_rows_first
-from stages.scans.calibration.lens_names import distortion_in
-from stages.scans.calibration.table_values import MATRICES, matrix_in, number_of, number_row, table_in
-from stages.scans.codes import (
+from scanloom.stages.scans.calibration.contradictions import check_camera
+from scanloom.stages.scans.calibration.image_size import for_images, stated_size, with_rows_first
+from scanloom.stages.scans.calibration.lens_names import distortion_in
+from scanloom.stages.scans.calibration.table_values import (
+    MATRICES,
+    matrix_in,
+    number_of,
+    number_row,
+    table_in,
+)
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     CAMERA_CALIBRATION_INVALID,
     CAMERA_CALIBRATION_MISMATCH,
     CAMERA_LENS_UNKNOWN,
 )
-from stages.scans.model.scan import Camera
+from scanloom.stages.scans.model.scan import Camera
 
 # What files call OpenCV's fisheye model, and the models of its ordinary one.
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")

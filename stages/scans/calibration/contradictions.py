@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.table_values import MATRICES, matrix_in
-from stages.scans.codes import CAMERA_CALIBRATION_CONTRADICTORY
-from stages.scans.model.scan import Camera, Pose, StereoRig
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.table_values import MATRICES, matrix_in
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_CONTRADICTORY
+from scanloom.stages.scans.model.scan import Camera, Pose, StereoRig
 
 # Files round, and fx of a rectified pair is not quite that of its camera.
 _SAME_LENGTH = 0.02

@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.noting import only_looking
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration import named_arrays, rig_calibration
-from stages.scans.calibration.image_size import is_off_centre, was_scaled
-from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
-from stages.scans.model.scan import Camera, StereoRig
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.noting import only_looking
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration import named_arrays, rig_calibration
+from scanloom.stages.scans.calibration.image_size import is_off_centre, was_scaled
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
+from scanloom.stages.scans.model.scan import Camera, StereoRig
+from scanloom.stages.scans.trajectory import files as trajectories
 
 # A camera or rig, the file that states it, and what was emitted while that was read.
 T = TypeVar("T")

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_LENS_UNKNOWN
-from stages.scans.model.scan import Camera
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_LENS_UNKNOWN
+from scanloom.stages.scans.model.scan import Camera
 
 # Radians; below the first the lens bends nothing, beyond the second no lens sees.
 _NARROWEST, _WIDEST = 1e-3, math.pi - 1e-3

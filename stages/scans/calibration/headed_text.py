@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.codes import SCAN_TABLE_DAMAGED
-from stages.scans.model.poses import inverted, rigid
-from stages.scans.model.scan import Pose
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.codes import SCAN_TABLE_DAMAGED
+from scanloom.stages.scans.model.poses import inverted, rigid
+from scanloom.stages.scans.model.scan import Pose
+from scanloom.stages.scans.trajectory import files as trajectories
 
 # What a heading is of: all words of a row stand in it, in any case.
 _CAMERA_TO_WORLD = re.compile(r"cam\w*[ -](?:to|2)[ -]world|camera pose", re.IGNORECASE)

@@ -7,16 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.table_values import number_of, number_row
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.table_values import number_of, number_row
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_CALIBRATION_MISMATCH,
     CAMERA_CALIBRATION_SCALED,
 )
-from stages.scans.model.scan import Camera, scaled
+from scanloom.stages.scans.model.scan import Camera, scaled
 
 # Two numbers, or a name for each.
 _SIZES = ("image_size", "imageSize", "img_size", "resolution", "size")

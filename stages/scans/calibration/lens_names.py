@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.collector import emit
-from stages.scans.calibration.pair_names import lenses_of_pair
-from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.scans.calibration.pair_names import lenses_of_pair
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
 
 _KNOWN = re.compile("d|coeffs|dist(ortion)?_?(coef.*|param.*)?", re.IGNORECASE)
 _ALIKE = re.compile("distort|coef|^dist", re.IGNORECASE)

@@ -6,10 +6,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.errors import InputError
-from stages.files.numpy_files import NPY_FAULTS, array_of
-from stages.files.zip_archives import entry_content, opened_archive
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.numpy_files import NPY_FAULTS, array_of
+from scanloom.stages.files.zip_archives import entry_content, opened_archive
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID
 
 # Of an array; boards seen in a hundred images, which lie beside the cameras, are more.
 _MOST_BYTES = 1 << 20

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stages.diagnostics.collector import emit
-from stages.files.noting import note
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.discovery import cameras_beside, warn_of_rejected
-from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, CAMERA_INTRINSICS_GUESSED
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files.noting import note
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.discovery import cameras_beside, warn_of_rejected
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, CAMERA_INTRINSICS_GUESSED
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera
 
 # A PrimeSense or Kinect sees 62.7 degrees across; it is what Open3D falls back to, and near to a RealSense's.
 _FOCAL_LENGTH = 525 / 640

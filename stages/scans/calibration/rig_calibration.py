@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration import orb_slam, zed
-from stages.scans.calibration.camera_files import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration import orb_slam, zed
+from scanloom.stages.scans.calibration.camera_files import (
     MATRIX_AND_BASELINE,
     camera_from_table,
     coefficients,
@@ -27,18 +27,18 @@ from stages.scans.calibration.camera_files import (
     text_matrix,
     text_numbers,
 )
-from stages.scans.calibration.contradictions import check_relations, check_rig, warn_not_rectified
-from stages.scans.calibration.image_size import for_images, stated_size
-from stages.scans.calibration.lens_names import distortions_of_pair
-from stages.scans.calibration.pair_names import matrices_of_pair
-from stages.scans.calibration.table_values import matrix_in, number_of, table_in
-from stages.scans.codes import (
+from scanloom.stages.scans.calibration.contradictions import check_relations, check_rig, warn_not_rectified
+from scanloom.stages.scans.calibration.image_size import for_images, stated_size
+from scanloom.stages.scans.calibration.lens_names import distortions_of_pair
+from scanloom.stages.scans.calibration.pair_names import matrices_of_pair
+from scanloom.stages.scans.calibration.table_values import matrix_in, number_of, table_in
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     CAMERA_CALIBRATION_INVALID,
     CAMERA_PAIR_UNCALIBRATED,
 )
-from stages.scans.model.poses import inverted, matrix_of, rigid
-from stages.scans.model.scan import Camera, Pose, StereoRig
+from scanloom.stages.scans.model.poses import inverted, matrix_of, rigid
+from scanloom.stages.scans.model.scan import Camera, Pose, StereoRig
 
 # Names of how the cameras stand to each other.
 _ROTATION = re.compile("R|rot(ation)?(_?(mat(rix)?|vec(tor)?))?", re.IGNORECASE)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_TABLE_DAMAGED
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, SCAN_TABLE_DAMAGED
 
 # What calibrations call the matrix of a camera.
 MATRICES = ("intrinsic_matrix", "matrix", "camera_matrix", "K", "k", "mtx", "cam_K")

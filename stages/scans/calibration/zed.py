@@ -13,10 +13,10 @@ import configparser
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.image_size import is_of_shape
-from stages.scans.calibration.table_values import number_of
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.image_size import is_of_shape
+from scanloom.stages.scans.calibration.table_values import number_of
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_CALIBRATION_MISMATCH,
     CAMERA_PAIR_UNCALIBRATED,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.files.images import decode_color, file_bytes
+from scanloom.stages.files.images import decode_color, file_bytes
 
 # JPEG lets a little of the neighbours into the black.
 _BLACKEST = 8

@@ -7,9 +7,9 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError
-from stages.files.images import read_stored
-from stages.files.noting import only_looking
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import read_stored
+from scanloom.stages.files.noting import only_looking
 
 
 def without_pictures(depths: Sequence[Path]) -> list[Path]:

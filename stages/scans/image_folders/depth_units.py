@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.images import read_raw_depth
-from stages.files.noting import only_looking
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import read_raw_depth
+from scanloom.stages.files.noting import only_looking
 
 MILLIMETRES, FIFTHS = 1000.0, 5000.0
 

@@ -7,17 +7,17 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_PATH_OUTSIDE, FILE_UNREADABLE
-from stages.files.images import image_size
-from stages.files.inside import leads_inside
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_PATH_OUTSIDE, FILE_UNREADABLE
+from scanloom.stages.files.images import image_size
+from scanloom.stages.files.inside import leads_inside
+from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     SCAN_FILES_MISSING,
     SCAN_IMAGES_UNPAIRED,
 )
-from stages.scans.model.scan import SkippedFrame
+from scanloom.stages.scans.model.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
 DEPTHS = (*IMAGES, ".npy", ".pfm", ".exr")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
-from stages.diagnostics.collector import emit
-from stages.files.inside import leads_inside
-from stages.scans.codes import SCAN_ASSUMED
-from stages.scans.image_folders.image_files import COLOR_FOLDERS, IMAGES, inside, is_name
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files.inside import leads_inside
+from scanloom.stages.scans.codes import SCAN_ASSUMED
+from scanloom.stages.scans.image_folders.image_files import COLOR_FOLDERS, IMAGES, inside, is_name
 
 _LONGEST = max(IMAGES, key=len)
 

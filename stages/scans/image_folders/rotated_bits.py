@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DEPTH_FORMAT
-from stages.files.images import read_raw_depth
-from stages.files.noting import only_looking
-from stages.scans.codes import SCAN_ASSUMED
-from stages.scans.model.scan import Packed, Scan
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_DEPTH_FORMAT
+from scanloom.stages.files.images import read_raw_depth
+from scanloom.stages.files.noting import only_looking
+from scanloom.stages.scans.codes import SCAN_ASSUMED
+from scanloom.stages.scans.model.scan import Packed, Scan
 
 _LOOKED_AT = 2
 _MILLIMETRES = 1000.0

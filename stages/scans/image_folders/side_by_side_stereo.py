@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._opencv import require_opencv
-from stages.diagnostics.errors import InputError
-from stages.files.images import decode_color, file_bytes, image_size
-from stages.scans.model.scan import Packed
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import decode_color, file_bytes, image_size
+from scanloom.stages.scans.model.scan import Packed
 
 # Width to height, from two of 5:4 to two of 16:9.
 _SHAPES = (2.4, 3.7)

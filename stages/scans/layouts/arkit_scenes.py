@@ -14,24 +14,24 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import found_camera, stated_camera
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import found_camera, stated_camera
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     SCAN_FILES_MISSING,
 )
-from stages.scans.image_folders.image_files import IMAGES, common_size, has
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.phones import least_confidence
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
-from stages.scans.model.world import Z_UP
-from stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.scans.image_folders.image_files import IMAGES, common_size, has
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.phones import least_confidence
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+from scanloom.stages.scans.model.world import Z_UP
+from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 _UNITS_PER_METRE = 1000.0
 _MILLISECOND = 1_000_000

@@ -8,16 +8,16 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import SCAN_FILES_MISSING
-from stages.scans.image_folders.image_files import common_size, images, pair
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import SCAN_FILES_MISSING
+from scanloom.stages.scans.image_folders.image_files import common_size, images, pair
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 _UNITS_PER_METRE = 1000.0

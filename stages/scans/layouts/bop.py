@@ -17,20 +17,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.calibration.table_values import number_of, number_row
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.calibration.table_values import number_of, number_row
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     SCAN_FILES_MISSING,
     SCAN_FRAMES_SKIPPED,
 )
-from stages.scans.image_folders.image_files import (
+from scanloom.stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
     DEPTHS,
     IMAGES,
@@ -38,13 +38,13 @@ from stages.scans.image_folders.image_files import (
     first_existing,
     images,
 )
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.views import single_view
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.poses import inverted, rigid
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.views import single_view
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.poses import inverted, rigid
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _CAMERAS = "scene_camera.json"
 _POSE = ("cam_R_w2c", "cam_t_w2c")

@@ -1,6 +1,6 @@
 """Frames beside a text of cameras and poses with headings (the APC vision toolbox, its relatives).
 
-    cam.info.txt                                     see stages.scans.calibration.headed_text
+    cam.info.txt                                     see scanloom.stages.scans.calibration.headed_text
     frame-000000.color.png  frame-000000.depth.png   depth as colour's camera would see it
 
 The toolbox rotates the bits of depth by three, and its unit is then a tenth of a millimetre. A pose is that
@@ -15,17 +15,22 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.noting import only_looking
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration import headed_text
-from stages.scans.calibration.discovery import small_documents
-from stages.scans.calibration.headed_text import HeadedText
-from stages.scans.calibration.resolution import found_camera, stated_camera
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.image_folders.image_files import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.noting import only_looking
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration import headed_text
+from scanloom.stages.scans.calibration.discovery import small_documents
+from scanloom.stages.scans.calibration.headed_text import HeadedText
+from scanloom.stages.scans.calibration.resolution import found_camera, stated_camera
+from scanloom.stages.scans.codes import (
+    FRAME_IMAGE_MISSING,
+    SCAN_ASSUMED,
+    SCAN_FILES_MISSING,
+    SCAN_TABLE_DAMAGED,
+)
+from scanloom.stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
     DEPTHS,
@@ -33,11 +38,11 @@ from stages.scans.image_folders.image_files import (
     first_existing,
     images,
 )
-from stages.scans.image_folders.rotated_bits import are_rotated, read_turned_back
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.image_folders.rotated_bits import are_rotated, read_turned_back
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _NAMES = ("cam.info.txt", "camera.info.txt", "cam_info.txt", "camera_info.txt")
 # A pose takes some 300 bytes.

@@ -15,31 +15,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.codes import FILE_IMAGE_FORMAT
-from stages.files.images import read_stored
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration import rig_calibration
-from stages.scans.calibration.image_size import for_images, stated_size
-from stages.scans.calibration.table_values import number_row
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.codes import FILE_IMAGE_FORMAT
+from scanloom.stages.files.images import read_stored
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration import rig_calibration
+from scanloom.stages.scans.calibration.image_size import for_images, stated_size
+from scanloom.stages.scans.calibration.table_values import number_row
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_LENS_UNKNOWN,
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.image_folders.image_files import common_size, first_existing, has
-from stages.scans.layouts.shared.gravity import ups_of
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.poses import inverted, matrix_of, rigid
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
-from stages.scans.model.world import Z_UP
-from stages.scans.streams.clocked_streams import Accelerometer
-from stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.scans.image_folders.image_files import common_size, first_existing, has
+from scanloom.stages.scans.layouts.shared.gravity import ups_of
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.poses import inverted, matrix_of, rigid
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
+from scanloom.stages.scans.model.world import Z_UP
+from scanloom.stages.scans.streams.clocked_streams import Accelerometer
+from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 # Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
 _TOLERANCE = 30_000_000

@@ -19,20 +19,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.images import read_raw_depth
-from stages.files.noting import only_looking
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.image_folders.image_files import DEPTHS, IMAGES, common_size, inside, numbers
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.poses import divided, matrix_of, rigid
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.images import read_raw_depth
+from scanloom.stages.files.noting import only_looking
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from scanloom.stages.scans.image_folders.image_files import DEPTHS, IMAGES, common_size, inside, numbers
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.poses import divided, matrix_of, rigid
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _NAMES = ("frames.json", "info.json", "data.json", "scan_info.json", "dataset.json")
 _COLOR = ("rgb", "color", "colour")

@@ -10,19 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import FRAME_POSE_MISSING, SCAN_FILES_MISSING
-from stages.scans.image_folders.image_files import common_size
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.tum.associations import read_associations
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
-from stages.scans.model.world import Y_DOWN
-from stages.scans.trajectory import files as trajectories
-from stages.scans.trajectory.files import Trajectory
-from stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import FRAME_POSE_MISSING, SCAN_FILES_MISSING
+from scanloom.stages.scans.image_folders.image_files import common_size
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.tum.associations import read_associations
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+from scanloom.stages.scans.model.world import Y_DOWN
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory.files import Trajectory
+from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 _CAMERA = Camera(640, 480, 481.2, 480.0, 319.5, 239.5)
 _UNITS_PER_METRE = 5000.0

@@ -14,18 +14,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID
-from stages.scans.image_folders.image_files import common_size, first_existing, images, pair
-from stages.scans.layouts.kitti.projections import projected_rig
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Frame, Pose, Scan
-from stages.scans.streams.stereo_rigs import rig_of
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID
+from scanloom.stages.scans.image_folders.image_files import common_size, first_existing, images, pair
+from scanloom.stages.scans.layouts.kitti.projections import projected_rig
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Frame, Pose, Scan
+from scanloom.stages.scans.streams.stereo_rigs import rig_of
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _NAME = re.compile(r"I([12])_\d+")
 _PROJECTION = re.compile(r"^\s*P([12])_roi\s*[:=]\s*(.*?)\s*$", re.MULTILINE)

@@ -14,23 +14,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_IMAGE_FORMAT
-from stages.files.images import read_array, read_stored
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_IMAGE_FORMAT
+from scanloom.stages.files.images import read_array, read_stored
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.image_folders.image_files import images, numbers
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.views import in_metres, single_view
-from stages.scans.model.poses import rigid
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.image_folders.image_files import images, numbers
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.views import in_metres, single_view
+from scanloom.stages.scans.model.poses import rigid
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _FILE = "poses_bounds.npy"
 _COLUMNS = 17

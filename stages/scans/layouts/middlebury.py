@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.images import image_size
-from stages.scans.calibration.camera_files import checked
-from stages.scans.calibration.image_size import for_images, stated_size
-from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, CAMERA_CALIBRATION_INVALID
-from stages.scans.image_folders.image_files import first_existing, has
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, StereoRig
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.images import image_size
+from scanloom.stages.scans.calibration.camera_files import checked
+from scanloom.stages.scans.calibration.image_size import for_images, stated_size
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, CAMERA_CALIBRATION_INVALID
+from scanloom.stages.scans.image_folders.image_files import first_existing, has
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, StereoRig
+from scanloom.stages.scans.trajectory import files as trajectories
 
 
 def _matches(folder: Path) -> str | None:

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration.camera_files import matrix_camera
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.image_folders.image_files import common_size
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.poses import inverted, rigid
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration.camera_files import matrix_camera
+from scanloom.stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from scanloom.stages.scans.image_folders.image_files import common_size
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.poses import inverted, rigid
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _NUMBERS = 21  # K and R, row by row, and t
 # A camera matrix is in pixels: a shear of less moves no point by a visible share of one.

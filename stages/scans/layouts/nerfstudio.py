@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.images import has_alpha, read_alpha
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.images import has_alpha, read_alpha
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_CONTRADICTORY,
     CAMERA_CALIBRATION_INVALID,
     CAMERA_LENS_UNKNOWN,
@@ -31,16 +31,16 @@ from stages.scans.codes import (
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.image_folders.image_files import IMAGES, common_size, numbers
-from stages.scans.image_folders.path_remapping import found_file, found_images
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.phones import seen_in
-from stages.scans.layouts.shared.views import in_metres, single_view
-from stages.scans.model.poses import divided, from_opengl, inverted, matrix_of, rigid
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.model.world import Z_UP, WorldUp, up_of_layout
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.image_folders.image_files import IMAGES, common_size, numbers
+from scanloom.stages.scans.image_folders.path_remapping import found_file, found_images
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.phones import seen_in
+from scanloom.stages.scans.layouts.shared.views import in_metres, single_view
+from scanloom.stages.scans.model.poses import divided, from_opengl, inverted, matrix_of, rigid
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _PREFERRED = ("transforms.json", "transforms_train.json")
 # A focal length and an angle of view that are stated beside each other are rounded.

@@ -15,18 +15,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DEPTH_FORMAT
-from stages.files.images import read_raw_depth
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING
-from stages.scans.image_folders.image_files import common_size
-from stages.scans.image_folders.timestamp_matching import nearest_in_time
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
-from stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_DEPTH_FORMAT
+from scanloom.stages.files.images import read_raw_depth
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING
+from scanloom.stages.scans.image_folders.image_files import common_size
+from scanloom.stages.scans.image_folders.timestamp_matching import nearest_in_time
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
+from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 _FILE = re.compile(r"([rd])-(\d{1,10}\.\d+)-\d+\.p[pg]m")
 # Both streams run at 30 Hz at most, and not in step.

@@ -3,8 +3,9 @@
     left/000000.png  right/000000.png  …
     left01.png  right01.png  …                    the same in one folder; also 01_left.png, cam_L_01.png
     000000.png  …                                 the same as one image, the left half beside the right
-    calibration.json | .toml | .yaml | .xml       see stages.scans.calibration.rig_calibration.read_rig
-    poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
+    calibration.json | .toml | .yaml | .xml       see
+    scanloom.stages.scans.calibration.rig_calibration.read_rig poses.txt | poses.tum | trajectory.log | …
+    camera-to-world, a pose a pair
 
 Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.
 """
@@ -15,11 +16,11 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.discovery import trajectory_beside
-from stages.scans.codes import POSE_ASSUMED, SCAN_FILES_MISSING
-from stages.scans.image_folders.image_files import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.discovery import trajectory_beside
+from scanloom.stages.scans.codes import POSE_ASSUMED, SCAN_FILES_MISSING
+from scanloom.stages.scans.image_folders.image_files import (
     check_order,
     common_size,
     first_existing,
@@ -28,14 +29,14 @@ from stages.scans.image_folders.image_files import (
     numbers,
     pair,
 )
-from stages.scans.image_folders.side_by_side_stereo import are_pairs, halves_of
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.streams.stereo_rigs import rig_of
-from stages.scans.trajectory import files as trajectories
-from stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.scans.image_folders.side_by_side_stereo import are_pairs, halves_of
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.streams.stereo_rigs import rig_of
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 _SIDES = (
     ("left", "right"),

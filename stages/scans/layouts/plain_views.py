@@ -13,20 +13,20 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError
-from stages.files.noting import note, only_looking
-from stages.scans.calibration.discovery import texts_of_poses
-from stages.scans.calibration.resolution import found_camera, stated_camera
-from stages.scans.codes import FRAME_POSE_MISSING, POSE_ASSUMED, SCAN_FILES_MISSING
-from stages.scans.image_folders.image_files import COLOR_FOLDERS, common_size, images
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.views import single_view
-from stages.scans.model.lacking import calibration_missing, poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
-from stages.scans.trajectory import files as trajectories
-from stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.noting import note, only_looking
+from scanloom.stages.scans.calibration.discovery import texts_of_poses
+from scanloom.stages.scans.calibration.resolution import found_camera, stated_camera
+from scanloom.stages.scans.codes import FRAME_POSE_MISSING, POSE_ASSUMED, SCAN_FILES_MISSING
+from scanloom.stages.scans.image_folders.image_files import COLOR_FOLDERS, common_size, images
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.views import single_view
+from scanloom.stages.scans.model.lacking import calibration_missing, poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 # The last are what a rig of one camera keeps of its names.
 _FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs", "image_0", "image_2", "image_l", "image_left", "left")

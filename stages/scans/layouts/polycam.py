@@ -10,22 +10,27 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING, SCAN_PHONE_IMAGES, SCAN_TABLE_DAMAGED
-from stages.scans.image_folders.black_border import border_mask
-from stages.scans.image_folders.image_files import IMAGES, common_size, images, numbers
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.phones import least_confidence, seen_in
-from stages.scans.layouts.shared.views import single_view
-from stages.scans.model.poses import from_opengl, matrix_of, rigid
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.model.world import Y_UP
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import (
+    FRAME_IMAGE_MISSING,
+    SCAN_FILES_MISSING,
+    SCAN_PHONE_IMAGES,
+    SCAN_TABLE_DAMAGED,
+)
+from scanloom.stages.scans.image_folders.black_border import border_mask
+from scanloom.stages.scans.image_folders.image_files import IMAGES, common_size, images, numbers
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.phones import least_confidence, seen_in
+from scanloom.stages.scans.layouts.shared.views import single_view
+from scanloom.stages.scans.model.poses import from_opengl, matrix_of, rigid
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.world import Y_UP
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 127, 255)
 # Optimised and undistorted, the first is the better one; long captures lack it.

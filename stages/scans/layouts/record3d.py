@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents, lzfse_blocks
-from stages.files.images import decode_color, read_raw_depth
-from stages.files.zip_archives import entry_content, opened_archive
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.calibration.table_values import number_row
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.image_folders.image_files import (
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents, lzfse_blocks
+from scanloom.stages.files.images import decode_color, read_raw_depth
+from scanloom.stages.files.zip_archives import entry_content, opened_archive
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.calibration.table_values import number_row
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from scanloom.stages.scans.image_folders.image_files import (
     DEPTHS,
     IMAGES,
     common_size,
@@ -34,15 +34,15 @@ from stages.scans.image_folders.image_files import (
     numbers,
     pair,
 )
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.phones import least_confidence, seen_in
-from stages.scans.layouts.shared.views import without_depth
-from stages.scans.model.poses import from_opengl, pose_from_quaternion
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, ColorImage, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.model.world import Y_UP
-from stages.scans.recordings.choice import one_recording
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.phones import least_confidence, seen_in
+from scanloom.stages.scans.layouts.shared.views import without_depth
+from scanloom.stages.scans.model.poses import from_opengl, pose_from_quaternion
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.world import Y_UP
+from scanloom.stages.scans.recordings.choice import one_recording
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 1, 2)
 # LiDAR and TrueDepth, for archives that do not say.

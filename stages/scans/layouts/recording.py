@@ -12,30 +12,30 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files.codes import RECORDING_DAMAGED
-from stages.scans.codes import RECORDING_CLOCKS_DIFFER, RECORDING_TOPIC_MISSING
-from stages.scans.image_folders.timestamp_matching import nearest_in_time
-from stages.scans.layouts.shared.gravity import ups_of
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.recordings.bag import read_bag
-from stages.scans.recordings.db3 import read_db3
-from stages.scans.recordings.files import SUFFIXES, recording_files, recordings
-from stages.scans.recordings.mcap import read_mcap
-from stages.scans.recordings.pairs import topic_pair
-from stages.scans.recordings.realsense.bag import realsense_bag
-from stages.scans.recordings.realsense.db3 import realsense_db3
-from stages.scans.recordings.realsense.streams import RealSense, realsense_streams
-from stages.scans.recordings.recording import Recording, joined
-from stages.scans.recordings.streams import topic_streams
-from stages.scans.streams.clocked_streams import Images, Pair, Streams
-from stages.scans.trajectory import files as trajectories
-from stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import RECORDING_DAMAGED
+from scanloom.stages.scans.codes import RECORDING_CLOCKS_DIFFER, RECORDING_TOPIC_MISSING
+from scanloom.stages.scans.image_folders.timestamp_matching import nearest_in_time
+from scanloom.stages.scans.layouts.shared.gravity import ups_of
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.recordings.bag import read_bag
+from scanloom.stages.scans.recordings.db3 import read_db3
+from scanloom.stages.scans.recordings.files import SUFFIXES, recording_files, recordings
+from scanloom.stages.scans.recordings.mcap import read_mcap
+from scanloom.stages.scans.recordings.pairs import topic_pair
+from scanloom.stages.scans.recordings.realsense.bag import realsense_bag
+from scanloom.stages.scans.recordings.realsense.db3 import realsense_db3
+from scanloom.stages.scans.recordings.realsense.streams import RealSense, realsense_streams
+from scanloom.stages.scans.recordings.recording import Recording, joined
+from scanloom.stages.scans.recordings.streams import topic_streams
+from scanloom.stages.scans.streams.clocked_streams import Images, Pair, Streams
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 # Of the shorter interval between images: the nearest image of that stream is never more than half of it away.
 _TOLERANCE = 0.6

@@ -9,22 +9,22 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration import azure_kinect
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.discovery import trajectory_beside
-from stages.scans.calibration.resolution import found_camera
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration import azure_kinect
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.discovery import trajectory_beside
+from scanloom.stages.scans.calibration.resolution import found_camera
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     POSE_ASSUMED,
     SCALE_DEPTH_UNIT_ASSUMED,
     SCAN_FILES_MISSING,
 )
-from stages.scans.image_folders.depth_pictures import without_pictures
-from stages.scans.image_folders.depth_units import FIFTHS, told_units
-from stages.scans.image_folders.image_files import (
+from scanloom.stages.scans.image_folders.depth_pictures import without_pictures
+from scanloom.stages.scans.image_folders.depth_units import FIFTHS, told_units
+from scanloom.stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
     DEPTHS,
@@ -35,12 +35,12 @@ from stages.scans.image_folders.image_files import (
     numbers,
     pair,
 )
-from stages.scans.layouts.shared.confidence_maps import confidence_of
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.layouts.shared.confidence_maps import confidence_of
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _INTRINSICS = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_primesense.json")
 _UNITS_PER_METRE = 1000.0

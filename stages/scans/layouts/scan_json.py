@@ -45,19 +45,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.codes import FILE_TEXT_INVALID
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.codes import SCAN_TABLE_DAMAGED
-from stages.scans.image_folders.image_files import inside
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.poses import matrix_of, rigid, turn_of
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan
-from stages.scans.model.world import Direction, WorldUp
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.codes import FILE_TEXT_INVALID
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.codes import SCAN_TABLE_DAMAGED
+from scanloom.stages.scans.image_folders.image_files import inside
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.poses import matrix_of, rigid, turn_of
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
+from scanloom.stages.scans.model.world import Direction, WorldUp
+from scanloom.stages.scans.trajectory import files as trajectories
 
 FORMAT_VERSION = 1
 FILE = "scan.json"

@@ -11,20 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import found_camera, stated_camera
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import found_camera, stated_camera
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     CAMERA_CALIBRATION_SCALED,
     FRAME_POSE_MISSING,
     SCAN_ASSUMED,
     SCAN_FILES_MISSING,
 )
-from stages.scans.image_folders.image_files import (
+from scanloom.stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
     DEPTHS,
     check_order,
@@ -33,14 +33,14 @@ from stages.scans.image_folders.image_files import (
     images,
     pair,
 )
-from stages.scans.layouts.shared.axis_alignment import up_of_scannet
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.views import single_view
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
-from stages.scans.trajectory import files as trajectories
-from stages.scans.trajectory.pose_files import read_pose_files
+from scanloom.stages.scans.layouts.shared.axis_alignment import up_of_scannet
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.views import single_view
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory.pose_files import read_pose_files
 
 _UNITS_PER_METRE = 1000.0
 # The colour camera of the data set: its intrinsics stay for this size where images were made smaller.

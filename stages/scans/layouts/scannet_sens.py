@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.codes import RECORDING_DAMAGED
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED
-from stages.scans.layouts.shared.axis_alignment import up_of_scannet
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.poses import rigid
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.recordings import sens
-from stages.scans.recordings.choice import one_recording
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import RECORDING_DAMAGED
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED
+from scanloom.stages.scans.layouts.shared.axis_alignment import up_of_scannet
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.poses import rigid
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.recordings import sens
+from scanloom.stages.scans.recordings.choice import one_recording
+from scanloom.stages.scans.trajectory import files as trajectories
 
 
 def _matches(folder: Path) -> str | None:

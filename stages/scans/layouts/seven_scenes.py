@@ -6,13 +6,13 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.image_bytes import MAX_PIXELS
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.image_bytes import MAX_PIXELS
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_INVALID,
     CAMERA_INTRINSICS_GUESSED,
     FRAME_IMAGE_MISSING,
@@ -21,13 +21,13 @@ from stages.scans.codes import (
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.image_folders.image_files import common_size, first_existing
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
-from stages.scans.trajectory import files as trajectories
-from stages.scans.trajectory.pose_files import read_pose_files
+from scanloom.stages.scans.image_folders.image_files import common_size, first_existing
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory.pose_files import read_pose_files
 
 _NAME = re.compile(r"frame-(\d+)\.depth\.png")
 # The Kinect of the data set, as its page states; BundleFusion and others bring a file.

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.images import image_size
-from stages.scans.calibration.rig_calibration import with_baseline
-from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.image_folders.image_files import first_existing
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
-from stages.scans.streams.stereo_rigs import rig_of
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.images import image_size
+from scanloom.stages.scans.calibration.rig_calibration import with_baseline
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED, SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from scanloom.stages.scans.image_folders.image_files import first_existing
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from scanloom.stages.scans.streams.stereo_rigs import rig_of
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _PAIRS = (("im0", "im1"), ("im2", "im6"), ("view1", "view5"), ("left", "right"))
 _SUFFIXES = (".png", ".ppm", ".pgm", ".jpg", ".jpeg")

@@ -14,29 +14,29 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     SCAN_FILES_MISSING,
     SCAN_IMAGES_UNPAIRED,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.image_folders.image_files import DEPTHS, IMAGES, common_size, images, numbers
-from stages.scans.layouts.shared.gravity import ups_of
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.phone_imu import phone_accelerometer
-from stages.scans.layouts.shared.phones import least_confidence, seen_in
-from stages.scans.layouts.shared.views import without_depth
-from stages.scans.model.poses import pose_from_quaternion
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.model.video import Video
-from stages.scans.model.world import Y_UP
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.image_folders.image_files import DEPTHS, IMAGES, common_size, images, numbers
+from scanloom.stages.scans.layouts.shared.gravity import ups_of
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.phone_imu import phone_accelerometer
+from scanloom.stages.scans.layouts.shared.phones import least_confidence, seen_in
+from scanloom.stages.scans.layouts.shared.views import without_depth
+from scanloom.stages.scans.model.poses import pose_from_quaternion
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.video import Video
+from scanloom.stages.scans.model.world import Y_UP
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 1, 2)
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

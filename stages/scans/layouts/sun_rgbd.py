@@ -15,21 +15,26 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files.images import read_raw_depth
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import found_camera, stated_camera
-from stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_ASSUMED, SCAN_FILES_MISSING, SCAN_IMAGES_UNPAIRED
-from stages.scans.image_folders.image_files import common_size, images, pair
-from stages.scans.image_folders.rotated_bits import read_turned_back
-from stages.scans.image_folders.timestamp_matching import nearest_in_time
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import read_raw_depth
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import found_camera, stated_camera
+from scanloom.stages.scans.codes import (
+    FRAME_IMAGE_MISSING,
+    SCAN_ASSUMED,
+    SCAN_FILES_MISSING,
+    SCAN_IMAGES_UNPAIRED,
+)
+from scanloom.stages.scans.image_folders.image_files import common_size, images, pair
+from scanloom.stages.scans.image_folders.rotated_bits import read_turned_back
+from scanloom.stages.scans.image_folders.timestamp_matching import nearest_in_time
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _UNITS_PER_METRE = 1000.0
 # SUN3D: the number of the frame in its stream, then its time in microseconds.

@@ -20,20 +20,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_DEPTH_FORMAT
-from stages.files.images import read_raw_depth, read_stored
-from stages.scans.calibration import rig_calibration
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import SCAN_FILES_MISSING
-from stages.scans.image_folders.image_files import DEPTHS, common_size, first_existing, images, pair
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, StereoRig, scaled
-from stages.scans.model.world import Z_DOWN
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_DEPTH_FORMAT
+from scanloom.stages.files.images import read_raw_depth, read_stored
+from scanloom.stages.scans.calibration import rig_calibration
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import SCAN_FILES_MISSING
+from scanloom.stages.scans.image_folders.image_files import DEPTHS, common_size, first_existing, images, pair
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, StereoRig, scaled
+from scanloom.stages.scans.model.world import Z_DOWN
+from scanloom.stages.scans.trajectory import files as trajectories
 
 
 @dataclass(frozen=True)

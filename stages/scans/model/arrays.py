@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import USAGE_FRAME_INVALID
-from stages.scans.model.poses import Pose, rigid
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import USAGE_FRAME_INVALID
+from scanloom.stages.scans.model.poses import Pose, rigid
 
 # Units of integer depth in one metre, unless the caller says otherwise: depth cameras count millimetres.
 DEPTH_SCALE = 1000.0

@@ -13,18 +13,24 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import InputError
-from stages.files.images import decode_color, file_bytes, read_raw_depth, read_stored, require_raw_depth
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import (
+    decode_color,
+    file_bytes,
+    read_raw_depth,
+    read_stored,
+    require_raw_depth,
+)
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_MISMATCH,
     CAMERA_PAIR_UNCALIBRATED,
     FRAME_IMAGE_MISSING,
 )
-from stages.scans.model.rolling_shutter import turn_of_color
-from stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
-from stages.scans.model.undistortion import Maps, maps_of, undistorted
+from scanloom.stages.scans.model.rolling_shutter import turn_of_color
+from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
+from scanloom.stages.scans.model.undistortion import Maps, maps_of, undistorted
 
 # Nothing is nearer than this (m); what would be is no measurement, and its inverse no number.
 _NEAREST = 1e-6

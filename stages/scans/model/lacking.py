@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING
 
 _NAME_TRAJECTORY = "name a trajectory with scan.poses=FILE"
 _NAME_CALIBRATION = "name one with scan.calibration=FILE"

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import POSE_INVALID
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import POSE_INVALID
 
 Pose = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from typing import TypeVar
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.files.blas_buffers import require_buffers
-from stages.scans.model.threads import threads_to_use
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.files.blas_buffers import require_buffers
+from scanloom.stages.scans.model.threads import threads_to_use
 
 # More threads than this wait for memory, and hold that many images.
 _MOST_WORKERS = 8

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.params import check, param
-from stages.scans.model.poses import AS_WRITTEN, CONVENTIONS
-from stages.scans.model.scan import Camera
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check, param
+from scanloom.stages.scans.model.poses import AS_WRITTEN, CONVENTIONS
+from scanloom.stages.scans.model.scan import Camera
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 # Pixels between those whose place is worked out; in between it changes evenly.
 _STEP = 8

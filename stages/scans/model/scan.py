@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic, Where
-from stages.diagnostics.errors import InputError
-from stages.printing import counted, line, table
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING, USAGE_FRAME_INVALID
-from stages.scans.model.arrays import (
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.printing import counted, line, table
+from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING, USAGE_FRAME_INVALID
+from scanloom.stages.scans.model.arrays import (
     check_color,
     check_depth,
     check_distortion,
@@ -26,8 +26,8 @@ from stages.scans.model.arrays import (
     check_intrinsics,
     check_pose,
 )
-from stages.scans.model.thumbnail import thumbnail
-from stages.scans.model.world import Scale, WorldUp
+from scanloom.stages.scans.model.thumbnail import thumbnail
+from scanloom.stages.scans.model.world import Scale, WorldUp
 
 Pose = NDArray[np.float64]
 ColorImage = NDArray[np.uint8]
@@ -155,8 +155,8 @@ class Packed:
 class Frame:
     """One moment of a scan: a colour image and either a right image or a depth map.
 
-    Images are files or parts of files, read when asked for (see stages.scans.model.images), or arrays in
-    memory.
+    Images are files or parts of files, read when asked for (see scanloom.stages.scans.model.images), or
+    arrays in memory.
 
     Attributes
     ----------

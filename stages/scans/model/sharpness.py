@@ -14,10 +14,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import ColorImage, Frame
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import ColorImage, Frame
 
 # Reading more images than this takes longer than a person wants to wait; they are spread over the scan.
 _MOST_FRAMES = 150

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import ColorImage
+from scanloom.stages.scans.model.scan import ColorImage
 
 # Families of tags by the names people have for them, and OpenCV's: of each kind of ArUco the one that holds
 # the others.

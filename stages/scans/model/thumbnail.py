@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages._opencv import require_opencv
-from stages.files.image_bytes import encoded_png
-from stages.files.images import decode_color, file_bytes
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.files.image_bytes import encoded_png
+from scanloom.stages.files.images import decode_color, file_bytes
 
 _HEIGHT = 90
 # Images wider than this, of their height, are shown narrower.

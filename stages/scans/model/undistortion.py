@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.model.rolling_shutter import as_read
-from stages.scans.model.scan import Camera, scaled
+from scanloom.stages.scans.model.rolling_shutter import as_read
+from scanloom.stages.scans.model.scan import Camera, scaled
 
 _Map = NDArray[np.float32]
 

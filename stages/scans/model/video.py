@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import RECORDING_DAMAGED
-from stages.files.image_bytes import MAX_PIXELS
-from stages.files.opening import opened
-from stages.files.room import require_room
-from stages.scans.model.scan import ColorImage
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import RECORDING_DAMAGED
+from scanloom.stages.files.image_bytes import MAX_PIXELS
+from scanloom.stages.files.opening import opened
+from scanloom.stages.files.room import require_room
+from scanloom.stages.scans.model.scan import ColorImage
 
 # The last frames stay in memory: threads ask for neighbours in an order of their own.
 _KEPT_BYTES = 1 << 27

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import RECORDING_WRONG_KIND
-from stages.scans.recordings.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
-from stages.scans.recordings.recording import Recording
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import RECORDING_WRONG_KIND
+from scanloom.stages.scans.recordings.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
+from scanloom.stages.scans.recordings.recording import Recording
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x04", b"\x05", b"\x07"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import RECORDING_SEVERAL, SCAN_LAYOUT_UNKNOWN
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import RECORDING_SEVERAL, SCAN_LAYOUT_UNKNOWN
 
 
 def one_recording(place: Path, suffix: str) -> Path:

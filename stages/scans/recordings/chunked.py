@@ -29,11 +29,11 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import opening, zstd_blocks
-from stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
-from stages.scans.codes import RECORDING_ENCODING_UNKNOWN
-from stages.scans.recordings.recording import LARGEST_MESSAGE, Messages, Recording
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import opening, zstd_blocks
+from scanloom.stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
+from scanloom.stages.scans.codes import RECORDING_ENCODING_UNKNOWN
+from scanloom.stages.scans.recordings.recording import LARGEST_MESSAGE, Messages, Recording
 
 # What a damaged record raises where it is taken apart.
 _BROKEN = (struct.error, ValueError, KeyError, EOFError, RuntimeError)

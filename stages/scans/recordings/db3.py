@@ -18,11 +18,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
-from stages.files.opening import opened, require_regular
-from stages.scans.codes import RECORDING_WRONG_KIND
-from stages.scans.recordings.recording import LARGEST_MESSAGE, Messages, Recording, as_ros_1, unpacked
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
+from scanloom.stages.files.opening import opened, require_regular
+from scanloom.stages.scans.codes import RECORDING_WRONG_KIND
+from scanloom.stages.scans.recordings.recording import (
+    LARGEST_MESSAGE,
+    Messages,
+    Recording,
+    as_ros_1,
+    unpacked,
+)
 
 _SQLITE = b"SQLite format 3\0"
 _BESIDE = ("-wal", "-journal", "-shm")

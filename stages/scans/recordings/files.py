@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.codes import RECORDING_SEVERAL
-from stages.scans.image_folders.image_files import first_existing
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.codes import RECORDING_SEVERAL
+from scanloom.stages.scans.image_folders.image_files import first_existing
 
 SUFFIXES = (".bag", ".db3", ".mcap")
 _LIST = "metadata.yaml"

@@ -8,11 +8,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from stages.scans.model.scan import ColorImage
-from stages.scans.recordings.messages import STAMP_BYTES, read_stamp
-from stages.scans.recordings.pixels import color_in, depth_in
-from stages.scans.recordings.recording import Messages
-from stages.scans.streams.clocked_streams import Images
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.scans.recordings.messages import STAMP_BYTES, read_stamp
+from scanloom.stages.scans.recordings.pixels import color_in, depth_in
+from scanloom.stages.scans.recordings.recording import Messages
+from scanloom.stages.scans.streams.clocked_streams import Images
 
 
 def topic_images(name: str, topic: Messages, stamp: Callable[[int], int] | None = None) -> Images:

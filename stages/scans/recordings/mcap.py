@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.files import zstd_blocks
-from stages.scans.codes import RECORDING_WRONG_KIND
-from stages.scans.recordings.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
-from stages.scans.recordings.recording import Messages, Recording, as_ros_1, unpacked
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import zstd_blocks
+from scanloom.stages.scans.codes import RECORDING_WRONG_KIND
+from scanloom.stages.scans.recordings.chunked import FILE, Chunk, Found, Span, Writer, opened, read_chunked
+from scanloom.stages.scans.recordings.recording import Messages, Recording, as_ros_1, unpacked
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import RECORDING_DAMAGED
-from stages.scans.model.poses import pose_from_quaternion
-from stages.scans.model.scan import Pose
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import RECORDING_DAMAGED
+from scanloom.stages.scans.model.poses import pose_from_quaternion
+from scanloom.stages.scans.model.scan import Pose
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

@@ -11,29 +11,29 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration import rig_calibration
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration import rig_calibration
+from scanloom.stages.scans.codes import (
     CAMERA_CALIBRATION_ASSUMED,
     CAMERA_PAIR_UNCALIBRATED,
     RECORDING_TOPIC_CHOSEN,
 )
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import StereoRig
-from stages.scans.recordings.images import topic_images
-from stages.scans.recordings.messages import CameraMessage
-from stages.scans.recordings.pixels import is_color
-from stages.scans.recordings.recording import Recording
-from stages.scans.recordings.topics import (
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import StereoRig
+from scanloom.stages.scans.recordings.images import topic_images
+from scanloom.stages.scans.recordings.messages import CameraMessage
+from scanloom.stages.scans.recordings.pixels import is_color
+from scanloom.stages.scans.recordings.recording import Recording
+from scanloom.stages.scans.recordings.topics import (
     ImageTopic,
     accelerometer_beside,
     between,
     camera_message,
     image_topics,
 )
-from stages.scans.streams.clocked_streams import Pair
-from stages.scans.streams.stereo_rigs import stated_rig
+from scanloom.stages.scans.streams.clocked_streams import Pair
+from scanloom.stages.scans.streams.stereo_rigs import stated_rig
 
 # RealSense numbers its infrared cameras; the left one is the first.
 _SIDES = (("left", "right"), ("infra1", "infra2"), ("infrared1", "infrared2"), ("cam0", "cam1"))

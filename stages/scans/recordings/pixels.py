@@ -9,13 +9,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import RECORDING_DAMAGED
-from stages.files.image_bytes import MAX_PIXELS
-from stages.files.images import decode_color, decode_depth
-from stages.scans.codes import RECORDING_ENCODING_UNKNOWN
-from stages.scans.model.scan import ColorImage
-from stages.scans.recordings.messages import ImageMessage, read_compressed, read_image
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import RECORDING_DAMAGED
+from scanloom.stages.files.image_bytes import MAX_PIXELS
+from scanloom.stages.files.images import decode_color, decode_depth
+from scanloom.stages.scans.codes import RECORDING_ENCODING_UNKNOWN
+from scanloom.stages.scans.model.scan import ColorImage
+from scanloom.stages.scans.recordings.messages import ImageMessage, read_compressed, read_image
 
 # In ROS 1 `sensor_msgs/CompressedImage`, in ROS 2 `sensor_msgs/msg/CompressedImage`.
 _COMPRESSED = "CompressedImage"

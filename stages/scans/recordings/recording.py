@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import zstd_blocks
-from stages.files.codes import RECORDING_DAMAGED
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import zstd_blocks
+from scanloom.stages.files.codes import RECORDING_DAMAGED
 
 # No camera makes a larger image.
 LARGEST_MESSAGE = 1 << 28

@@ -15,14 +15,14 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import MACHINE_BUSY
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
-from stages.files.image_bytes import MAX_PIXELS
-from stages.files.images import decode_color
-from stages.files.opening import opened
-from stages.scans.codes import RECORDING_ENCODING_UNKNOWN, RECORDING_WRONG_KIND
-from stages.scans.model.scan import ColorImage
+from scanloom.stages.diagnostics.codes import MACHINE_BUSY
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
+from scanloom.stages.files.image_bytes import MAX_PIXELS
+from scanloom.stages.files.images import decode_color
+from scanloom.stages.files.opening import opened
+from scanloom.stages.scans.codes import RECORDING_ENCODING_UNKNOWN, RECORDING_WRONG_KIND
+from scanloom.stages.scans.model.scan import ColorImage
 
 _FORMAT_VERSION = 4
 _LONGEST_NAME = 1 << 16

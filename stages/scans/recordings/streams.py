@@ -9,16 +9,16 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import takewhile
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.codes import CAMERA_LENS_UNKNOWN, RECORDING_TOPIC_CHOSEN
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera
-from stages.scans.recordings.images import topic_images
-from stages.scans.recordings.pixels import is_color, is_depth
-from stages.scans.recordings.recording import Recording
-from stages.scans.recordings.topics import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.codes import CAMERA_LENS_UNKNOWN, RECORDING_TOPIC_CHOSEN
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera
+from scanloom.stages.scans.recordings.images import topic_images
+from scanloom.stages.scans.recordings.pixels import is_color, is_depth
+from scanloom.stages.scans.recordings.recording import Recording
+from scanloom.stages.scans.recordings.topics import (
     ImageTopic,
     accelerometer_beside,
     between,
@@ -26,7 +26,12 @@ from stages.scans.recordings.topics import (
     has_camera,
     image_topics,
 )
-from stages.scans.streams.clocked_streams import Stream, Streams, extrinsics_unknown, stated_depth_camera
+from scanloom.stages.scans.streams.clocked_streams import (
+    Stream,
+    Streams,
+    extrinsics_unknown,
+    stated_depth_camera,
+)
 
 # What the drivers of RealSense, Kinect and ZED call depth as the colour camera sees it.
 _ALIGNED = ("aligned_depth", "depth_registered", "depth_to_rgb")

@@ -10,11 +10,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Pose
-from stages.scans.recordings.messages import (
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import CAMERA_INTRINSICS_GUESSED
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Pose
+from scanloom.stages.scans.recordings.messages import (
     COMPRESSED_IMAGE,
     IMAGE,
     IMU,
@@ -26,9 +26,9 @@ from stages.scans.recordings.messages import (
     read_image,
     read_transforms,
 )
-from stages.scans.recordings.pixels import is_depth
-from stages.scans.recordings.recording import Messages, Recording
-from stages.scans.streams.clocked_streams import Accelerometer
+from scanloom.stages.scans.recordings.pixels import is_depth
+from scanloom.stages.scans.recordings.recording import Messages, Recording
+from scanloom.stages.scans.streams.clocked_streams import Accelerometer
 
 # A tree of frames is sent anew now and then; a robot has some hundreds of them.
 _MOST_TRANSFORMS = 1000

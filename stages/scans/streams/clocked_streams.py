@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.scans.calibration.resolution import stated_camera
-from stages.scans.codes import SCAN_ASSUMED
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, ColorImage, Pose, StereoRig
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.scans.calibration.resolution import stated_camera
+from scanloom.stages.scans.codes import SCAN_ASSUMED
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Pose, StereoRig
 
 
 @dataclass(frozen=True, eq=False)

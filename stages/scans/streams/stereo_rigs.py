@@ -10,24 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.files import documents
-from stages.files.noting import note, only_looking
-from stages.scans.calibration import rig_calibration
-from stages.scans.calibration.camera_files import document_of
-from stages.scans.calibration.discovery import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.files import documents
+from scanloom.stages.files.noting import note, only_looking
+from scanloom.stages.scans.calibration import rig_calibration
+from scanloom.stages.scans.calibration.camera_files import document_of
+from scanloom.stages.scans.calibration.discovery import (
     parts_of_calibration,
     places_of_calibrations,
     rigs_beside,
     warn_of_rejected,
 )
-from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
-from stages.scans.image_folders.image_files import first_existing, has
-from stages.scans.model.lacking import calibration_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, StereoRig
-from stages.scans.streams.clocked_streams import Images
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
+from scanloom.stages.scans.image_folders.image_files import first_existing, has
+from scanloom.stages.scans.model.lacking import calibration_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, StereoRig
+from scanloom.stages.scans.streams.clocked_streams import Images
 
 _OPENCV_FILES = ("intrinsics.yml", "extrinsics.yml")
 # ROS's calibrator writes a file a camera.

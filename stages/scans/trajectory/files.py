@@ -15,14 +15,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.images import read_array
-from stages.files.row_numbers import numbers_on
-from stages.scans.codes import POSE_ASSUMED, POSE_TRAJECTORY_UNREADABLE
-from stages.scans.model.poses import LARGEST_VALUE, inverted, matrix_of, pose_from_quaternion, rigid
-from stages.scans.model.scan import Pose
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.images import read_array
+from scanloom.stages.files.row_numbers import numbers_on
+from scanloom.stages.scans.codes import POSE_ASSUMED, POSE_TRAJECTORY_UNREADABLE
+from scanloom.stages.scans.model.poses import LARGEST_VALUE, inverted, matrix_of, pose_from_quaternion, rigid
+from scanloom.stages.scans.model.scan import Pose
 
 T = TypeVar("T")
 
@@ -503,7 +503,7 @@ def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
 
 
 def numbers_of(text: str, number: int, path: Path) -> list[float]:
-    """Return the numbers on a line; see `stages.files.row_numbers`.
+    """Return the numbers on a line; see `scanloom.stages.files.row_numbers`.
 
     Raises
     ------

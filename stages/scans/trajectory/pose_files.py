@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import POSE_INVALID
-from stages.scans.model.scan import Pose, SkippedFrame
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import POSE_INVALID
+from scanloom.stages.scans.model.scan import Pose, SkippedFrame
+from scanloom.stages.scans.trajectory import files as trajectories
 
 # Of more, something is wrong with all of them: the form is another one.
 _MOST_DAMAGED = 0.1

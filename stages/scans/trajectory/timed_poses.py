@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import POSE_TRAJECTORY_UNREADABLE, RECORDING_CLOCKS_DIFFER
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Pose
-from stages.scans.trajectory import files as trajectories
-from stages.scans.trajectory.files import Trajectory
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import POSE_TRAJECTORY_UNREADABLE, RECORDING_CLOCKS_DIFFER
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Pose
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory.files import Trajectory
 
 
 def poses_at(

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID, POSE_MISSING
-from stages.scans.model.poses import matrix_of, rigid, turn_of
-from stages.scans.model.scan import Camera, Frame, Pose, Scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID, POSE_MISSING
+from scanloom.stages.scans.model.poses import matrix_of, rigid, turn_of
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
 
 
 def with_adjusted(scan: Scan, path: Path) -> Scan:

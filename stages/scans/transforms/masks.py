@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.images import decode_color, file_bytes
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_FRAMES_SKIPPED
-from stages.scans.image_folders.image_files import images, numbers
-from stages.scans.model.scan import Frame, Packed, Scan
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import decode_color, file_bytes
+from scanloom.stages.scans.codes import SCAN_FILES_MISSING, SCAN_FRAMES_SKIPPED
+from scanloom.stages.scans.image_folders.image_files import images, numbers
+from scanloom.stages.scans.model.scan import Frame, Packed, Scan
 
 _NAMED = 3
 # JPEG writes black as nearly black.

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.scans.codes import SCALE_NOT_METRIC
-from stages.scans.model.scan import Frame, Pose, Scan, StereoRig
-from stages.scans.model.world import Scale
-from stages.scans.params import ScanParams
-from stages.scans.transforms.tag_scale import scale_by_tags
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.scans.codes import SCALE_NOT_METRIC
+from scanloom.stages.scans.model.scan import Frame, Pose, Scan, StereoRig
+from scanloom.stages.scans.model.world import Scale
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.transforms.tag_scale import scale_by_tags
 
 # Lengths that are metres are corrected by per cents, and not by more.
 _CORRECTION = 0.1

@@ -17,15 +17,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCALE_TAGS_UNRELIABLE
-from stages.scans.model.images import read_photo
-from stages.scans.model.poses import inverted
-from stages.scans.model.prefetch import read_ahead, workers
-from stages.scans.model.scan import Camera, ColorImage, Frame, Pose, scaled
-from stages.scans.model.tags import FAMILIES, find_tags
-from stages.scans.model.world import Scale
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import SCALE_TAGS_UNRELIABLE
+from scanloom.stages.scans.model.images import read_photo
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.prefetch import read_ahead, workers
+from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Pose, scaled
+from scanloom.stages.scans.model.tags import FAMILIES, find_tags
+from scanloom.stages.scans.model.world import Scale
 
 Floats = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def scale_by_tags(frames: Sequence[Frame], edge: float, family: str, folder: Pat
     Parameters
     ----------
     edge : of the tags' black squares, metres.
-    family : one of `stages.scans.model.tags.FAMILIES`.
+    family : one of `scanloom.stages.scans.model.tags.FAMILIES`.
 
     Raises
     ------

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.scans.codes import SCALE_UP_UNCERTAIN
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Frame, Scan
-from stages.scans.model.world import Direction, WorldUp, up_of_layout
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.scans.codes import SCALE_UP_UNCERTAIN
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.scans.model.world import Direction, WorldUp, up_of_layout
 
 # Hands shake a camera by some degrees; readings that are off by more in the median do not go with the poses.
 _LARGEST_SPREAD_DEG = 20.0

@@ -22,30 +22,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.collector import emit
-from stages.progress import Progress
-from stages.simplification.certified.color_samples import color_samples
-from stages.simplification.certified.details import CertifiedDetails
-from stages.simplification.certified.effort import (
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.progress import Progress
+from scanloom.stages.simplification.certified.color_samples import color_samples
+from scanloom.stages.simplification.certified.details import CertifiedDetails
+from scanloom.stages.simplification.certified.effort import (
     LEAST_COLOR,
     PIECES,
     REDUCTION,
     SHARE_OF_VERTICES,
     TOLERANCE,
 )
-from stages.simplification.certified.params import CertifiedParams
-from stages.simplification.certified.unproven import not_proven
-from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COLORS_NOT_COMPARED
-from stages.simplification.color_weight import balanced_weight
-from stages.simplification.lines import lost_lines
-from stages.simplification.result import Simplified
-from stages.simplification.seams.details import SeamsDetails
-from stages.simplification.seams.params import SeamsParams
-from stages.simplification.seams.run import simplified
-from stages.simplification.task import Task
-from stages.surface.color import attributes_of, is_textured
-from stages.surface.mesh import Mesh
+from scanloom.stages.simplification.certified.params import CertifiedParams
+from scanloom.stages.simplification.certified.unproven import not_proven
+from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN, SIMPLIFY_COLORS_NOT_COMPARED
+from scanloom.stages.simplification.color_weight import balanced_weight
+from scanloom.stages.simplification.lines import lost_lines
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.seams.details import SeamsDetails
+from scanloom.stages.simplification.seams.params import SeamsParams
+from scanloom.stages.simplification.seams.run import simplified
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.surface.color import attributes_of, is_textured
+from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.color import color_at, has_color, pixels_of
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Located, Surface, bounding_box, chunks, interpolated
-from stages.surface.texture import signed_areas
+from scanloom.stages.surface.color import color_at, has_color, pixels_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Located, Surface, bounding_box, chunks, interpolated
+from scanloom.stages.surface.texture import signed_areas
 
 # Samples of each of the two surfaces, about; with more texels than that, each sample stands for several.
 MOST_SAMPLES = 1 << 20

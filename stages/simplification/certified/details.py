@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.printing import by_fields, table
-from stages.printing.rounding import DIGITS, rounded_up
-from stages.simplification.crowding import report_crowded_by_topology
-from stages.simplification.result import Details, Simplified
+from scanloom.stages.printing import by_fields, table
+from scanloom.stages.printing.rounding import DIGITS, rounded_up
+from scanloom.stages.simplification.crowding import report_crowded_by_topology
+from scanloom.stages.simplification.result import Details, Simplified
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

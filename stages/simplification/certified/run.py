@@ -7,25 +7,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages import _kernels
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.simplification.certified.along_seams import run_along_seams
-from stages.simplification.certified.details import CertifiedDetails
-from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES, TOLERANCE
-from stages.simplification.certified.params import CertifiedParams
-from stages.simplification.certified.unproven import not_proven
-from stages.simplification.codes import USAGE_METHOD_MISMATCH
-from stages.simplification.color_weight import balanced_weight
-from stages.simplification.corner_attributes import is_in_pieces
-from stages.simplification.in_sheets import run_in_sheets
-from stages.simplification.kernel_input import as_result, require_colors
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.result import Simplified
-from stages.simplification.task import Task
-from stages.surface.color import attributes_of, has_color
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.certified.along_seams import run_along_seams
+from scanloom.stages.simplification.certified.details import CertifiedDetails
+from scanloom.stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES, TOLERANCE
+from scanloom.stages.simplification.certified.params import CertifiedParams
+from scanloom.stages.simplification.certified.unproven import not_proven
+from scanloom.stages.simplification.codes import USAGE_METHOD_MISMATCH
+from scanloom.stages.simplification.color_weight import balanced_weight
+from scanloom.stages.simplification.corner_attributes import is_in_pieces
+from scanloom.stages.simplification.in_sheets import run_in_sheets
+from scanloom.stages.simplification.kernel_input import as_result, require_colors
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.surface.color import attributes_of, has_color
+from scanloom.stages.surface.mesh import Mesh
 
 RESULT_VERSION = 7
 

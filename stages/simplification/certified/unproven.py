@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.printing import counted
-from stages.printing.rounding import rounded_up
-from stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.printing import counted
+from scanloom.stages.printing.rounding import rounded_up
+from scanloom.stages.simplification.codes import SIMPLIFY_BOUND_NOT_PROVEN
+from scanloom.stages.surface.mesh import Mesh
 
 # Places that are named.
 _NAMED = 3

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from stages.printing import by_fields, table
-from stages.simplification.crowding import report_crowded_by_topology
-from stages.simplification.result import Details, Simplified
+from scanloom.stages.printing import by_fields, table
+from scanloom.stages.simplification.crowding import report_crowded_by_topology
+from scanloom.stages.simplification.result import Details, Simplified
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

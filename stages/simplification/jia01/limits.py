@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.simplification.jia01.params import Jia01Params
-from stages.simplification.task import Task
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.simplification.jia01.params import Jia01Params
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.surface.mesh import Mesh
 
 # The defaults, found on a room fused at 2 cm and on a globe with a satellite map (see this package).
 EDGES_PER_RESOLUTION = 36.0  # wanted edge length / mean edge length of the input

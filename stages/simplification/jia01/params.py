@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.params import check, param
-from stages.simplification.shared_params import require_finite
+from scanloom.stages.params import check, param
+from scanloom.stages.simplification.shared_params import require_finite
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 
-from stages import _kernels
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.simplification.in_sheets import run_in_sheets
-from stages.simplification.jia01.details import Jia01Details
-from stages.simplification.jia01.limits import limits_of
-from stages.simplification.jia01.params import Jia01Params
-from stages.simplification.kernel_input import as_result
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.result import Simplified
-from stages.simplification.task import Task
-from stages.surface.color import attributes_of
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.in_sheets import run_in_sheets
+from scanloom.stages.simplification.jia01.details import Jia01Details
+from scanloom.stages.simplification.jia01.limits import limits_of
+from scanloom.stages.simplification.jia01.params import Jia01Params
+from scanloom.stages.simplification.kernel_input import as_result
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.surface.color import attributes_of
 
 RESULT_VERSION = 2
 

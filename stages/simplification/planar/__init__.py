@@ -1,6 +1,6 @@
 """Method `planar`: near-planar patches, each triangulated anew within its border; for walls and floors.
 
-Patches grow over the surface while normals stay alike (see `stages.planar_patches`), the borders between
+Patches grow over the surface while normals stay alike (see `scanloom.planar_patches`), the borders between
 them are traced and straightened, and each patch is triangulated anew. Every vertex of the result is a vertex
 of the input, so that all it carries stays with it; vertices stay where they are or vanish, and triangles
 around locked ones stay. The bounds hold for every point and its counterpart on the other surface, colour and

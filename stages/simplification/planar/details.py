@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.printing import by_fields, table
-from stages.simplification.planar.patches import Patches
-from stages.simplification.result import Details
+from scanloom.stages.printing import by_fields, table
+from scanloom.stages.simplification.planar.patches import Patches
+from scanloom.stages.simplification.result import Details
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,7 +30,7 @@ class PlanarDetails(Details):
     shape_bound_m, color_bound_levels : the greatest of all.
     max_shape_m, max_color_levels : what was used; None for no bound.
     patch_shape_m : the bound that the patches grew within: `max_shape_m`, or a tighter one that leaves no
-        more triangles. With that as its `max_shape`, `stages.planar_patches` finds them.
+        more triangles. With that as its `max_shape`, `scanloom.planar_patches` finds them.
     kept_patches : patches that have all their triangles still.
     iterations : how often patches were triangulated, as vertices were put back.
     patches : those of the input.

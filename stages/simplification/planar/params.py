@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.params import check, param
-from stages.simplification.shared_params import HOW_FAR, require_finite
+from scanloom.stages.params import check, param
+from scanloom.stages.simplification.shared_params import HOW_FAR, require_finite
 
 # At 60 levels a room's result looks like its scan; without a bound its stains and shadows are gone.
 MAX_COLOR = 60.0

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.printing import by_figures, table
-from stages.surface.mesh import Colors, Mesh
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.surface.mesh import Colors, Mesh
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int32]

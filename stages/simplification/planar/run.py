@@ -9,26 +9,26 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.params import resolve
-from stages.progress import Progress, silent
-from stages.simplification.in_sheets import joined, run_on, sheets_of
-from stages.simplification.kernel_input import as_result, kernel_input, require_colors
-from stages.simplification.planar.details import PlanarDetails
-from stages.simplification.planar.params import MAX_COLOR, PatchParams, PlanarParams
-from stages.simplification.planar.patches import Patches
-from stages.simplification.planar.tighter import Fewest, fewest_triangles
-from stages.simplification.result import Simplified
-from stages.simplification.task import Task
-from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import bounding_box
-from stages.surface.sheets import Sheets
+from scanloom.stages import _kernels
+from scanloom.stages.params import resolve
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.simplification.in_sheets import joined, run_on, sheets_of
+from scanloom.stages.simplification.kernel_input import as_result, kernel_input, require_colors
+from scanloom.stages.simplification.planar.details import PlanarDetails
+from scanloom.stages.simplification.planar.params import MAX_COLOR, PatchParams, PlanarParams
+from scanloom.stages.simplification.planar.patches import Patches
+from scanloom.stages.simplification.planar.tighter import Fewest, fewest_triangles
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.surface.convert import MeshLike, as_mesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import bounding_box
+from scanloom.stages.surface.sheets import Sheets
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import PatchKeywords
+    from scanloom.stages.params.keywords import PatchKeywords
 
 RESULT_VERSION = 3
 

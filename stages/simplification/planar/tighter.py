@@ -19,7 +19,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.progress import Progress
+from scanloom.stages.progress import Progress
 
 # Of the diagonal, by halves: 1 to 1e-6. Steps of four missed a fourteenth of what a room can lose.
 _HALVINGS = 20

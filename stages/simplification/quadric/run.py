@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from stages import _kernels
-from stages.progress import Progress
-from stages.simplification.color_weight import color_weight
-from stages.simplification.in_sheets import run_in_sheets
-from stages.simplification.kernel_input import Light, as_result, fitted, kernel_input
-from stages.simplification.quadric.details import QuadricDetails
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.reordered import run_reordered
-from stages.simplification.result import Simplified
-from stages.simplification.task import Task
+from scanloom.stages import _kernels
+from scanloom.stages.progress import Progress
+from scanloom.stages.simplification.color_weight import color_weight
+from scanloom.stages.simplification.in_sheets import run_in_sheets
+from scanloom.stages.simplification.kernel_input import Light, as_result, fitted, kernel_input
+from scanloom.stages.simplification.quadric.details import QuadricDetails
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.reordered import run_reordered
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.task import Task
 
 RESULT_VERSION = 2
 

@@ -14,13 +14,13 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_UNREADABLE
-from stages.files.opening import opened
-from stages.files.replacing import replacing
-from stages.files.room import require_room
-from stages.files.zip_archives import is_bounded
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_UNREADABLE
+from scanloom.stages.files.opening import opened
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.room import require_room
+from scanloom.stages.files.zip_archives import is_bounded
+from scanloom.stages.simplification.codes import SIMPLIFY_RECORD_INVALID
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.errors import InputError
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
-from stages.simplification.records.archive import Arrays, json_object, read_arrays
-from stages.simplification.records.record import FORMAT_VERSION, CollapseRecord
-from stages.simplification.records.sound import require_sound
-from stages.simplification.records.stored_mesh import mesh_of
-from stages.simplification.records.stored_wedges import wedges_of
-from stages.surface.mesh import validated
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from scanloom.stages.simplification.records.archive import Arrays, json_object, read_arrays
+from scanloom.stages.simplification.records.record import FORMAT_VERSION, CollapseRecord
+from scanloom.stages.simplification.records.sound import require_sound
+from scanloom.stages.simplification.records.stored_mesh import mesh_of
+from scanloom.stages.simplification.records.stored_wedges import wedges_of
+from scanloom.stages.surface.mesh import validated
 
 _NEEDED = ("mesh/vertices", "mesh/triangles", "removed", "survivor", "path", "lock")
 # What the arrays of a file can raise that are not those of a record.

@@ -16,27 +16,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.params import resolve
-from stages.printing import by_fields, table
-from stages.progress import silent
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
-from stages.simplification.corner_attributes import LightCorners
-from stages.simplification.kernel_input import Floats, Ids, Light, as_result, fitted, kernel_input
-from stages.simplification.records.archive import Arrays, write_arrays
-from stages.simplification.records.steps import After, Replayed, ReplayParams, Steps
-from stages.simplification.records.stored_mesh import stored_mesh
-from stages.simplification.records.stored_wedges import stored_wedges
-from stages.simplification.records.wedges import Wedges
-from stages.surface.color import attributes_of
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.params import resolve
+from scanloom.stages.printing import by_fields, table
+from scanloom.stages.progress import silent
+from scanloom.stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from scanloom.stages.simplification.corner_attributes import LightCorners
+from scanloom.stages.simplification.kernel_input import Floats, Ids, Light, as_result, fitted, kernel_input
+from scanloom.stages.simplification.records.archive import Arrays, write_arrays
+from scanloom.stages.simplification.records.steps import After, Replayed, ReplayParams, Steps
+from scanloom.stages.simplification.records.stored_mesh import stored_mesh
+from scanloom.stages.simplification.records.stored_wedges import stored_wedges
+from scanloom.stages.simplification.records.wedges import Wedges
+from scanloom.stages.surface.color import attributes_of
+from scanloom.stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from stages.params.keywords import ReplayKeywords
+    from scanloom.stages.params.keywords import ReplayKeywords
 
 
 FORMAT_VERSION = 2

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.simplification.codes import SIMPLIFY_RECORD_INVALID
-from stages.simplification.kernel_input import Ids
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.records.wedges import Wedges
-from stages.surface.color import attributes_of
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.simplification.codes import SIMPLIFY_RECORD_INVALID
+from scanloom.stages.simplification.kernel_input import Ids
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.records.wedges import Wedges
+from scanloom.stages.surface.color import attributes_of
 
 Shape = tuple[int, ...]
 

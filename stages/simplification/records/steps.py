@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
-from stages.diagnostics.diagnostic import Diagnostic, Where
-from stages.diagnostics.errors import UsageError
-from stages.params import check, param
-from stages.printing import by_fields, table
-from stages.simplification.codes import SIMPLIFY_RECORD_TOO_SHORT
-from stages.simplification.records.meetings import Meetings
-from stages.surface.mesh import Mesh, Triangles
-from stages.surface.topology import repeats_vertex
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import check, param
+from scanloom.stages.printing import by_fields, table
+from scanloom.stages.simplification.codes import SIMPLIFY_RECORD_TOO_SHORT
+from scanloom.stages.simplification.records.meetings import Meetings
+from scanloom.stages.surface.mesh import Mesh, Triangles
+from scanloom.stages.surface.topology import repeats_vertex
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.simplification.records.archive import Arrays
-from stages.surface.mesh import Mesh
-from stages.surface.texture import WRAPS, Image, Material, Texture
+from scanloom.stages.simplification.records.archive import Arrays
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import WRAPS, Image, Material, Texture
 
 
 def stored_mesh(mesh: Mesh) -> tuple[Arrays, dict[str, Any]]:

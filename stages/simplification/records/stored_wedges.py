@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from stages.simplification.corner_attributes import CornerAttributes
-from stages.simplification.records.archive import Arrays
-from stages.simplification.records.wedges import Wedges
+from scanloom.stages.simplification.corner_attributes import CornerAttributes
+from scanloom.stages.simplification.records.archive import Arrays
+from scanloom.stages.simplification.records.wedges import Wedges
 
 _OF_WEDGES = tuple(field.name for field in fields(Wedges) if field.name != "attributes")
 _OF_ATTRIBUTES = ("origin", "positions", "columns")

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.simplification.corner_attributes import CornerAttributes, Ids
-from stages.simplification.records.steps import roots
+from scanloom.stages.simplification.corner_attributes import CornerAttributes, Ids
+from scanloom.stages.simplification.records.steps import roots
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from stages.diagnostics.collector import emit
-from stages.printing import by_fields, table
-from stages.simplification.codes import SIMPLIFY_SEAM_DRIFT
-from stages.simplification.crowding import report_crowded_by_locks, report_crowded_by_topology
-from stages.simplification.result import Details, Simplified
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.printing import by_fields, table
+from scanloom.stages.simplification.codes import SIMPLIFY_SEAM_DRIFT
+from scanloom.stages.simplification.crowding import report_crowded_by_locks, report_crowded_by_topology
+from scanloom.stages.simplification.result import Details, Simplified
 
 # Shifts of the texture by more texels than this are visible next to a seam.
 _VISIBLE_DRIFT_TEXELS = 16

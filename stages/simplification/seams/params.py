@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.params import check, param
+from scanloom.stages.params import check, param
 
 # Share of the bounding box's diagonal within which vertices are one: what single precision leaves of it.
 SIMILAR_DISTANCE = 1e-6

@@ -7,30 +7,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.errors import MeshError
-from stages.simplification.codes import SIMPLIFY_COORDINATES_UNWEIGHABLE
-from stages.simplification.color_weight import color_weight
-from stages.simplification.corner_attributes import CornerAttributes, LightCorners
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.records.wedges import Wedges
-from stages.simplification.reordered import run_reordered
-from stages.simplification.result import Simplified
-from stages.simplification.seams.details import SeamsDetails
-from stages.simplification.seams.params import (
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.simplification.codes import SIMPLIFY_COORDINATES_UNWEIGHABLE
+from scanloom.stages.simplification.color_weight import color_weight
+from scanloom.stages.simplification.corner_attributes import CornerAttributes, LightCorners
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.records.wedges import Wedges
+from scanloom.stages.simplification.reordered import run_reordered
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.seams.details import SeamsDetails
+from scanloom.stages.simplification.seams.params import (
     ASSUMED_SIDE,
     MAX_SEAM_DRIFT_RATIO,
     SEAM_DRIFT_EDGES,
     SIMILAR_DISTANCE,
     SeamsParams,
 )
-from stages.simplification.seams.similar import joinable_sets
-from stages.simplification.task import Task
-from stages.surface.color import attributes_of
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import bounding_box
-from stages.surface.texture import Texture, signed_areas
-from stages.surface.topology import areas
+from scanloom.stages.simplification.seams.similar import joinable_sets
+from scanloom.stages.simplification.task import Task
+from scanloom.stages.surface.color import attributes_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import bounding_box
+from scanloom.stages.surface.texture import Texture, signed_areas
+from scanloom.stages.surface.topology import areas
 
 RESULT_VERSION = 6
 

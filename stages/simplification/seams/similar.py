@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.diagnostic import Where
-from stages.diagnostics.errors import UsageError
-from stages.surface.equal_positions import equal_positions, first_members, position_keys, rank_labels
-from stages.surface.mesh import Triangles, Vertices
-from stages.surface.sheets import taken_apart
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.diagnostic import Where
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.surface.equal_positions import equal_positions, first_members, position_keys, rank_labels
+from scanloom.stages.surface.mesh import Triangles, Vertices
+from scanloom.stages.surface.sheets import taken_apart
 
 # Pairs a vertex may have on average before `similar_distance` is taken for a mistake.
 _MOST_PAIRS = 64

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
-from stages.stereo.networks.process import NetworkProcesses
-from stages.stereo.networks.serving import TYPES
-from stages.stereo.networks.sidecar import DEPTH, NORMALISED, PX, STEREO, Sidecar, read_sidecar
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
+from scanloom.stages.stereo.networks.process import NetworkProcesses
+from scanloom.stages.stereo.networks.serving import TYPES
+from scanloom.stages.stereo.networks.sidecar import DEPTH, NORMALISED, PX, STEREO, Sidecar, read_sidecar
 
 RESULT_VERSION = 1
 
@@ -52,8 +52,9 @@ class Network:
 
     Parameters
     ----------
-    file : ONNX; see stages.stereo.networks.sidecar for what stands beside it.
-    memory, seconds : bytes and time that each of its processes may take; see stages.stereo.networks.process.
+    file : ONNX; see scanloom.stages.stereo.networks.sidecar for what stands beside it.
+    memory, seconds : bytes and time that each of its processes may take; see
+        scanloom.stages.stereo.networks.process.
     sidecar : in place of the one beside the file.
 
     Raises

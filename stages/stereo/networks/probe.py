@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.printing import by_figures, table
-from stages.progress import Progress, silent
-from stages.stereo.codes import DEPTH_NETWORK_UNIDENTIFIED
-from stages.stereo.networks.network import Network
-from stages.stereo.networks.process import NetworkProcesses
-from stages.stereo.networks.sidecar import INVERSE_DEPTH, MONOCULAR, NORMALISED, PX, STEREO, Sidecar
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.printing import by_figures, table
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.stereo.codes import DEPTH_NETWORK_UNIDENTIFIED
+from scanloom.stages.stereo.networks.network import Network
+from scanloom.stages.stereo.networks.process import NetworkProcesses
+from scanloom.stages.stereo.networks.sidecar import INVERSE_DEPTH, MONOCULAR, NORMALISED, PX, STEREO, Sidecar
 
 # Of ImageNet, RGB, as networks that began with its pictures want them.
 _IMAGENET = {"range": (0.0, 1.0), "mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}

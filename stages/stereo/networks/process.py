@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files.codes import FILE_PATH_INVALID
-from stages.files.own_process import started
-from stages.stereo.codes import DEPTH_NETWORK_UNUSABLE
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.codes import FILE_PATH_INVALID
+from scanloom.stages.files.own_process import started
+from scanloom.stages.stereo.codes import DEPTH_NETWORK_UNUSABLE
 
 Map = NDArray[np.float32]
 
@@ -109,7 +109,7 @@ class _Process:
     def __init__(self, file: Path, folder: str, memory: int, seconds: float) -> None:
         self._file, self._seconds = file, seconds
         words = [str(file.resolve()), folder, str(memory), str(seconds)]
-        self._child = started("stages.stereo.networks.serving", words)
+        self._child = started("scanloom.stages.stereo.networks.serving", words)
         try:
             self.told = self._answer(b"", ())[0]
         except BaseException:

@@ -1,4 +1,4 @@
-"""What runs in a process of its own to run a network; `stages.stereo.networks.process` talks to it.
+"""What runs in a process of its own to run a network; `scanloom.stages.stereo.networks.process` talks to it.
 
 onnxruntime takes files that come from anywhere: what crashes, hangs or fills memory ends there.
 """
@@ -18,10 +18,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.opening import content_of
-from stages.files.own_process import limit_memory
-from stages.stereo.codes import DEPTH_NETWORK_UNUSABLE
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.own_process import limit_memory
+from scanloom.stages.stereo.codes import DEPTH_NETWORK_UNUSABLE
 
 # Seconds after which nobody waits any more.
 _LATER = 5

@@ -29,10 +29,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.codes import USAGE_VALUE_INVALID
-from stages.diagnostics.errors import InputError
-from stages.files.documents import read_document
-from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
+from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.documents import read_document
+from scanloom.stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
 
 STEREO, MONOCULAR = "stereo", "monocular"
 PX, NORMALISED, DEPTH, INVERSE_DEPTH = "px", "normalised", "depth", "inverse_depth"

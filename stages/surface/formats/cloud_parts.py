@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.surface.codes import MESH_CLOUD_DAMAGED, MESH_LEFT_OUT
-from stages.surface.formats.colors import to_uint8
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface.codes import MESH_CLOUD_DAMAGED, MESH_LEFT_OUT
+from scanloom.stages.surface.formats.colors import to_uint8
+from scanloom.stages.surface.mesh import Mesh
 
 # Points at a time.
 PART = 1 << 20

@@ -1,15 +1,15 @@
-"""What runs in a process of its own to read a cloud; see `stages.files.own_process`."""
+"""What runs in a process of its own to read a cloud; see `scanloom.stages.files.own_process`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from stages.diagnostics.collector import collecting
-from stages.files.own_process import answer
-from stages.surface.formats.cloud_parts import Parts
-from stages.surface.formats.e57 import read_e57
-from stages.surface.formats.las import read_las
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.files.own_process import answer
+from scanloom.stages.surface.formats.cloud_parts import Parts
+from scanloom.stages.surface.formats.e57 import read_e57
+from scanloom.stages.surface.formats.las import read_las
 
 
 def main() -> None:

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.opening import opened, require_regular
-from stages.surface.codes import MESH_CLOUD_DAMAGED, MESH_LEFT_OUT
-from stages.surface.formats.cloud_parts import PART, Parts
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.opening import opened, require_regular
+from scanloom.stages.surface.codes import MESH_CLOUD_DAMAGED, MESH_LEFT_OUT
+from scanloom.stages.surface.formats.cloud_parts import PART, Parts
 
 _START = b"ASTM-E57"
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")

@@ -16,22 +16,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.diagnostic import Code
-from stages.diagnostics.errors import InputError
-from stages.surface.codes import (
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.diagnostic import Code
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface.codes import (
     MESH_COMPRESSION_UNKNOWN,
     MESH_FILE_DAMAGED,
     MESH_LEFT_OUT,
     MESH_TEXTURE_DAMAGED,
     MESH_VALUES_REPLACED,
 )
-from stages.surface.formats.colors import srgb_from_linear, to_uint8
-from stages.surface.formats.gltf_container import COMPRESSED, SCAN_FROM_WORLD, Gltf, Tree, read_container
-from stages.surface.formats.gltf_materials import MaterialReader, Placement
-from stages.surface.mesh import Mesh, validated
-from stages.surface.texture import Texture
-from stages.surface.welding import merge_vertices
+from scanloom.stages.surface.formats.colors import srgb_from_linear, to_uint8
+from scanloom.stages.surface.formats.gltf_container import (
+    COMPRESSED,
+    SCAN_FROM_WORLD,
+    Gltf,
+    Tree,
+    read_container,
+)
+from scanloom.stages.surface.formats.gltf_materials import MaterialReader, Placement
+from scanloom.stages.surface.mesh import Mesh, validated
+from scanloom.stages.surface.texture import Texture
+from scanloom.stages.surface.welding import merge_vertices
 
 # These write vertex colours as they are displayed, whatever the specification says.
 _DISPLAYED = ("https://github.com/mikedh/trimesh", "Open3D")

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.formats.gltf_container import Tree
-from stages.surface.formats.gltf_packing import PACKED, VERTICES, Lattice, packed
+from scanloom.stages.surface.formats.gltf_container import Tree
+from scanloom.stages.surface.formats.gltf_packing import PACKED, VERTICES, Lattice, packed
 
 
 class Buffer:

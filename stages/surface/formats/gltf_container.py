@@ -16,12 +16,12 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_UNREADABLE
-from stages.files.opening import content_of
-from stages.surface.codes import MESH_COMPANION_MISSING, MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED
-from stages.surface.formats.textures import beside
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_UNREADABLE
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED
+from scanloom.stages.surface.formats.textures import beside
 
 Tree = dict[str, Any]
 

@@ -15,14 +15,14 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import MeshError
-from stages.files.image_bytes import encoded_png, kind_of
-from stages.surface.codes import MESH_LEFT_OUT, MESH_TEXTURE_DAMAGED
-from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
-from stages.surface.formats.gltf_container import Gltf, Tree, data_of_uri, natural
-from stages.surface.formats.textures import read_texture
-from stages.surface.texture import Image, Material
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.files.image_bytes import encoded_png, kind_of
+from scanloom.stages.surface.codes import MESH_LEFT_OUT, MESH_TEXTURE_DAMAGED
+from scanloom.stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
+from scanloom.stages.surface.formats.gltf_container import Gltf, Tree, data_of_uri, natural
+from scanloom.stages.surface.formats.textures import read_texture
+from scanloom.stages.surface.texture import Image, Material
 
 _WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 _TRANSFORM = "KHR_texture_transform"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
+from scanloom.stages import _kernels
 
 # How a file is made small: not at all, in whole numbers, or in whole numbers that are packed.
 COMPRESSIONS = ("none", "quantize", "meshopt")

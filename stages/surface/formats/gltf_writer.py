@@ -18,15 +18,15 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import MeshError, StageError
-from stages.files.replacing import replacing
-from stages.surface.codes import MESH_FILE_TOO_LARGE
-from stages.surface.finite import LARGEST_SINGLE
-from stages.surface.formats.colors import linear_from_srgb
-from stages.surface.formats.gltf_buffer import Buffer
-from stages.surface.formats.gltf_container import SCAN_FROM_WORLD, Tree
-from stages.surface.formats.gltf_materials import MaterialWriter, has_images, multiplies_colors
-from stages.surface.formats.gltf_packing import (
+from scanloom.stages.diagnostics.errors import MeshError, StageError
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.surface.codes import MESH_FILE_TOO_LARGE
+from scanloom.stages.surface.finite import LARGEST_SINGLE
+from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages.surface.formats.gltf_buffer import Buffer
+from scanloom.stages.surface.formats.gltf_container import SCAN_FROM_WORLD, Tree
+from scanloom.stages.surface.formats.gltf_materials import MaterialWriter, has_images, multiplies_colors
+from scanloom.stages.surface.formats.gltf_packing import (
     INDICES,
     PACKED,
     QUANTIZED,
@@ -36,11 +36,11 @@ from stages.surface.formats.gltf_packing import (
     quantized_uvs,
     strips,
 )
-from stages.surface.formats.textures import write_images
-from stages.surface.mesh import Mesh, require_writable
-from stages.surface.texture import Image, Material
-from stages.surface.upright import turn_along_y
-from stages.surface.welding import same_rows
+from scanloom.stages.surface.formats.textures import write_images
+from scanloom.stages.surface.mesh import Mesh, require_writable
+from scanloom.stages.surface.texture import Image, Material
+from scanloom.stages.surface.upright import turn_along_y
+from scanloom.stages.surface.welding import same_rows
 
 _FLOAT, _SHORT, _INT, _BYTE, _SIGNED_BYTE = 5126, 5123, 5125, 5121, 5120
 _JSON, _BIN = 0x4E4F534A, 0x004E4942

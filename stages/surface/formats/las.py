@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.opening import opened
-from stages.surface.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.opening import opened
+from scanloom.stages.surface.codes import (
     MESH_CLOUD_DAMAGED,
     MESH_LEFT_OUT,
     MESH_POINTS_OUTSIDE,
     MESH_UNIT_NOT_METRES,
 )
-from stages.surface.formats.cloud_parts import PART, Parts
+from scanloom.stages.surface.formats.cloud_parts import PART, Parts
 
 # Of a header, with how many points there are as it has been told since version 1.4; and of a record that says
 # more about the file.

@@ -11,12 +11,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stages.diagnostics.collector import emit
-from stages.files.opening import content_of
-from stages.files.replacing import replacing
-from stages.surface.codes import MESH_COMPANION_MISSING, MESH_LEFT_OUT
-from stages.surface.formats.textures import beside, read_texture, write_images
-from stages.surface.texture import Image, Material
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_LEFT_OUT
+from scanloom.stages.surface.formats.textures import beside, read_texture, write_images
+from scanloom.stages.surface.texture import Image, Material
 
 # How many words follow each option of a map; -o, -s and -t take one to three numbers.
 _OPTION_WORDS = {

@@ -14,25 +14,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError, MeshError
-from stages.files.codes import FILE_UNREADABLE
-from stages.files.opening import content_of
-from stages.files.replacing import replacing
-from stages.files.text_numbers import parse_numbers, parse_whole_numbers
-from stages.surface.codes import (
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError, MeshError
+from scanloom.stages.files.codes import FILE_UNREADABLE
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.files.text_numbers import parse_numbers, parse_whole_numbers
+from scanloom.stages.surface.codes import (
     MESH_FILE_DAMAGED,
     MESH_LEFT_OUT,
     MESH_TEXTURE_DAMAGED,
     MESH_VALUES_REPLACED,
 )
-from stages.surface.formats.colors import to_uint8
-from stages.surface.formats.mtl import read_libraries, write_library
-from stages.surface.formats.obj_statements import NO_PART, Statements, sorted_statements, words_of_lines
-from stages.surface.formats.polygons import split_polygons
-from stages.surface.mesh import Mesh, require_writable, validated
-from stages.surface.texture import Material, Texture
-from stages.surface.welding import same_rows
+from scanloom.stages.surface.formats.colors import to_uint8
+from scanloom.stages.surface.formats.mtl import read_libraries, write_library
+from scanloom.stages.surface.formats.obj_statements import (
+    NO_PART,
+    Statements,
+    sorted_statements,
+    words_of_lines,
+)
+from scanloom.stages.surface.formats.polygons import split_polygons
+from scanloom.stages.surface.mesh import Mesh, require_writable, validated
+from scanloom.stages.surface.texture import Material, Texture
+from scanloom.stages.surface.welding import same_rows
 
 # What programs write for a material that is none.
 _NO_MATERIAL = ("None", "(null)")

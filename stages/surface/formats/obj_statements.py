@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.formats.mtl import text_of
+from scanloom.stages.surface.formats.mtl import text_of
 
 # What programs write for a group that is none.
 NO_PART = "default"

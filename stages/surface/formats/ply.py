@@ -12,26 +12,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError
-from stages.files.replacing import replacing
-from stages.surface.codes import (
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.surface.codes import (
     MESH_CONFIDENCE_LEFT_OUT,
     MESH_FILE_DAMAGED,
     MESH_LEFT_OUT,
     MESH_VALUES_REPLACED,
 )
-from stages.surface.formats.colors import to_uint8
-from stages.surface.formats.ply_format import Header, Lists, Table, read_tables
-from stages.surface.formats.ply_texture import (
+from scanloom.stages.surface.formats.colors import to_uint8
+from scanloom.stages.surface.formats.ply_format import Header, Lists, Table, read_tables
+from scanloom.stages.surface.formats.ply_texture import (
     part_comments,
     read_corner_normals,
     read_parts,
     read_texture_of_ply,
     texture_comments,
 )
-from stages.surface.formats.polygons import split_polygons
-from stages.surface.mesh import Mesh, require_writable, validated
+from scanloom.stages.surface.formats.polygons import split_polygons
+from scanloom.stages.surface.mesh import Mesh, require_writable, validated
 
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 # Told of elsewhere, or used: by element, what it is called and its properties.

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import FILE_UNREADABLE
-from stages.files.opening import content_of, opened
-from stages.files.text_numbers import parse_numbers
-from stages.surface.codes import MESH_FILE_DAMAGED
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import FILE_UNREADABLE
+from scanloom.stages.files.opening import content_of, opened
+from scanloom.stages.files.text_numbers import parse_numbers
+from scanloom.stages.surface.codes import MESH_FILE_DAMAGED
 
 # Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
 _LONGEST_HEADER = 1 << 20

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.surface.codes import MESH_TEXTURE_DAMAGED
-from stages.surface.formats.ply_format import Header, Lists, Table
-from stages.surface.formats.textures import read_texture, write_images
-from stages.surface.texture import WRAPS, Image, Material, Texture
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.surface.codes import MESH_TEXTURE_DAMAGED
+from scanloom.stages.surface.formats.ply_format import Header, Lists, Table
+from scanloom.stages.surface.formats.textures import read_texture, write_images
+from scanloom.stages.surface.texture import WRAPS, Image, Material, Texture
 
 _IMAGE = "TextureFile"
 _MATERIAL = "Material"

@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Location
-from stages.surface.codes import MESH_LEFT_OUT, MESH_POLYGONS_NOT_SIMPLE, MESH_POLYGONS_SPLIT
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Location
+from scanloom.stages.surface.codes import MESH_LEFT_OUT, MESH_POLYGONS_NOT_SIMPLE, MESH_POLYGONS_SPLIT
 
 # Below this share of the polygon's area a triangle counts as flat, and areas count as equal.
 _NO_AREA = 1e-10

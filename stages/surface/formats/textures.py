@@ -7,12 +7,12 @@ import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from stages.diagnostics.collector import emit
-from stages.files.image_bytes import kind_of
-from stages.files.opening import content_of
-from stages.files.replacing import replacing
-from stages.surface.codes import MESH_COMPANION_MISSING, MESH_TEXTURE_DAMAGED
-from stages.surface.texture import Image
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files.image_bytes import kind_of
+from scanloom.stages.files.opening import content_of
+from scanloom.stages.files.replacing import replacing
+from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_TEXTURE_DAMAGED
+from scanloom.stages.surface.texture import Image
 
 # Bytes that file systems take; some are for what is put before or after.
 _LONGEST_NAME = 255

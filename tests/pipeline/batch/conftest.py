@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from small_scans import write_small_scan
 
-from pipeline.batch.queue import Queue, Settings, jobs_of, new_queue
+from scanloom.pipeline.batch.queue import Queue, Settings, jobs_of, new_queue
 
 
 @pytest.fixture(scope="session")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pipeline.batch.admission import Admission, Needs
-from pipeline.batch.sizing import jobs_at_once
+from scanloom.pipeline.batch.admission import Admission, Needs
+from scanloom.pipeline.batch.sizing import jobs_at_once
 
 
 def admitted(admission: Admission[str]) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
+from scanloom.pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
 
 
 def _take(folder: Path, worker: str, count: int, taken: multiprocessing.Queue) -> None:  # type: ignore[type-arg]

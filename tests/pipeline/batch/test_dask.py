@@ -18,12 +18,12 @@ import pytest
 from hanging import hang, hanging_environment
 from small_scans import write_small_scans
 
-from pipeline.batch.dask import work_by_dask
-from pipeline.batch.queue import Job, Settings, new_queue, standing_queue
-from pipeline.batch.records import Records
-from pipeline.config import Config
-from pipeline.run.run import run
-from stages.diagnostics.errors import InputError, UsageError
+from scanloom.pipeline.batch.dask import work_by_dask
+from scanloom.pipeline.batch.queue import Job, Settings, new_queue, standing_queue
+from scanloom.pipeline.batch.records import Records
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.errors import InputError, UsageError
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow
@@ -65,7 +65,7 @@ def worker_at_work(hook: Path, deadline: float) -> int:
     while time.monotonic() < deadline:
         for folder in Path("/proc").glob("[0-9]*"):
             try:
-                is_job = b"pipeline.batch.one" in (folder / "cmdline").read_bytes()
+                is_job = b"scanloom.pipeline.batch.one" in (folder / "cmdline").read_bytes()
                 # Other tests have jobs, too.
                 is_job = is_job and bytes(hook) in (folder / "environ").read_bytes()
                 parent = re.search(r"PPid:\s*(\d+)", (folder / "status").read_text())
@@ -95,7 +95,7 @@ def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
     (scans / "scan-0003" / "scan.json").write_text("{")
     # Others tell something sooner, however busy the machine is.
     words = (*WORDS, "--timeout", 20, "--scheduler", scheduler)
-    batch = started("cli.app", "batch", scans, "-o", out, *words)
+    batch = started("scanloom.cli.app", "batch", scans, "-o", out, *words)
     killed = worker_at_work(hung.parent, time.monotonic() + 240)
     os.kill(killed, signal.SIGKILL)
     said, _ = batch.communicate(timeout=240)
@@ -127,7 +127,7 @@ def test_a_scheduler_that_is_gone_is_told(tmp_path: Path):
     words = (*WORDS, "--scheduler", f"tcp://127.0.0.1:{port}")
     while scheduler.poll() is None and not _answers(port):
         time.sleep(0.05)
-    batch = started("cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words)
+    batch = started("scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words)
     assert scheduler.stdout is not None
     # It waits for a worker; there is none.
     while "Receive client connection" not in scheduler.stdout.readline():
@@ -189,7 +189,7 @@ def test_workers_are_started_by_slurm_and_others_where_their_time_is_over(
 ):
     scans, out = write_small_scans(tmp_path / "scans", 3), tmp_path / "out"
     words = (*WORDS, "--scheduler", "slurm", "--jobs", 1)
-    batch = started("cli.app", "batch", scans, "-o", out, *words, **slurm, PYTHONFAULTHANDLER="1")
+    batch = started("scanloom.cli.app", "batch", scans, "-o", out, *words, **slurm, PYTHONFAULTHANDLER="1")
     while batch.poll() is None and not (out / "scan-0000" / "clean.ply").is_file():
         time.sleep(0.05)
     (worker,) = workers_started(tmp_path / "log")
@@ -208,7 +208,7 @@ def test_what_slurm_refuses_is_said_in_one_sentence(slurm: dict[str, str], tmp_p
     (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho no such partition >&2\nexit 1\n")
     write_small_scans(tmp_path / "scans", 1)
     words = (*WORDS, "--scheduler", "slurm", "--jobs", 2)
-    batch = started("cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words, **slurm)
+    batch = started("scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words, **slurm)
     said, _ = batch.communicate(timeout=240)
     assert batch.returncode == 3, said
     assert re.fullmatch(r"scanloom: workers cannot be started by slurm: .* no such partition; .*\n", said)
@@ -217,18 +217,18 @@ def test_what_slurm_refuses_is_said_in_one_sentence(slurm: dict[str, str], tmp_p
 NO_WORKER = """
 import sys
 from pathlib import Path
-import pipeline.batch.dask
-from pipeline.batch.queue import Job, Settings, new_queue
-from pipeline.batch.told import Noted
+import scanloom.pipeline.batch.dask
+from scanloom.pipeline.batch.queue import Job, Settings, new_queue
+from scanloom.pipeline.batch.told import Noted
 
 def tell(told):
     print(told.text, flush=True)
     if "no worker" in told.text:
         raise InterruptedError
 
-pipeline.batch.dask._LOOK = 0.2
+scanloom.pipeline.batch.dask._LOOK = 0.2
 queue = new_queue(Path(sys.argv[1]), 1, Settings(""), [Job(0, "x", "x")])
-pipeline.batch.dask.work_by_dask(queue, "slurm", workers=1, tell=tell)
+scanloom.pipeline.batch.dask.work_by_dask(queue, "slurm", workers=1, tell=tell)
 """
 
 
@@ -244,9 +244,9 @@ def test_scans_that_wait_for_a_worker_are_told(slurm: dict[str, str], tmp_path: 
 CTRL_C = """
 import signal, sys
 from pathlib import Path
-from pipeline.batch.dask import work_by_dask
-from pipeline.batch.queue import Job, Settings, new_queue
-from stages.diagnostics.errors import InputError
+from scanloom.pipeline.batch.dask import work_by_dask
+from scanloom.pipeline.batch.queue import Job, Settings, new_queue
+from scanloom.stages.diagnostics.errors import InputError
 
 queue = new_queue(Path(sys.argv[1]), 1, Settings(""), [Job(0, "x", "x")])
 try:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from small_scans import write_small_scan
 
-from pipeline.batch.finding import find_scans
-from stages.diagnostics.errors import InputError
+from scanloom.pipeline.batch.finding import find_scans
+from scanloom.stages.diagnostics.errors import InputError
 
 
 @pytest.fixture

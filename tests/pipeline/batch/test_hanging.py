@@ -18,17 +18,17 @@ from queue import SimpleQueue
 import pytest
 from hanging import hang, hanging_environment
 
-from pipeline.batch.claims import Claim, Claims
-from pipeline.batch.process import Process
-from pipeline.batch.queue import Job, Queue, new_queue
-from pipeline.batch.records import DONE, FAILED, UNUSABLE, Records
-from pipeline.batch.slot import Work
-from pipeline.batch.summary import summary_of
-from pipeline.batch.told import JobAt, JobEnded, Noted, Told
-from pipeline.batch.worker import Worker
-from pipeline.config import Config
-from pipeline.run.run import run
-from stages.diagnostics.errors import StageError
+from scanloom.pipeline.batch.claims import Claim, Claims
+from scanloom.pipeline.batch.process import Process
+from scanloom.pipeline.batch.queue import Job, Queue, new_queue
+from scanloom.pipeline.batch.records import DONE, FAILED, UNUSABLE, Records
+from scanloom.pipeline.batch.slot import Work
+from scanloom.pipeline.batch.summary import summary_of
+from scanloom.pipeline.batch.told import JobAt, JobEnded, Noted, Told
+from scanloom.pipeline.batch.worker import Worker
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.errors import StageError
 
 Begin = Callable[..., Queue]
 # Nothing that does not hang is silent for so long, however busy the machine is.
@@ -91,7 +91,7 @@ def test_a_process_that_the_system_cannot_end_is_left_alone(tmp_path: Path, monk
     os.kill(process._process.pid, signal.SIGSTOP)
     with monkeypatch.context() as patched:
         # As where it waits for a drive: the signal is taken note of, and nothing follows.
-        patched.setattr("pipeline.batch.process._PATIENCE", 0.05)
+        patched.setattr("scanloom.pipeline.batch.process._PATIENCE", 0.05)
         patched.setattr("os.killpg", lambda *_: None)
         assert not process.kill()
         process.end()
@@ -100,7 +100,7 @@ def test_a_process_that_the_system_cannot_end_is_left_alone(tmp_path: Path, monk
 
 @pytest.fixture
 def _long_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.batch.worker._LONGEST_TURN", math.inf)
+    monkeypatch.setattr("scanloom.pipeline.batch.worker._LONGEST_TURN", math.inf)
 
 
 @pytest.mark.slow
@@ -162,7 +162,17 @@ def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
     small_scans: Path, queue_of: Begin, tmp_path: Path
 ):
     queue = queue_of(small_scans, until="clean", take_over_after=2.0)
-    words = [sys.executable, "-m", "cli.app", "worker", str(queue.out), "--jobs", "1", "--threads", "1"]
+    words = [
+        sys.executable,
+        "-m",
+        "scanloom.cli.app",
+        "worker",
+        str(queue.out),
+        "--jobs",
+        "1",
+        "--threads",
+        "1",
+    ]
     claims = Claims(queue.folder / "claims", "")
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as first:
         # In the middle of a job, with all that the job has locked.

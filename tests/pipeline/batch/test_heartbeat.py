@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch.heartbeat import Heartbeat, Watch
+from scanloom.pipeline.batch.heartbeat import Heartbeat, Watch
 
 
 class Clock:

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch import outputs
-from pipeline.batch.outputs import require_replaceable, withdraw_outputs, write_outputs
-from pipeline.batch.records import DONE, FAILED, RUNNING, UNUSABLE, WAITING, Record
-from pipeline.batch.summary import COLUMNS, Summary, csv_of, parquet_of
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import InputError
+from scanloom.pipeline.batch import outputs
+from scanloom.pipeline.batch.outputs import require_replaceable, withdraw_outputs, write_outputs
+from scanloom.pipeline.batch.records import DONE, FAILED, RUNNING, UNUSABLE, WAITING, Record
+from scanloom.pipeline.batch.summary import COLUMNS, Summary, csv_of, parquet_of
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import InputError
 
 FIGURES = {
     "layout": "tum",

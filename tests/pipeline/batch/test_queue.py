@@ -8,9 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch import queue as queues
-from pipeline.batch.queue import Job, Queue, Settings, jobs_of, latest_number, new_queue, standing_queue
-from stages.diagnostics.errors import InputError, StageError
+from scanloom.pipeline.batch import queue as queues
+from scanloom.pipeline.batch.queue import (
+    Job,
+    Queue,
+    Settings,
+    jobs_of,
+    latest_number,
+    new_queue,
+    standing_queue,
+)
+from scanloom.stages.diagnostics.errors import InputError, StageError
 
 SETTINGS = Settings(config="[fuse]\n", until="clean", force=("fuse",), cache="cache")
 JOBS = tuple(Job(k, f"../scans/{k}", f"floor/{k}") for k in range(5))

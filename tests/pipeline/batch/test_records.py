@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch.claims import Claim
-from pipeline.batch.records import DONE, FAILED, Record, Records
-from stages.diagnostics.codes import MACHINE_BUG
+from scanloom.pipeline.batch.claims import Claim
+from scanloom.pipeline.batch.records import DONE, FAILED, Record, Records
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
 
 ODD = MACHINE_BUG.warning("odd: {count}", "a.png", remedy="look", count=3).within(stage="fuse")
 

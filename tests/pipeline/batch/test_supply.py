@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
-from pipeline.batch.heartbeat import Watch
-from pipeline.batch.queue import Job, Queue, Settings, new_queue
-from pipeline.batch.records import DONE, FAILED, Record, Records
-from pipeline.batch.supply import Supply
+from scanloom.pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
+from scanloom.pipeline.batch.heartbeat import Watch
+from scanloom.pipeline.batch.queue import Job, Queue, Settings, new_queue
+from scanloom.pipeline.batch.records import DONE, FAILED, Record, Records
+from scanloom.pipeline.batch.supply import Supply
 
 
 class Clock:

@@ -16,15 +16,15 @@ from typing import Any
 
 import pytest
 
-from pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
-from pipeline.batch.queue import Queue
-from pipeline.batch.records import DONE, FAILED, UNUSABLE, Record, Records
-from pipeline.batch.summary import summary_of
-from pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Told
-from pipeline.batch.worker import Worker
-from pipeline.config import Config
-from pipeline.run.run import run
-from stages.diagnostics.errors import StageError
+from scanloom.pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
+from scanloom.pipeline.batch.queue import Queue
+from scanloom.pipeline.batch.records import DONE, FAILED, UNUSABLE, Record, Records
+from scanloom.pipeline.batch.summary import summary_of
+from scanloom.pipeline.batch.told import Counted, JobAt, JobBegun, JobEnded, Told
+from scanloom.pipeline.batch.worker import Worker
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.errors import StageError
 
 pytestmark = pytest.mark.slow
 Begin = Callable[..., Queue]
@@ -76,7 +76,7 @@ def test_a_scan_that_vanishes_meanwhile_is_told(small_scans: Path, queue_of: Beg
 
 
 def test_a_damaged_line_is_a_job_that_failed(small_scans: Path, queue_of: Begin):
-    from pipeline.batch.queue import standing_queue
+    from scanloom.pipeline.batch.queue import standing_queue
 
     queue = queue_of(small_scans)
     path = queue.folder / "jobs.jsonl"
@@ -183,7 +183,18 @@ def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin
     for number in range(4):
         run(small_scans / f"scan-{number}", quiet / f"scan-{number}", Config(), until="clean")
     queue = queue_of(small_scans, until="clean", take_over_after=1.0)
-    words = [sys.executable, "-m", "cli.app", "worker", str(queue.out), "--jobs", "1", "--threads", "1", "-q"]
+    words = [
+        sys.executable,
+        "-m",
+        "scanloom.cli.app",
+        "worker",
+        str(queue.out),
+        "--jobs",
+        "1",
+        "--threads",
+        "1",
+        "-q",
+    ]
 
     def started() -> subprocess.Popen[bytes]:
         return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from stages import Frame, adjust, read_scan
-from stages.adjusting.cameras import motion, motion_apart, steps_of
-from stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
-from stages.adjusting.key_frames import key_frames
-from stages.scans.model.images import read_color, read_depth
+from scanloom import Frame, adjust, read_scan
+from scanloom.stages.adjusting.cameras import motion, motion_apart, steps_of
+from scanloom.stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
+from scanloom.stages.adjusting.key_frames import key_frames
+from scanloom.stages.scans.model.images import read_color, read_depth
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 
@@ -155,7 +155,7 @@ def test_turns_that_are_asked_for_are_next_to_none_where_rows_were_read_at_once(
 
 @pytest.mark.slow
 def test_frames_between_key_frames_turn_too(frames, monkeypatch):
-    monkeypatch.setattr("stages.adjusting.adjust._MOST_KEYS", 8)
+    monkeypatch.setattr("scanloom.stages.adjusting.adjust._MOST_KEYS", 8)
     made, turns = rolling(frames[:14], 1.0)
     found = adjust(jittered(made, 0.004, 0.2))
     assert found.key_frames == 8
@@ -203,7 +203,7 @@ def test_it_finds_the_same_every_time(frames):
 
 @pytest.mark.slow
 def test_frames_between_key_frames_are_placed_too(frames, monkeypatch):
-    monkeypatch.setattr("stages.adjusting.adjust._MOST_KEYS", 8)
+    monkeypatch.setattr("scanloom.stages.adjusting.adjust._MOST_KEYS", 8)
     some = frames[:14]
     disturbed = jittered(some, 0.006, 0.3)
     found = adjust(disturbed)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.adjusting.lens import derivatives, project, rays
+from scanloom.stages.adjusting.lens import derivatives, project, rays
 
 LENSES = {
     "a pinhole": (500.0, 505.0, 318.0, 243.0, 0, 0, 0, 0, 0),

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from stages import Frame, adjust, inspect, read_scan
-from stages.adjusting.offset import Offset, offset, sights
-from stages.adjusting.view import color_camera, place_of_color
-from stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED
-from stages.scans.model.images import read_color, read_depth
+from scanloom import Frame, adjust, inspect, read_scan
+from scanloom.stages.adjusting.offset import Offset, offset, sights
+from scanloom.stages.adjusting.view import color_camera, place_of_color
+from scanloom.stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED
+from scanloom.stages.scans.model.images import read_color, read_depth
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 

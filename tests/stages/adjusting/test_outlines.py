@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.adjusting.outlines import outlines
+from scanloom.stages.adjusting.outlines import outlines
 
 LEFT, TOP, RIGHT, BOTTOM = 60, 40, 119, 99
 

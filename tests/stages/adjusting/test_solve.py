@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from views_of_a_wall import Made, made
 
-from stages.adjusting.anchor import Anchor, anchor_of, off_anchor
-from stages.adjusting.bundle import Measured, solved
-from stages.adjusting.cameras import FREE, Cameras, motion, motion_apart, steps_of
-from stages.adjusting.lifting import lifted
-from stages.adjusting.problem import Frees, Problem, State
-from stages.adjusting.resection import resected
-from stages.adjusting.surfaces import Surfaces
+from scanloom.stages.adjusting.anchor import Anchor, anchor_of, off_anchor
+from scanloom.stages.adjusting.bundle import Measured, solved
+from scanloom.stages.adjusting.cameras import FREE, Cameras, motion, motion_apart, steps_of
+from scanloom.stages.adjusting.lifting import lifted
+from scanloom.stages.adjusting.problem import Frees, Problem, State
+from scanloom.stages.adjusting.resection import resected
+from scanloom.stages.adjusting.surfaces import Surfaces
 
 PRIOR = np.array([0.02] * 3 + [np.radians(0.6)] * 3)
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from stages.adjusting.matching import Matches
-from stages.adjusting.tracks import tracks
-from stages.adjusting.view import View
+from scanloom.stages.adjusting.matching import Matches
+from scanloom.stages.adjusting.tracks import tracks
+from scanloom.stages.adjusting.view import View
 
 
 def views(count: int, points: int = 5) -> list[View]:

@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import stages
-from stages import Mesh, UsageError, check, to_open3d_legacy
-from stages.cleaning.check import CLASSES, PAPERS_CORNER_ANGLE, REQUIREMENTS
-from stages.surface.mesh_files import read_mesh
+from scanloom import Mesh, UsageError, check, stages, to_open3d_legacy
+from scanloom.stages.cleaning.check import CLASSES, PAPERS_CORNER_ANGLE, REQUIREMENTS
+from scanloom.stages.surface.mesh_files import read_mesh
 from tests.made.coloured_meshes import ball, sheet
 
 

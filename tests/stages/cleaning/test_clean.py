@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.cleaning.clean import clean
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.surface.convert import to_open3d, to_trimesh
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.texture import Image, Material, Texture
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.surface.convert import to_open3d, to_trimesh
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.texture import Image, Material, Texture
+from scanloom.stages.surface.topology import topology
 
 MATERIALS = (Material("wood"), Material("stone", Image(given=np.ones((2, 2, 3), np.uint8))))
 

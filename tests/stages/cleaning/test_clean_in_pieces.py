@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from sample_in_pieces import small_pieces
 
-from stages.cleaning.clean import CleanParams, clean
-from stages.cleaning.clean_in_pieces import clean_in_pieces
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.pieces import Pieces
+from scanloom.stages.cleaning.clean import CleanParams, clean
+from scanloom.stages.cleaning.clean_in_pieces import clean_in_pieces
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.surface.formats.ply import read_ply, write_ply
+from scanloom.stages.surface.pieces import Pieces
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stages import Mesh, MeshError, Repaired, UsageError, check, clean, repair
-from stages.cleaning.check import CLASSES
-from stages.cleaning.repairs.edited import GONE, Edited
-from stages.surface.mesh_files import read_mesh
-from stages.surface.texture import Image, Material, Texture
+from scanloom import Mesh, MeshError, Repaired, UsageError, check, clean, repair
+from scanloom.stages.cleaning.check import CLASSES
+from scanloom.stages.cleaning.repairs.edited import GONE, Edited
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.texture import Image, Material, Texture
 from tests.made.coloured_meshes import MESHES, ball, sheet
 
 PLANTS = ("cap", "needle", "fold", "flat", "repeating", "duplicate")

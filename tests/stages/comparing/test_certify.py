@@ -7,14 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from real_parts import quarter
 
-from stages.cleaning.clean import clean
-from stages.comparing.certify import CertifyParams, certify
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Located, Surface, bounding_box, closest_weights, interpolated
-from stages.surface.topology import areas
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.certify import CertifyParams, certify
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Located, Surface, bounding_box, closest_weights, interpolated
+from scanloom.stages.surface.topology import areas
 
 pytestmark = pytest.mark.slow
 

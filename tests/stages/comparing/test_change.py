@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from stages import Mesh, MeshError, UsageError, changes
+from scanloom import Mesh, MeshError, UsageError, changes
 
 
 def place(*boxes: tuple[float, float, float], step: float = 0.05) -> Mesh:
@@ -68,7 +68,7 @@ def test_what_moved_by_less_than_itself_is_both():
 
 
 def test_a_place_is_found_in_a_simplified_mesh_as_well():
-    from stages import simplify
+    from scanloom import simplify
 
     before, after = place((1, 1, 0)), place((1, 1, 0), (3, 1, 0))
     light = simplify(after, ratio=0.3).mesh

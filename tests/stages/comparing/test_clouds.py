@@ -10,8 +10,8 @@ from coloured_sheet import bumpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages import Mesh, align, changes, compare, deviations
-from stages.diagnostics.errors import InputError, MeshError
+from scanloom import Mesh, align, changes, compare, deviations
+from scanloom.stages.diagnostics.errors import InputError, MeshError
 
 Floats = np.ndarray
 SEEDS = st.integers(0, 10_000)

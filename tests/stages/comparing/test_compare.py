@@ -7,10 +7,10 @@ import trimesh
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from stages.comparing.compare import CompareParams, compare
-from stages.diagnostics.errors import InputError, UsageError
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.comparing.compare import CompareParams, compare
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 
 def grid(n: int = 9, width: float = 1.0, height: float = 0.0, color=None) -> Mesh:

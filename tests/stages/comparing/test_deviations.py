@@ -9,13 +9,13 @@ from coloured_sheet import bumpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages import Mesh, align, deviations
-from stages._open3d import open3d
-from stages.comparing.needles import WithNeedles
-from stages.comparing.palette import PALETTES, colors_of
-from stages.comparing.signed import Sides
-from stages.diagnostics.errors import InputError, UsageError
-from stages.surface.raycasting import Surface, bounding_box
+from scanloom import Mesh, align, deviations
+from scanloom.stages._open3d import open3d
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.comparing.palette import PALETTES, colors_of
+from scanloom.stages.comparing.signed import Sides
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.surface.raycasting import Surface, bounding_box
 
 
 def mesh_of(made: trimesh.Trimesh, color: tuple[int, int, int] | None = None) -> Mesh:

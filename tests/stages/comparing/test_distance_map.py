@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from coloured_meshes import sheet
 
-from stages.comparing.distance_map import distance_map
-from stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.comparing.distance_map import distance_map
+from scanloom.stages.surface.raycasting import Surface, bounding_box
 
 
 def brightness(mesh):

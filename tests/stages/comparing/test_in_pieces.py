@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.comparing import in_pieces
-from stages.comparing.compare import CompareParams, compare
-from stages.comparing.deviations import DeviationParams, deviations
-from stages.comparing.in_pieces import compare_in_pieces
-from stages.comparing.measurable import box_of
-from stages.comparing.needles import WithNeedles
-from stages.simplification.simplify import simplify
-from stages.surface import pieces
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Extent, Pieces, Written
-from stages.surface.piecewise import Piecewise
-from stages.surface.raycasting import Floats
+from scanloom.stages.comparing import in_pieces
+from scanloom.stages.comparing.compare import CompareParams, compare
+from scanloom.stages.comparing.deviations import DeviationParams, deviations
+from scanloom.stages.comparing.in_pieces import compare_in_pieces
+from scanloom.stages.comparing.measurable import box_of
+from scanloom.stages.comparing.needles import WithNeedles
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface import pieces
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Extent, Pieces, Written
+from scanloom.stages.surface.piecewise import Piecewise
+from scanloom.stages.surface.raycasting import Floats
 
 PARAMS = CompareParams(samples=20_000)
 SIGNED = DeviationParams(signed_samples=5_000)

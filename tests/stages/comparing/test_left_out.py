@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from photographed import paint, photo, photos, pose, wall
 
-from stages.comparing import left_out as left_out_module
-from stages.comparing.left_out import left_out
-from stages.surface.mesh import Mesh
-from stages.texturing.texture import texture
+from scanloom.stages.comparing import left_out as left_out_module
+from scanloom.stages.comparing.left_out import left_out
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.texturing.texture import texture
 
 
 @pytest.fixture(scope="module")

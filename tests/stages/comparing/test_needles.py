@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages import Mesh, compare
+from scanloom import Mesh, compare
 
 
 def _fan(height: float, count: int = 24) -> Mesh:

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from photographed import CAMERA, paint, photo, pose, wall
 
-from stages.comparing.placing import poses_of
-from stages.scans.model.scan import Camera, pinhole
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.comparing.placing import poses_of
+from scanloom.stages.scans.model.scan import Camera, pinhole
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 # What a pixel shows of the wall from the distance of `pose`, metres.
 PIXEL = 0.8 / CAMERA.fx

@@ -10,13 +10,13 @@ import pytest
 from browsers import PAGE, node
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
-from stages import Image, Material, export, preset, read_mesh
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import UsageError
-from stages.exporting.export import AXES, GLTF, SUFFIXES, Exported, require_fitting
-from stages.exporting.presets import PRESETS
-from stages.surface.formats.gltf_container import read_container
-from stages.surface.formats.gltf_packing import COMPRESSIONS
+from scanloom import Image, Material, export, preset, read_mesh
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.exporting.export import AXES, GLTF, SUFFIXES, Exported, require_fitting
+from scanloom.stages.exporting.presets import PRESETS
+from scanloom.stages.surface.formats.gltf_container import read_container
+from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS
 
 VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
 

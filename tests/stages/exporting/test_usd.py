@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
-from stages import export
-from stages.surface.formats.colors import linear_from_srgb
+from scanloom import export
+from scanloom.stages.surface.formats.colors import linear_from_srgb
 
 pxr = pytest.importorskip("pxr")
 

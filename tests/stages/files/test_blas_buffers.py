@@ -8,7 +8,7 @@ import pytest
 
 LACKING = """
 import numpy
-from stages.files import blas_buffers
+from scanloom.stages.files import blas_buffers
 from tests.made.short_of_memory import limit
 limit(30 << 20)
 try:

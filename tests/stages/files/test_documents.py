@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import Config
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files import documents
-from stages.files.documents import read_document, read_json
-from stages.files.row_numbers import numbers_on
-from stages.scans.image_folders.image_files import numbers
+from scanloom.pipeline.config import Config
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files import documents
+from scanloom.stages.files.documents import read_document, read_json
+from scanloom.stages.files.row_numbers import numbers_on
+from scanloom.stages.scans.image_folders.image_files import numbers
 
 MANY = 100_000
 DEEP = {

@@ -5,11 +5,11 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.files.exr import exr_size, read_exr
-from stages.files.images import image_size
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.exr import exr_size, read_exr
+from scanloom.stages.files.images import image_size
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 DEPTH = np.random.default_rng(0).uniform(0.5, 4, (24, 32)).astype(np.float32)
 METHODS = ("NO", "RLE", "ZIPS", "ZIP", "PIZ")

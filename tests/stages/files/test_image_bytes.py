@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from stages.diagnostics.errors import InputError
-from stages.files.image_bytes import decoded_image, encoded_png, promised_size
-from stages.files.images import image_size, read_stored
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.image_bytes import decoded_image, encoded_png, promised_size
+from scanloom.stages.files.images import image_size, read_stored
 
 SMALL = np.full((3, 5, 3), 7, np.uint8)
 

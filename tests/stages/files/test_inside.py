@@ -2,8 +2,8 @@
 
 import pytest
 
-from stages.files import inside
-from stages.files.inside import leads_inside
+from scanloom.stages.files import inside
+from scanloom.stages.files.inside import leads_inside
 
 INSIDE = ["a", "a/b.png", "./a", "a..b", "a b", "ä/ö.png"]
 OUTSIDE = ["", ".", "/", "/etc/passwd", "..", "a/../../b", "../a", "a\0b", "//host/a"]

@@ -9,13 +9,13 @@ import pytest
 from coloured_meshes import ball
 from seamed_meshes import wrapped_ball
 
-from pipeline.cache.files import copy_whole, remove_abandoned, write_whole
-from stages.files.replacing import draft_of, replacing
-from stages.normal_meshes.remesh import remesh
-from stages.picturing.render import write_png
-from stages.simplification.records.archive import write_arrays
-from stages.surface.formats.ply import write_ply_cloud
-from stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.pipeline.cache.files import copy_whole, remove_abandoned, write_whole
+from scanloom.stages.files.replacing import draft_of, replacing
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.picturing.render import write_png
+from scanloom.stages.simplification.records.archive import write_arrays
+from scanloom.stages.surface.formats.ply import write_ply_cloud
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 
 LENGTHS = (240, 241, 251, 255)
 

@@ -4,8 +4,8 @@ import lzfse
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.files.lzfse_blocks import decompress, raw_size
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.lzfse_blocks import decompress, raw_size
 
 RNG = np.random.default_rng(0)
 

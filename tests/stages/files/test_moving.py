@@ -9,8 +9,8 @@ from typing import NoReturn
 
 import pytest
 
-from stages.files import moving
-from stages.files.moving import move
+from scanloom.stages.files import moving
+from scanloom.stages.files.moving import move
 
 
 @pytest.fixture(params=["here", "as Windows is moved on"])

@@ -15,24 +15,24 @@ import pytest
 from coloured_meshes import ball
 from seamed_meshes import wrapped_ball
 
-from pipeline.cache.digest import file_digest
-from pipeline.config import Config
-from stages.diagnostics.errors import InputError, UsageError
-from stages.files import documents, images
-from stages.files.exr import exr_size, read_exr
-from stages.files.opening import content_of, opened, require_regular, text_in
-from stages.files.zip_archives import opened_archive
-from stages.normal_meshes.normal_mesh import decode
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.layouts.colmap import model_files as colmap
-from stages.scans.model.video import Video
-from stages.scans.read import read_scan
-from stages.scans.recordings import sens
-from stages.scans.recordings.chunked import opened as opened_recording
-from stages.scans.recordings.db3 import read_db3
-from stages.scans.trajectory import files as trajectories
-from stages.simplification.records.archive import read_arrays
-from stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.pipeline.cache.digest import file_digest
+from scanloom.pipeline.config import Config
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files import documents, images
+from scanloom.stages.files.exr import exr_size, read_exr
+from scanloom.stages.files.opening import content_of, opened, require_regular, text_in
+from scanloom.stages.files.zip_archives import opened_archive
+from scanloom.stages.normal_meshes.normal_mesh import decode
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.layouts.colmap import model_files as colmap
+from scanloom.stages.scans.model.video import Video
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.recordings import sens
+from scanloom.stages.scans.recordings.chunked import opened as opened_recording
+from scanloom.stages.scans.recordings.db3 import read_db3
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.simplification.records.archive import read_arrays
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 
 ROOT = Path(__file__).parents[3]
 

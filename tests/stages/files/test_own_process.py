@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.files.own_process import DiedError, asked
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.own_process import DiedError, asked
 
 BODIES = {
     "warns": "emit(MACHINE_BUG.warning('{count} points are odd', words[0], count=2)); return {}",
@@ -24,11 +24,10 @@ BODIES = {
 
 
 def module_of(body: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    text = "from stages.diagnostics.codes import MACHINE_BUG\n"
-    text += "from stages.diagnostics.collector import emit\n"
-    text += (
-        "from stages.diagnostics.errors import InputError\nfrom stages.files.own_process import answer\n\n"
-    )
+    text = "from scanloom.stages.diagnostics.codes import MACHINE_BUG\n"
+    text += "from scanloom.stages.diagnostics.collector import emit\n"
+    text += "from scanloom.stages.diagnostics.errors import InputError\n"
+    text += "from scanloom.stages.files.own_process import answer\n\n"
     text += f"def work(words):\n    {body}\n\ndef main():\n    answer(work)\n"
     (folder / "made_for_a_test.py").write_text(text)
     monkeypatch.syspath_prepend(str(folder))

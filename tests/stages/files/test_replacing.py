@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.files.replacing import replacing
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.files.replacing import replacing
 
 
 def write(path: Path, text: str) -> None:

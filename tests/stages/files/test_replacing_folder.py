@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.files.replacing_folder import replacing_folder
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.files.replacing_folder import replacing_folder
 
 
 def is_ours(folder: Path) -> bool:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.files.zip_archives import entry_content, opened_archive
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.zip_archives import entry_content, opened_archive
 
 BIG = 50_000_000
 

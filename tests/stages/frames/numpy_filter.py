@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.frames.depth_filter import OrientedDepth, bridge_gaps, inverse_depth_differences
-from stages.scans.model.scan import Camera, DepthImage
+from scanloom.stages.frames.depth_filter import OrientedDepth, bridge_gaps, inverse_depth_differences
+from scanloom.stages.scans.model.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.frames import depth_filter
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Camera, pinhole
-from stages.scans.read import read_scan
+from scanloom.stages import _kernels
+from scanloom.stages.frames import depth_filter
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Camera, pinhole
+from scanloom.stages.scans.read import read_scan
 from tests.stages.frames import numpy_filter
 
 LIMITS = {"max_jump": 0.05, "max_angle": 87.0}

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.frames.features import match_descriptors, root_descriptors
+from scanloom.stages import _kernels
+from scanloom.stages.frames.features import match_descriptors, root_descriptors
 
 
 def some(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:

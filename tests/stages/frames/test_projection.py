@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.frames.projection import project, unproject
-from stages.scans.model.scan import Camera
+from scanloom.stages.frames.projection import project, unproject
+from scanloom.stages.scans.model.scan import Camera
 
 CAMERA = Camera(640, 480, 500.0, 510.0, 318.5, 241.0)
 

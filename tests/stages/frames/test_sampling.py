@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages.frames.sampling import sample_evenly
+from scanloom.stages.frames.sampling import sample_evenly
 
 
 @given(count=st.integers(1, 5000), max_count=st.integers(2, 300))

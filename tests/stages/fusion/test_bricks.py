@@ -12,17 +12,25 @@ import pytest
 from numpy.typing import NDArray
 from sample_in_pieces import small_pieces
 
-from stages.diagnostics.errors import InputError, StageError, UsageError
-from stages.fusion.adding import begun
-from stages.fusion.bricks import Cube, Seen, coordinates, level_of, numbers_of, passes, touched_bricks
-from stages.fusion.fuse import fuse, fuse_to_file
-from stages.fusion.in_bricks import FusedInBricks, fuse_in_bricks
-from stages.fusion.params import FuseParams
-from stages.scans.model.scan import Scan
-from stages.scans.read import read_scan
-from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.pieces import Pieces
-from stages.surface.topology import topology
+from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
+from scanloom.stages.fusion.adding import begun
+from scanloom.stages.fusion.bricks import (
+    Cube,
+    Seen,
+    coordinates,
+    level_of,
+    numbers_of,
+    passes,
+    touched_bricks,
+)
+from scanloom.stages.fusion.fuse import fuse, fuse_to_file
+from scanloom.stages.fusion.in_bricks import FusedInBricks, fuse_in_bricks
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.formats.ply import read_ply, write_ply
+from scanloom.stages.surface.pieces import Pieces
+from scanloom.stages.surface.topology import topology
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rgbd"
 

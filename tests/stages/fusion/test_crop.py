@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from thing_on_table import AT, BALL, CAMERA, HALF, frames, pose, seen
 
-from stages.diagnostics.errors import InputError, UsageError
-from stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
-from stages.fusion.crop import Crop, cropped, cut, shown
-from stages.fusion.fuse import Fused, fuse
-from stages.fusion.params import FuseParams
-from stages.scans.model.scan import Frame
-from stages.scans.read import read_scan
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.frames.posed_depth import DepthLimits, PosedDepth, read_posed_depth
+from scanloom.stages.fusion.crop import Crop, cropped, cut, shown
+from scanloom.stages.fusion.fuse import Fused, fuse
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 VOXEL = 0.015

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from stages._open3d import open3d
-from stages.diagnostics.errors import InputError, StageError, UsageError
-from stages.fusion.fuse import Fused, fuse
-from stages.scans.model.scan import Camera, Frame, Scan
-from stages.scans.read import read_scan
-from stages.surface.mesh import Mesh
+from scanloom.stages._open3d import open3d
+from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
+from scanloom.stages.fusion.fuse import Fused, fuse
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.mesh import Mesh
 
 CAMERA = Camera(160, 120, 140.0, 140.0, 80.0, 59.0)
 RADIUS = 0.5
@@ -187,7 +187,7 @@ def test_equal_input_gives_equal_bits_whatever_the_threads(
 def test_the_volume_grows_when_the_estimate_was_too_small(
     sphere: Fused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stages.fusion.plan._expected_blocks", lambda *_: 1)
+    monkeypatch.setattr("scanloom.stages.fusion.plan._expected_blocks", lambda *_: 1)
     assert same(fuse(sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
 
 

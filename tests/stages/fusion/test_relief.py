@@ -11,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from stages import clean, fuse, read_scan
-from stages._open3d import open3d
-from stages.fusion.crop import part_of
-from stages.fusion.relief import evened
-from stages.scans.model.scan import Camera, Frame
-from stages.scans.params import ScanParams
-from stages.stereo.depth import depth_scan
-from stages.surface.mesh import Mesh
-from stages.surface.topology import topology
+from scanloom import clean, fuse, read_scan
+from scanloom.stages._open3d import open3d
+from scanloom.stages.fusion.crop import part_of
+from scanloom.stages.fusion.relief import evened
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.stereo.depth import depth_scan
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import topology
 
 # Missing, a wall, the same with noise, and something before it.
 DEPTHS = (0.0, 2.0, 2.01, 1.99, 1.2)

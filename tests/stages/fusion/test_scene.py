@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from thing_on_table import AT, BALL, frames, pose
 
-from stages.frames.posed_depth import DepthLimits, read_posed_depth
-from stages.fusion.scene import scene_of, where_axes_meet
+from scanloom.stages.frames.posed_depth import DepthLimits, read_posed_depth
+from scanloom.stages.fusion.scene import scene_of, where_axes_meet
 
 LIMITS = DepthLimits(min_depth=0, max_depth=9, max_jump=0.05, max_angle=87)
 AIM = np.array([*AT, 0.08])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from stages.fusion.survey import _fitted
+from scanloom.stages.fusion.survey import _fitted
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.diagnostics.errors import InputError
-from stages.fusion.fuse import fuse
-from stages.fusion.params import FuseParams
-from stages.fusion.upsampling import upsampled, upsampled_alone, upsampled_frame
-from stages.scans.model.scan import Camera, Frame, scaled
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.fusion.upsampling import upsampled, upsampled_alone, upsampled_frame
+from scanloom.stages.scans.model.scan import Camera, Frame, scaled
 
 SMALL = Camera(40, 30, 50.0, 50.0, 19.5, 14.5)
 NEAR, FAR = 1.0, 2.0

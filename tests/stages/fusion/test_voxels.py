@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from thin_sheet import thin_sheet
 
-from stages import _kernels
-from stages.diagnostics.errors import StageError, UsageError
-from stages.frames.posed_depth import read_posed_depth
-from stages.fusion.fuse import fuse
-from stages.fusion.params import FuseParams
-from stages.fusion.plan import limits_of
-from stages.fusion.voxels import Volume, Weighing, block_bytes, touched_blocks
-from stages.scans.model.scan import Camera, Frame
-from stages.scans.read import read_scan
-from stages.surface.mesh import Mesh
+from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.errors import StageError, UsageError
+from scanloom.stages.frames.posed_depth import read_posed_depth
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.fusion.params import FuseParams
+from scanloom.stages.fusion.plan import limits_of
+from scanloom.stages.fusion.voxels import Volume, Weighing, block_bytes, touched_blocks
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.mesh import Mesh
 
 VOXEL = 0.02
 CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)

@@ -8,19 +8,19 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.fusion.fuse import fuse
-from stages.inspecting.codes import POSE_INEXACT
-from stages.inspecting.inspect import inspect
-from stages.inspecting.inspection import Inspection
-from stages.inspecting.sanity import check_poses, pose_doubts, require_poses
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING
-from stages.scans.model.images import read_color
-from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
-from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.inspecting.codes import POSE_INEXACT
+from scanloom.stages.inspecting.inspect import inspect
+from scanloom.stages.inspecting.inspection import Inspection
+from scanloom.stages.inspecting.sanity import check_poses, pose_doubts, require_poses
+from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, POSE_MISSING
+from scanloom.stages.scans.model.images import read_color
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
 CAMERA = Camera(160, 120, 150, 150, 80, 60)
 FLIP = np.diag((1.0, -1, -1, 1))

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages import inspect, read_scan
-from stages.adjusting.cameras import motion
+from scanloom import inspect, read_scan
+from scanloom.stages.adjusting.cameras import motion
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 

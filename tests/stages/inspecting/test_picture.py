@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.inspecting.picture import inspection_picture
-from stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.inspecting.picture import inspection_picture
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 
 CAMERA = Camera(64, 48, 50, 50, 31.5, 23.5)
 
@@ -60,7 +60,7 @@ def test_a_pair_is_shown_side_by_side() -> None:
 def test_the_command_writes_it(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
-    from cli.app import app
+    from scanloom.cli.app import app
 
     sample = Path(__file__).parents[3] / "samples" / "rgbd"
     ran = CliRunner().invoke(app(), ["inspect", str(sample), "--picture", str(tmp_path / "sample.png")])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stages.inspecting import system
+from scanloom.stages.inspecting import system
 
 
 def test_memory_is_told() -> None:

@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.inspecting.inspect import inspect
-from stages.inspecting.unused import unused
-from stages.scans.codes import CAMERA_CALIBRATION_CONTRADICTORY
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.inspecting.inspect import inspect
+from scanloom.stages.inspecting.unused import unused
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_CONTRADICTORY
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 CAMERA = {"width": 32, "height": 24, "fx": 30, "fy": 30, "cx": 15.5, "cy": 11.5}
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.inspecting.view_poses import check_view_poses, require_view_poses
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.inspecting.view_poses import check_view_poses, require_view_poses
+from scanloom.stages.scans.read import read_scan
 
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 READINGS = {

@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-from stages import Mesh, lod
+from scanloom.stages import Mesh, lod
 from tests.made.coloured_meshes import ball, ring, sheet
 
 MESHES = {"ball": ball, "ring": ring, "sheet": lambda: sheet(50)}

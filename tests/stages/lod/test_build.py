@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from stages import Image, InputError, Material, Mesh, Texture, UsageError, lod, read_mesh, topology
-from stages._open3d import open3d
-from stages.lod import Hierarchy
+from scanloom.stages import Image, InputError, Material, Mesh, Texture, UsageError, lod, read_mesh, topology
+from scanloom.stages._open3d import open3d
+from scanloom.stages.lod import Hierarchy
 from tests.made.coloured_meshes import assert_same_topology, ball, sheet
 
 Built = tuple[Mesh, Hierarchy]

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages import Mesh, Sphere, UsageError, lod
-from stages.lod import Front, Hierarchy, View, measures
+from scanloom.stages import Mesh, Sphere, UsageError, lod
+from scanloom.stages.lod import Front, Hierarchy, View, measures
 from tests.made.coloured_meshes import assert_same_topology
 from tests.stages.lod.conftest import built_of
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from stages import InputError, Mesh, UsageError, lod, topology
-from stages.lod import Hierarchy
-from stages.surface.small_components import find_small_components
+from scanloom.stages import InputError, Mesh, UsageError, lod, topology
+from scanloom.stages.lod import Hierarchy
+from scanloom.stages.surface.small_components import find_small_components
 from tests.made.coloured_meshes import ball
 from tests.stages.lod.test_build import base_of, distance, leaves_of, sampled, triangles_in_space
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.lod import View
-from stages.lod.measures import (
+from scanloom.stages.lod import View
+from scanloom.stages.lod.measures import (
     frustum_share,
     global_limit,
     local_measure,

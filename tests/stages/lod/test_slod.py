@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages import InputError, Mesh, lod
-from stages.diagnostics.collector import collecting
-from stages.lod import Hierarchy
+from scanloom.stages import InputError, Mesh, lod
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.lod import Hierarchy
 from tests.made.coloured_meshes import assert_same_topology, sheet
 
 Built = tuple[Mesh, Hierarchy]

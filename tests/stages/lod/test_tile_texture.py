@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from seamed_meshes import wrapped_ball
 from tiles_read import Tile, read_tiles
 
-from stages import Mesh, clean, lod, simplify
-from stages.diagnostics.errors import MeshError
-from stages.files.image_bytes import decoded_image
-from stages.lod.hierarchy import Hierarchy
-from stages.lod.tile_texture import Piece, model_of, with_images
-from stages.surface.color import color_at, sampled
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Surface
-from stages.surface.texture import Image, Material, Texture
+from scanloom.stages import Mesh, clean, lod, simplify
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.files.image_bytes import decoded_image
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.lod.tile_texture import Piece, model_of, with_images
+from scanloom.stages.surface.color import color_at, sampled
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.texture import Image, Material, Texture
 from tests.stages.lod.test_tiles import base_of, contents, random_cut, welded
 
 SMALL: dict[str, Any] = {"cell_triangles": 300, "root_triangles": 100, "ratio": 2.5, "threads": 1}
@@ -323,10 +323,10 @@ def test_the_same_bytes_on_any_number_of_threads(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("stages.lod.tile_texture.workers", lambda: 1)
+    monkeypatch.setattr("scanloom.stages.lod.tile_texture.workers", lambda: 1)
     lod.write_tiles(hierarchies["patchwork"], tmp_path / "out", texture=models["patchwork"])
     assert contents(tmp_path / "out") == contents(folders["patchwork"])
-    monkeypatch.setattr("stages.lod.tile_texture.workers", lambda: 5)
+    monkeypatch.setattr("scanloom.stages.lod.tile_texture.workers", lambda: 5)
     lod.write_tiles(hierarchies["patchwork"], tmp_path / "out", texture=models["patchwork"])
     assert contents(tmp_path / "out") == contents(folders["patchwork"])
 

@@ -16,16 +16,16 @@ from coloured_meshes import assert_same_topology, of_trimesh, sheet
 from numpy.typing import NDArray
 from tiles_read import Tile, chunks, read_tiles
 
-from stages import __version__, _kernels, bake, clean, lod, simplify
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import InputError, StageError, UsageError
-from stages.lod.grid import on_grid
-from stages.lod.hierarchy import Hierarchy
-from stages.lod.tile_glb import tile_glb
-from stages.surface.formats.colors import srgb_from_linear
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages import __version__, _kernels, bake, clean, lod, simplify
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
+from scanloom.stages.lod.grid import on_grid
+from scanloom.stages.lod.hierarchy import Hierarchy
+from scanloom.stages.lod.tile_glb import tile_glb
+from scanloom.stages.surface.formats.colors import srgb_from_linear
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Surface
 
 CUTS = 1000
 NAMES = ("closed", "open")

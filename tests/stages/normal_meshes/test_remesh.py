@@ -13,17 +13,17 @@ from normal_mesh_checks import SMALL, assert_on_triangles, assert_sound, diagona
 from numpy.typing import NDArray
 from real_parts import quarter
 
-from stages.cleaning.clean import clean
-from stages.comparing.compare import compare
-from stages.diagnostics.diagnostic import Severity
-from stages.normal_meshes.normal_mesh import BOUNDARY, SCALAR, NormalMesh, decode
-from stages.normal_meshes.remesh import remesh
-from stages.simplification.simplify import simplify
-from stages.surface.edges import edges_of
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Surface
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.normal_meshes.normal_mesh import BOUNDARY, SCALAR, NormalMesh, decode
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.edges import edges_of
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 

@@ -13,14 +13,14 @@ from coloured_meshes import MESHES
 from normal_mesh_checks import EXACT, SMALL, assert_sound, diagonal, remeshed
 from numpy.typing import NDArray
 
-from stages.cleaning.clean import clean
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION
-from stages.normal_meshes.remesh import RemeshParams, remesh
-from stages.surface.codes import MESH_LEFT_OUT
-from stages.surface.mesh import Mesh, Texture
-from stages.surface.raycasting import Surface, closest_weights, interpolated
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION
+from scanloom.stages.normal_meshes.remesh import RemeshParams, remesh
+from scanloom.stages.surface.codes import MESH_LEFT_OUT
+from scanloom.stages.surface.mesh import Mesh, Texture
+from scanloom.stages.surface.raycasting import Surface, closest_weights, interpolated
+from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 

@@ -16,15 +16,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from real_parts import quarter
 
-from stages.cleaning.clean import clean
-from stages.diagnostics.errors import InputError, StageError, UsageError
-from stages.normal_meshes.normal_mesh import NormalMesh, decode
-from stages.normal_meshes.remesh import remesh
-from stages.simplification.simplify import simplify
-from stages.surface.formats.ply import read_vertex_values
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.diagnostics.errors import InputError, StageError, UsageError
+from scanloom.stages.normal_meshes.normal_mesh import NormalMesh, decode
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.formats.ply import read_vertex_values
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 
@@ -172,7 +172,7 @@ def digests(found: NormalMesh) -> list[str]:
 
 DECODE_IN_ANOTHER = """
 import hashlib, json, sys
-from stages import decode
+from scanloom.stages import decode
 print(json.dumps([
     hashlib.sha256(
         level.vertices.tobytes() + level.triangles.tobytes()
@@ -313,7 +313,7 @@ def test_noise_is_no_file(start: bytes, keep: int) -> None:
 
 DECODE_ALL_DAMAGED = """
 import resource, sys
-from stages import InputError, decode
+from scanloom.stages import InputError, decode
 made = open(sys.argv[1], "rb").read()
 decode(made)
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()

@@ -8,12 +8,12 @@ import trimesh
 from scipy.ndimage import binary_erosion, gaussian_filter
 from seamed_meshes import wrapped_ball
 
-from stages import Mesh, compare_views
-from stages.comparing.seen import seen_from
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.picturing.compare_views import _finer
-from stages.picturing.viewpoints import viewpoints
-from stages.surface.raycasting import Surface
+from scanloom import Mesh, compare_views
+from scanloom.stages.comparing.seen import seen_from
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.picturing.compare_views import _finer
+from scanloom.stages.picturing.viewpoints import viewpoints
+from scanloom.stages.surface.raycasting import Surface
 
 WIDTH = 96
 

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.picturing import in_pieces
-from stages.picturing.in_pieces import draw_in_pieces
-from stages.picturing.render import Model, Shading
-from stages.picturing.viewpoints import looking_at, viewpoints
-from stages.scans.read import read_scan
-from stages.surface.formats.ply import read_ply
-from stages.surface.pieces import Pieces
-from stages.surface.piecewise import Piecewise
-from stages.surface.raycasting import Surface
+from scanloom.stages.picturing import in_pieces
+from scanloom.stages.picturing.in_pieces import draw_in_pieces
+from scanloom.stages.picturing.render import Model, Shading
+from scanloom.stages.picturing.viewpoints import looking_at, viewpoints
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.pieces import Pieces
+from scanloom.stages.surface.piecewise import Piecewise
+from scanloom.stages.surface.raycasting import Surface
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rgbd"
 

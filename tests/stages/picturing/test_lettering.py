@@ -3,12 +3,18 @@
 import numpy as np
 import pytest
 
-from stages.picturing.lettering import focus_of, metres_in_words, scale_bar, with_scale_bar, with_words
-from stages.picturing.render import Model
-from stages.picturing.viewpoints import Viewpoint
-from stages.scans.model.scan import Camera
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface
+from scanloom.stages.picturing.lettering import (
+    focus_of,
+    metres_in_words,
+    scale_bar,
+    with_scale_bar,
+    with_words,
+)
+from scanloom.stages.picturing.render import Model
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.scans.model.scan import Camera
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.raycasting import Surface
 
 AHEAD = Viewpoint("ahead", Camera(320, 240, 300, 300, 159.5, 119.5), np.eye(4))
 INK = np.array((29, 37, 48))

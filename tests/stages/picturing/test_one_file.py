@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from browsers import browser
 
-from stages import Image, Material, Mesh, Texture, export, preset
-from stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
-from stages.picturing.page.standing import facing
-from stages.picturing.render import render
-from stages.picturing.viewpoints import Viewpoint
-from stages.scans.model.scan import Camera
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.upright import turn_along_z
+from scanloom import Image, Material, Mesh, Texture, export, preset
+from scanloom.stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
+from scanloom.stages.picturing.page.standing import facing
+from scanloom.stages.picturing.render import render
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.scans.model.scan import Camera
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.upright import turn_along_z
 
 pytestmark = pytest.mark.slow
 WIDTH, HEIGHT = 480, 360

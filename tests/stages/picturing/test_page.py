@@ -14,12 +14,12 @@ import pytest
 from browsers import PAGE, browser, node, served
 from numpy.typing import NDArray
 
-from stages import Mesh, lod
-from stages.picturing.page.files import tiles_page
-from stages.picturing.page.serving import FolderServer
-from stages.picturing.render import render
-from stages.picturing.viewpoints import Viewpoint
-from stages.scans.model.scan import Camera
+from scanloom.stages import Mesh, lod
+from scanloom.stages.picturing.page.files import tiles_page
+from scanloom.stages.picturing.page.serving import FolderServer
+from scanloom.stages.picturing.render import render
+from scanloom.stages.picturing.viewpoints import Viewpoint
+from scanloom.stages.scans.model.scan import Camera
 
 WIDTH, HEIGHT = 480, 360
 COMPRESS = Path(__file__).resolve().parents[2] / "made" / "compress_tiles.mjs"

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from coloured_meshes import sheet
 
-from stages import UsageError, tradeoff
-from stages.picturing.plots import plot_seconds, plot_tradeoff, require_plots
+from scanloom import UsageError, tradeoff
+from scanloom.stages.picturing.plots import plot_seconds, plot_tradeoff, require_plots
 
 
 def dark(pixels: np.ndarray) -> int:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.picturing.render import Model, render, write_png
-from stages.picturing.viewpoints import Viewpoint, viewpoints
-from stages.scans.model.scan import Camera, Frame
-from stages.surface.mesh import Image, Material, Mesh, Texture
-from stages.surface.raycasting import Surface
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.picturing.render import Model, render, write_png
+from scanloom.stages.picturing.viewpoints import Viewpoint, viewpoints
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.surface.raycasting import Surface
 
 CAMERA = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
 AHEAD = Viewpoint("ahead", CAMERA, np.eye(4))

@@ -11,7 +11,7 @@ import pytest
 from browsers import browser
 from coloured_meshes import ball, sheet
 
-from stages import Mesh, MeshError, Page, UsageError, show, simplify
+from scanloom import Mesh, MeshError, Page, UsageError, show, simplify
 
 EVIL = "\"></iframe><script>window.parent.evil = 1</script>'"
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from clouds import cloud
 
-from stages.picturing.spots import spots
-from stages.surface.raycasting import unit_normals
+from scanloom.stages.picturing.spots import spots
+from scanloom.stages.surface.raycasting import unit_normals
 
 
 @pytest.mark.parametrize("has_normals", [True, False])

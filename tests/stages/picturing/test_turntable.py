@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.errors import StageError, UsageError
-from stages.picturing.panels import Panels
-from stages.picturing.turntable import turntable
-from stages.picturing.video import CODECS, write_video
-from stages.picturing.viewpoints import Viewpoint, looking_at, viewpoints
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.errors import StageError, UsageError
+from scanloom.stages.picturing.panels import Panels
+from scanloom.stages.picturing.turntable import turntable
+from scanloom.stages.picturing.video import CODECS, write_video
+from scanloom.stages.picturing.viewpoints import Viewpoint, looking_at, viewpoints
+from scanloom.stages.surface.mesh import Mesh
 
 UPS = [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.6, 0.0, -0.8)]
 

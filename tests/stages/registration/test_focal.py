@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 import turned_thing
 
-from stages.diagnostics.collector import collecting
-from stages.inspecting.inspect import inspect
-from stages.registration.across import across, joined
-from stages.registration.bridges import confirmed
-from stages.registration.focal import focal_of, is_guess
-from stages.registration.focal_by_marks import focal_by_marks
-from stages.registration.graph import Edge
-from stages.registration.motion import Motion
-from stages.registration.register import register
-from stages.scans.calibration.resolution import found_camera
-from stages.scans.codes import CAMERA_INTRINSICS_GUESSED
-from stages.scans.model.scan import Camera, Frame, Scan
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.inspecting.inspect import inspect
+from scanloom.stages.registration.across import across, joined
+from scanloom.stages.registration.bridges import confirmed
+from scanloom.stages.registration.focal import focal_of, is_guess
+from scanloom.stages.registration.focal_by_marks import focal_by_marks
+from scanloom.stages.registration.graph import Edge
+from scanloom.stages.registration.motion import Motion
+from scanloom.stages.registration.register import register
+from scanloom.stages.scans.calibration.resolution import found_camera
+from scanloom.stages.scans.codes import CAMERA_INTRINSICS_GUESSED
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.scans.read import read_scan
 
 pytestmark = pytest.mark.slow
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.progress import silent
-from stages.registration.chain import key_edges, make_chain
-from stages.registration.choosing import placed
-from stages.registration.graph import Edge, pieces
-from stages.registration.motion import Motion, angle, motion_between
-from stages.registration.odometry import one_thread_each
-from stages.registration.register import register
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Frame, Pose
+from scanloom.stages.progress import silent
+from scanloom.stages.registration.chain import key_edges, make_chain
+from scanloom.stages.registration.choosing import placed
+from scanloom.stages.registration.graph import Edge, pieces
+from scanloom.stages.registration.motion import Motion, angle, motion_between
+from scanloom.stages.registration.odometry import one_thread_each
+from scanloom.stages.registration.register import register
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Frame, Pose
 from tests.made.room_of_posters import STEP, turning
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.registration.points import Matched, at_source, fitted, joined, motion_of, step_of
-from stages.scans.model.poses import inverted
+from scanloom.stages.registration.points import Matched, at_source, fitted, joined, motion_of, step_of
+from scanloom.stages.scans.model.poses import inverted
 
 FOCAL = 500.0
 MOTION = motion_of(np.array([0.03, -0.12, 0.05, 0.2, -0.05, 0.1]))

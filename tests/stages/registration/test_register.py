@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.registration.features import recognise
-from stages.registration.graph import Edge, pieces
-from stages.registration.motion import Motion, NoMotion, angle, motion_between
-from stages.registration.register import register
-from stages.registration.registered import Registration
-from stages.registration.view import read_view
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
-from stages.scans.read import read_scan
-from stages.scans.trajectory.files import read_tum, write_tum
-from stages.stereo.depth import DepthMap, depth_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.registration.features import recognise
+from scanloom.stages.registration.graph import Edge, pieces
+from scanloom.stages.registration.motion import Motion, NoMotion, angle, motion_between
+from scanloom.stages.registration.register import register
+from scanloom.stages.registration.registered import Registration
+from scanloom.stages.registration.view import read_view
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.trajectory.files import read_tum, write_tum
+from scanloom.stages.stereo.depth import DepthMap, depth_scan
 
 pytestmark = pytest.mark.slow
 

@@ -11,20 +11,20 @@ import pytest
 import turned_thing
 from scipy.spatial.transform import Rotation
 
-from pipeline.config import Config
-from pipeline.run.run import run
-from stages.diagnostics.errors import InputError, StageError
-from stages.fusion.fuse import fuse
-from stages.inspecting.inspect import inspect
-from stages.registration.marks import Plate, marked_motion, moving_marks
-from stages.registration.register import register
-from stages.registration.registered import Registration
-from stages.registration.subject import shows_thing
-from stages.scans.model.images import read_depth
-from stages.scans.model.poses import inverted
-from stages.scans.model.scan import Frame, Pose, Scan
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.pipeline.config import Config
+from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.fusion.fuse import fuse
+from scanloom.stages.inspecting.inspect import inspect
+from scanloom.stages.registration.marks import Plate, marked_motion, moving_marks
+from scanloom.stages.registration.register import register
+from scanloom.stages.registration.registered import Registration
+from scanloom.stages.registration.subject import shows_thing
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.scan import Frame, Pose, Scan
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 pytestmark = pytest.mark.slow
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from tiny_recordings import INTERVAL, START
 
-from stages.frames.matching_color import read_matching_color
-from stages.scans.model.images import read_depth, read_pinhole
-from stages.scans.params import ScanParams
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.scans.model.images import read_depth, read_pinhole
+from scanloom.stages.scans.params import ScanParams
 
 PIXEL = (26, 17)
 INTRINSICS = (100.0, 100.0, 16.0, 12.0)

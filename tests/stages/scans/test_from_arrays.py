@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages import Camera, Frame, InputError, Scan, StereoRig, fuse, read_scan
-from stages.scans.model.images import read_color, read_depth
+from scanloom import Camera, Frame, InputError, Scan, StereoRig, fuse, read_scan
+from scanloom.stages.scans.model.images import read_color, read_depth
 
 SAMPLES = Path(__file__).resolve().parents[3] / "samples"
 SIZE = (12, 16)

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.inspecting.unused import unused
-from stages.scans.model.images import read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.inspecting.unused import unused
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.scans.model.images import read_color, read_depth, read_pinhole
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
-from stages.scans.table import LAYOUTS
+from scanloom.stages.scans.model.images import read_color, read_depth, read_pinhole
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.table import LAYOUTS
 
 # Folder, frames, focal length in pixels, baseline in metres.
 EXCERPTS = [

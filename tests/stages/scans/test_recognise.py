@@ -4,10 +4,10 @@ import re
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan, recognise
-from stages.scans.table import LAYOUTS
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan, recognise
+from scanloom.stages.scans.table import LAYOUTS
 
 
 def touch(folder, *names):

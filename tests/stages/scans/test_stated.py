@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import UsageError
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from coloured_meshes import assert_same_topology, ball, sheet
 
-from stages.simplification.regions import Box, Sphere
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.topology import topology
+from scanloom.stages.simplification.regions import Box, Sphere
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import topology
 
 
 @pytest.mark.parametrize("fit", [True, False], ids=["fitted", "plain"])

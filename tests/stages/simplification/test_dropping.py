@@ -11,13 +11,13 @@ from coloured_meshes import sheet
 from seamed_meshes import wrapped_ball
 from simplified_checks import parameters_for
 
-from stages.diagnostics.errors import UsageError
-from stages.simplification.codes import SIMPLIFY_COMPONENTS_REMOVED
-from stages.simplification.dropping import drop_small
-from stages.simplification.methods import METHODS, Method
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.topology import areas, topology
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.codes import SIMPLIFY_COMPONENTS_REMOVED
+from scanloom.stages.simplification.dropping import drop_small
+from scanloom.stages.simplification.methods import METHODS, Method
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import areas, topology
 
 # Side of a box beside the sheet, and side of a hole in it; the sheet has cells of 0.025.
 BOX, HOLE = 0.04, 0.075
@@ -167,8 +167,8 @@ def test_holes_that_meet_at_a_vertex_stay_open() -> None:
 
 def test_a_room_gains_from_it(shared_data) -> None:
     """With 190 components at 1 % of the triangles, small ones took half of the accuracy."""
-    from stages.comparing.compare import compare
-    from stages.surface.mesh_files import read_mesh
+    from scanloom.stages.comparing.compare import compare
+    from scanloom.stages.surface.mesh_files import read_mesh
 
     mesh = read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")
     plain, dropped = (

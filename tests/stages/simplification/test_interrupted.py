@@ -13,10 +13,10 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 
-from stages.progress import Progress
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.topology import topology
+from scanloom.stages.progress import Progress
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 
@@ -25,9 +25,9 @@ pytestmark = pytest.mark.slow
 CHILD = """
 import json, sys, time
 import numpy as np
-from stages.surface.mesh import Mesh
-from stages.simplification.simplify import simplify
-from stages.surface.topology import topology
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.topology import topology
 
 arguments = json.loads(sys.argv[1])
 at_proof = arguments.pop("at_proof", False)
@@ -187,11 +187,11 @@ def test_what_is_there_while_fitting_is_the_mesh_not_fitted(monkeypatch: pytest.
         told.append((done, total))
         return False
 
-    monkeypatch.setattr("stages.simplification.quadric.run.fitted", ctrl_c)
+    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fitted", ctrl_c)
     with pytest.raises(KeyboardInterrupt):
         simplify(mesh, ratio=0.1)
     results = [simplify(mesh, ratio=0.1, partial=True)]
-    monkeypatch.setattr("stages.simplification.quadric.run.fitted", asks)
+    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fitted", asks)
     results.append(simplify(mesh, ratio=0.1, progress=stop))
     assert told[-1] == (2880, 2880)
     for result in results:

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from coloured_meshes import sheet
 
-from stages.diagnostics.errors import UsageError
-from stages.params import describe_all, described, find_nested, resolve
-from stages.simplification.auto import chosen
-from stages.simplification.methods import METHODS, Method
-from stages.simplification.params import SimplifyParams
-from stages.simplification.seams.params import SeamsParams
-from stages.simplification.simplify import simplify
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import describe_all, described, find_nested, resolve
+from scanloom.stages.simplification.auto import chosen
+from scanloom.stages.simplification.methods import METHODS, Method
+from scanloom.stages.simplification.params import SimplifyParams
+from scanloom.stages.simplification.seams.params import SeamsParams
+from scanloom.stages.simplification.simplify import simplify
 
 ROOT = Path(__file__).parents[3]
 
@@ -159,9 +159,9 @@ def test_what_a_method_does_not_take_is_said_with_those_that_do() -> None:
 # -- a sixth method --------------------------------------------------------------------------------------
 
 # The one row, and the one field.
-_IMPORTS = """from stages.simplification.sixth import run as cut
-from stages.simplification.sixth.details import CutDetails
-from stages.simplification.sixth.params import CutParams
+_IMPORTS = """from scanloom.stages.simplification.sixth import run as cut
+from scanloom.stages.simplification.sixth.details import CutDetails
+from scanloom.stages.simplification.sixth.params import CutParams
 """
 _ROW = """    Method(
         name="cut",
@@ -173,15 +173,15 @@ _ROW = """    Method(
         takes=Takes(importance=False, record=False),
     ),
 """
-_PARAMS = "from stages.simplification.sixth.params import CutParams\n"
+_PARAMS = "from scanloom.stages.simplification.sixth.params import CutParams\n"
 _FIELD = "    cut: CutParams = CutParams()\n"
 _CALLS = """
 import contextlib, io, json, sys
 import numpy as np
-from cli.app import run_command
-from pipeline.config import Config
-from stages import UsageError, simplify, write_mesh
-from stages.surface.mesh import Mesh
+from scanloom.cli.app import run_command
+from scanloom.pipeline.config import Config
+from scanloom.stages import UsageError, simplify, write_mesh
+from scanloom.stages.surface.mesh import Mesh
 
 y, x = np.mgrid[:5, :5]
 at = np.arange(25).reshape(5, 5)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages.diagnostics.errors import UsageError
-from stages.simplification.regions import Box, Region, Sphere, parse_region, resolve_control
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.regions import Box, Region, Sphere, parse_region, resolve_control
+from scanloom.stages.surface.mesh import Mesh
 
 LINE = Mesh(np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], 1), np.zeros((0, 3), np.int32))
 

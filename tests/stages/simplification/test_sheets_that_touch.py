@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from seamed_meshes import edge_counts, overlapping, welded
 
-from stages import Mesh, simplify
+from scanloom import Mesh, simplify
 
 SIDES, RINGS = 8, 5
 

@@ -14,17 +14,17 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from stages.cleaning.clean import clean
-from stages.comparing.compare import compare
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
-from stages.simplification.simplify import Simplified, SimplifyParams, simplify
-from stages.surface.codes import MESH_LEFT_OUT
-from stages.surface.mesh import Mesh, Texture
-from stages.surface.mesh_files import read_mesh
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
+from scanloom.stages.simplification.simplify import Simplified, SimplifyParams, simplify
+from scanloom.stages.surface.codes import MESH_LEFT_OUT
+from scanloom.stages.surface.mesh import Mesh, Texture
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.topology import topology
 
 
 def sheet(n: int, height: Callable[..., NDArray[np.float64]], noise: float = 0.0) -> Mesh:

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from sample_in_pieces import small_pieces
 
-from stages.cleaning.clean import CleanParams
-from stages.cleaning.clean_in_pieces import clean_in_pieces
-from stages.comparing.certify import certify
-from stages.simplification import simplify_in_pieces as simplify_in_pieces_module
-from stages.simplification.cuts import split, whole_cut
-from stages.simplification.params import SimplifyParams
-from stages.simplification.simplify import simplify
-from stages.simplification.simplify_in_pieces import simplify_in_pieces
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Mesh
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import CleanParams
+from scanloom.stages.cleaning.clean_in_pieces import clean_in_pieces
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.simplification import simplify_in_pieces as simplify_in_pieces_module
+from scanloom.stages.simplification.cuts import split, whole_cut
+from scanloom.stages.simplification.params import SimplifyParams
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.simplification.simplify_in_pieces import simplify_in_pieces
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.topology import topology
 
 
 @pytest.fixture(scope="module")

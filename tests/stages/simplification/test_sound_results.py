@@ -13,11 +13,11 @@ from seamed_meshes import folded_strips, wrapped_ball
 from simplified_checks import assert_sound, parameters_for
 from varied_meshes import varied_meshes
 
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.simplification.methods import METHODS, Method
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.simplification.methods import METHODS, Method
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
 
 each_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 MADE = {**MESHES, "wrapped": wrapped_ball, "folded": folded_strips}

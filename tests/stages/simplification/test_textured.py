@@ -8,17 +8,17 @@ import pytest
 from seamed_meshes import wrapped_ball
 from textured_models import as_jpeg, as_png, gltf_material, textured_ball, waves, with_materials
 
-import stages
-from stages.diagnostics.codes import MACHINE_BUG
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.simplification import textured
-from stages.simplification.result import Simplified
-from stages.simplification.simplify import SimplifyParams, simplify
-from stages.simplification.textured import derive_max_shape, is_better_baked
-from stages.simplification.unmet import report_unmet
-from stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom import stages
+from scanloom.stages.diagnostics.codes import MACHINE_BUG
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.simplification import textured
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.simplify import SimplifyParams, simplify
+from scanloom.stages.simplification.textured import derive_max_shape, is_better_baked
+from scanloom.stages.simplification.unmet import report_unmet
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
 def diagonal(mesh: Mesh) -> float:
@@ -241,7 +241,7 @@ def test_images_that_repeat_are_baked_if_their_seams_hold_too_many_triangles(
         asked.append((len(baked.mesh.triangles), len(kept.mesh.triangles)))
         return is_better
 
-    monkeypatch.setattr("stages.simplification.simplify.is_better_baked", compared)
+    monkeypatch.setattr("scanloom.stages.simplification.simplify.is_better_baked", compared)
     mesh = textured_ball(as_png(waves(64, 32)))
     rng = np.random.default_rng(3)
     # Each triangle is a chart of its own.

@@ -9,7 +9,7 @@ import pytest
 from coloured_meshes import ball, sheet
 from seamed_meshes import wrapped_ball
 
-from stages import Mesh, MeshError, Tradeoff, UsageError, compare, simplify, tradeoff
+from scanloom import Mesh, MeshError, Tradeoff, UsageError, compare, simplify, tradeoff
 
 
 @pytest.fixture(scope="module")

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from onnx import helper
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
-from stages.scans.read import read_scan
-from stages.stereo.by_network import completed, network_of
-from stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
-from stages.stereo.completed_scan import completed_scan
-from stages.stereo.depth import depth, depth_scan
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.filling import FILLED
-from stages.stereo.matching import SearchRange
-from stages.stereo.networks.probe import known_pair
-from stages.stereo.networks.sidecar import Sidecar, sidecar_of, written
-from stages.stereo.params import DepthParams
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.by_network import completed, network_of
+from scanloom.stages.stereo.codes import DEPTH_NETWORK_SIDECAR_INVALID
+from scanloom.stages.stereo.completed_scan import completed_scan
+from scanloom.stages.stereo.depth import depth, depth_scan
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.filling import FILLED
+from scanloom.stages.stereo.matching import SearchRange
+from scanloom.stages.stereo.networks.probe import known_pair
+from scanloom.stages.stereo.networks.sidecar import Sidecar, sidecar_of, written
+from scanloom.stages.stereo.params import DepthParams
 
 PAIR = Sidecar("stereo", {"left": "left", "right": "right"}, "disparity", "px", multiple_of=32)
 ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth", range=(0.0, 1.0))

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-import stages
-from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame, StereoRig
-from stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER
-from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
+from scanloom import stages
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame, StereoRig
+from scanloom.stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER
+from scanloom.stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
 
 WIDTH, HEIGHT = 320, 240
 CAMERA = Camera(WIDTH, HEIGHT, 300.0, 300.0, 159.5, 119.5)
@@ -495,7 +495,7 @@ def test_wrong_parameters_are_refused(changes: dict[str, Any], message: str) -> 
 
 
 def test_parameters_are_declared_with_text() -> None:
-    from stages.params import describe_all
+    from scanloom.stages.params import describe_all
 
     assert all(about.text for about in describe_all(DepthParams).values())
     assert not describe_all(DepthParams)["threads"].invalidates

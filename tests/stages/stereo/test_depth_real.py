@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from stages.scans.model.images import read_color, read_right
-from stages.scans.model.scan import Camera, Frame, StereoRig
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
-from stages.stereo.depth import DepthMap, depth, depth_scan
+from scanloom.stages.scans.model.images import read_color, read_right
+from scanloom.stages.scans.model.scan import Camera, Frame, StereoRig
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.stereo.depth import DepthMap, depth, depth_scan
 
 
 def read_pfm(path: Path) -> np.ndarray:

@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import stages
-from stages import Camera, InputError, StereoRig, UsageError, depth, stereo_disparity
-from stages import _kernels as kernels
+from scanloom import Camera, InputError, StereoRig, UsageError, depth, stages, stereo_disparity
+from scanloom.stages import _kernels as kernels
 from tests.stages.stereo.test_depth_real import visible
 
 SMALL, LARGE, EDGE = 24, 300.0, 30.0

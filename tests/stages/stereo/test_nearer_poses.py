@@ -9,8 +9,8 @@ import posed_scene
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.stereo.nearer_poses import nearer_poses
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.nearer_poses import nearer_poses
+from scanloom.stages.stereo.posed_views import PosedView
 
 CAMERA = posed_scene.CAMERA
 Matched = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]

@@ -8,16 +8,16 @@ import numpy as np
 import pale_thing
 import pytest
 
-from stages import views_depth
-from stages.diagnostics.collector import collecting
-from stages.scans.model.scan import Frame, Scan
-from stages.stereo.background import before_backdrop, common_backdrop
-from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE
-from stages.stereo.coverage import Counts, report_coverage
-from stages.stereo.depth import DepthMap, DepthParams
-from stages.stereo.hull_fill import on_hull, unmeasured
-from stages.stereo.posed_views import posed_views
-from stages.stereo.shown import hull_front, in_hull, outline_of
+from scanloom import views_depth
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.stereo.background import before_backdrop, common_backdrop
+from scanloom.stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE
+from scanloom.stages.stereo.coverage import Counts, report_coverage
+from scanloom.stages.stereo.depth import DepthMap, DepthParams
+from scanloom.stages.stereo.hull_fill import on_hull, unmeasured
+from scanloom.stages.stereo.posed_views import posed_views
+from scanloom.stages.stereo.shown import hull_front, in_hull, outline_of
 
 pytestmark = pytest.mark.slow
 

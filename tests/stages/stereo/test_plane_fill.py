@@ -8,12 +8,12 @@ import numpy as np
 import posed_scene
 import pytest
 
-from stages.scans.model.scan import Camera, DepthImage, Frame, Scan, SkippedFrame
-from stages.stereo.depth_map import DepthMap
-from stages.stereo.matching import SearchRange
-from stages.stereo.params import DepthParams
-from stages.stereo.plane_fill import _agreed, filled_on_planes, on_planes, plane_of
-from stages.stereo.posed_views import PosedView
+from scanloom.stages.scans.model.scan import Camera, DepthImage, Frame, Scan, SkippedFrame
+from scanloom.stages.stereo.depth_map import DepthMap
+from scanloom.stages.stereo.matching import SearchRange
+from scanloom.stages.stereo.params import DepthParams
+from scanloom.stages.stereo.plane_fill import _agreed, filled_on_planes, on_planes, plane_of
+from scanloom.stages.stereo.posed_views import PosedView
 
 HEIGHT, WIDTH = 240, 320
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH].astype(float)

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages import _kernels
-from stages.stereo.agreement import Said
-from stages.stereo.plane_sweep import plane_sweep
-from stages.stereo.posed_views import PosedView
-from stages.stereo.view_images import Seen
-from stages.stereo.views_confidence import views_confidence
+from scanloom.stages import _kernels
+from scanloom.stages.stereo.agreement import Said
+from scanloom.stages.stereo.plane_sweep import plane_sweep
+from scanloom.stages.stereo.posed_views import PosedView
+from scanloom.stages.stereo.view_images import Seen
+from scanloom.stages.stereo.views_confidence import views_confidence
 from tests.made import posed_scene
 
 SMALL, LARGE, EDGE = 24, 300.0, 30.0

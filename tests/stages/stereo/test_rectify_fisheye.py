@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color
-from stages.scans.model.scan import Camera, Frame, StereoRig
-from stages.stereo.rectify import rectified_rig
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color
+from scanloom.stages.scans.model.scan import Camera, Frame, StereoRig
+from scanloom.stages.stereo.rectify import rectified_rig
 
 SIZE = (160, 120)
 FOCAL, CENTRE = 60.0, (82.0, 57.0)

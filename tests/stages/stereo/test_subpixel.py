@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from stages.stereo.subpixel import refined
+from scanloom.stages.stereo.subpixel import refined
 
 HEIGHT, WIDTH = 120, 160
 

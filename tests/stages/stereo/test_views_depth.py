@@ -14,22 +14,22 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from stages import read_scan, views_depth
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.frames.features import detect_keypoints, match_descriptors
-from stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
-from stages.stereo.agreement import agreeing_views, merged
-from stages.stereo.background import measurable
-from stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_IMAGES_TURNED, DEPTH_POSES_MOVED
-from stages.stereo.depth import DepthMap, DepthParams
-from stages.stereo.partners import affinity, partners
-from stages.stereo.posed_views import PosedView, posed_views
-from stages.stereo.recognised import neighbours, recognised
-from stages.stereo.scene_depth import estimated_box, ranged_views
-from stages.stereo.view_pair import depth_in_view, rectified_views
+from scanloom import read_scan, views_depth
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.features import detect_keypoints, match_descriptors
+from scanloom.stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
+from scanloom.stages.stereo.agreement import agreeing_views, merged
+from scanloom.stages.stereo.background import measurable
+from scanloom.stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_IMAGES_TURNED, DEPTH_POSES_MOVED
+from scanloom.stages.stereo.depth import DepthMap, DepthParams
+from scanloom.stages.stereo.partners import affinity, partners
+from scanloom.stages.stereo.posed_views import PosedView, posed_views
+from scanloom.stages.stereo.recognised import neighbours, recognised
+from scanloom.stages.stereo.scene_depth import estimated_box, ranged_views
+from scanloom.stages.stereo.view_pair import depth_in_view, rectified_views
 
 pytestmark = pytest.mark.slow
 

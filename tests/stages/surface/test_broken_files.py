@@ -10,18 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from stages.surface.mesh_files import EXTENSIONS
+from scanloom.stages.surface.mesh_files import EXTENSIONS
 
 # Forks a process for each file named on its command line; each prints one JSON object.
 PARENT = """
 import json, os, resource, sys, time, warnings
 
 import scipy.sparse.csgraph, trimesh
-from stages.cleaning.clean import clean
-from stages.diagnostics.errors import InputError
-from stages.surface.mesh_files import read_mesh
-from stages.simplification.simplify import simplify
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.topology import topology
 
 def examine(path):
     resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from clouds import cloud, las, write_cloud
 
-from stages import read_cloud
-from stages.diagnostics.errors import InputError, UsageError
-from stages.surface import cloud_files
-from stages.surface.cloud_files import read_mesh_or_cloud
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
+from scanloom import read_cloud
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.surface import cloud_files
+from scanloom.stages.surface.cloud_files import read_mesh_or_cloud
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
 
 FAR = (432_100.0, 5_211_000.0, 310.0)
 

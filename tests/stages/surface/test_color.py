@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from stages.comparing.compare import compare
-from stages.surface.color import color_at, has_color, sampled
-from stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.surface.color import color_at, has_color, sampled
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 # Four texels in a row: 0, 80, 160, 240 of each channel.
 ROW = np.repeat(np.uint8([[0, 80, 160, 240]])[..., None], 3, axis=2)

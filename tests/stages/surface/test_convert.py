@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from varied_meshes import varied_meshes
 
-from stages.diagnostics.collector import DiagnosticWarning, collecting
-from stages.diagnostics.errors import MeshError
-from stages.surface import convert
-from stages.surface.codes import MESH_CONVERSION_LOSS
-from stages.surface.color import color_at
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image, Material, Texture
+from scanloom.stages.diagnostics.collector import DiagnosticWarning, collecting
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.surface import convert
+from scanloom.stages.surface.codes import MESH_CONVERSION_LOSS
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, Material, Texture
 
 
 def random_mesh(seed: int = 0, *, normals: bool = True) -> Mesh:
@@ -95,8 +95,8 @@ def test_trimesh_keeps_each_corner_of_a_texture():
 
 
 def test_open3d_finds_texture_rows_where_its_own_reader_puts_them(shared_data):
-    from stages._open3d import open3d
-    from stages.surface.formats.textures import read_texture
+    from scanloom.stages._open3d import open3d
+    from scanloom.stages.surface.formats.textures import read_texture
 
     folder = shared_data / "meshes" / "fuze"
     image = read_texture(folder / "fuze.obj", "fuze uv.jpg").pixels
@@ -151,7 +151,7 @@ def test_what_is_no_mesh_is_refused(data, sentence):
 
 def test_nothing_heavy_is_imported_for_a_mesh():
     code = (
-        "import sys, numpy as np; from stages.surface.convert import as_mesh;"
+        "import sys, numpy as np; from scanloom.stages.surface.convert import as_mesh;"
         "as_mesh((np.eye(3), np.array([[0, 1, 2]])));"
         "assert not {'open3d', 'trimesh', 'cv2', 'scipy'} & set(sys.modules), 'heavy'"
     )

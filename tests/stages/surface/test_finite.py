@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from coloured_meshes import ball, sheet
 
-from stages.diagnostics.errors import MeshError
-from stages.exporting.export import SUFFIXES, export
-from stages.exporting.usd import write_usd
-from stages.lod.build import build
-from stages.lod.slod import write_slod
-from stages.lod.tiles import write_tiles
-from stages.normal_meshes.remesh import remesh
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.formats.obj import write_obj
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Image, Material, Mesh, Texture, validated
-from stages.surface.mesh_files import EXTENSIONS, read_mesh, write_mesh
-from stages.surface.pieces import Written, write_by_pieces
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.exporting.export import SUFFIXES, export
+from scanloom.stages.exporting.usd import write_usd
+from scanloom.stages.lod.build import build
+from scanloom.stages.lod.slod import write_slod
+from scanloom.stages.lod.tiles import write_tiles
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.formats.obj import write_obj
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture, validated
+from scanloom.stages.surface.mesh_files import EXTENSIONS, read_mesh, write_mesh
+from scanloom.stages.surface.pieces import Written, write_by_pieces
 
 Writer = Callable[[Path, Mesh], object]
 

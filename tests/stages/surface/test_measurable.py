@@ -10,16 +10,16 @@ import pytest
 from coloured_meshes import sheet
 from seamed_meshes import wrapped_ball
 
-from stages.cleaning.clean import clean
-from stages.comparing.certify import certify
-from stages.comparing.compare import compare
-from stages.diagnostics.errors import MeshError
-from stages.normal_meshes.remesh import remesh
-from stages.picturing.render import render
-from stages.picturing.viewpoints import viewpoints
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.texturing.bake import bake
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.normal_meshes.remesh import remesh
+from scanloom.stages.picturing.render import render
+from scanloom.stages.picturing.viewpoints import viewpoints
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.texturing.bake import bake
 
 SMALL = sheet(n=5)
 TEXTURED = wrapped_ball(6, 8)

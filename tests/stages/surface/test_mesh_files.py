@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.diagnostics.errors import InputError, MeshError, UsageError
-from stages.surface.formats.obj import read_obj
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import EXTENSIONS, lost_with, read_mesh, write_mesh
-from stages.surface.texture import Image, Material, Texture
-from stages.surface.topology import topology
+from scanloom.stages.diagnostics.errors import InputError, MeshError, UsageError
+from scanloom.stages.surface.formats.obj import read_obj
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import EXTENSIONS, lost_with, read_mesh, write_mesh
+from scanloom.stages.surface.texture import Image, Material, Texture
+from scanloom.stages.surface.topology import topology
 
 WRITABLE = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 

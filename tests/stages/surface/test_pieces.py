@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.surface import pieces
-from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Extent, Pieces, Written, table_of, write_pieces
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface import pieces
+from scanloom.stages.surface.formats.ply import read_ply, write_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Extent, Pieces, Written, table_of, write_pieces
 
 # A strip of four triangles, the last two of the second piece.
 VERTICES = np.array([[x, y, 0.1 * x] for x in (0, 1, 2) for y in (0, 1)], float)

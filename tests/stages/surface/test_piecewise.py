@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.surface import pieces, piecewise, runs
-from stages.surface.formats.ply import read_ply
-from stages.surface.mesh import Mesh
-from stages.surface.pieces import Pieces
-from stages.surface.piecewise import Piecewise
-from stages.surface.raycasting import Surface, bounding_box
-from stages.surface.runs import Runs
-from stages.surface.topology import areas
-from stages.surface.vertex_normals import vertex_normals
+from scanloom.stages.surface import pieces, piecewise, runs
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.pieces import Pieces
+from scanloom.stages.surface.piecewise import Piecewise
+from scanloom.stages.surface.raycasting import Surface, bounding_box
+from scanloom.stages.surface.runs import Runs
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.surface.vertex_normals import vertex_normals
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stages.surface.rasterize import covered
+from scanloom.stages.surface.rasterize import covered
 
 
 def fan(count: int = 9, seed: int = 0) -> np.ndarray:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.spatial_order import is_scattered, ordered, with_rows
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.spatial_order import is_scattered, ordered, with_rows
 
 N = 330
 

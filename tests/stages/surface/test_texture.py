@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from stages.cleaning.clean import clean
-from stages.diagnostics.errors import MeshError
-from stages.surface.convert import as_mesh, with_vertex_colors
-from stages.surface.mesh import Mesh
-from stages.surface.spatial_order import with_rows
-from stages.surface.texture import Image, Material, Texture
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.surface.convert import as_mesh, with_vertex_colors
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.spatial_order import with_rows
+from scanloom.stages.surface.texture import Image, Material, Texture
 
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)

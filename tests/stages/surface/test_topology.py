@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.diagnostics.errors import InputError, MeshError
-from stages.surface.edges import components, edges_of
-from stages.surface.mesh_files import read_mesh
-from stages.surface.topology import Topology, is_degenerate, require_manifold, topology
+from scanloom.stages.diagnostics.errors import InputError, MeshError
+from scanloom.stages.surface.edges import components, edges_of
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.topology import Topology, is_degenerate, require_manifold, topology
 
 TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 

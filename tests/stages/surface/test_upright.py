@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stages.diagnostics.collector import collecting
-from stages.surface.mesh import Mesh
-from stages.surface.upright import up_of_place, up_of_surface
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.upright import up_of_place, up_of_surface
 
 
 def room(floor: float, *, noise: float = 0.0) -> Mesh:

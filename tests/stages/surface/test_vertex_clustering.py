@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.diagnostics.errors import InputError
-from stages.surface import vertex_clustering
-from stages.surface.formats.ply import write_ply
-from stages.surface.mesh import Mesh
-from stages.surface.vertex_clustering import clustered
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface import vertex_clustering
+from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.vertex_clustering import clustered
 
 
 def random_mesh(seed: int, vertices: int, triangles: int, *, colored: bool) -> Mesh:

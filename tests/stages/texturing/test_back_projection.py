@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from photographed import CAMERA, photos, wall
 
-from stages.scans.model.scan import Frame
-from stages.surface.color import color_at
-from stages.surface.mesh import Mesh
-from stages.texturing import painting
-from stages.texturing.back_projection import with_lacking
-from stages.texturing.texture import texture
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.texturing import painting
+from scanloom.stages.texturing.back_projection import with_lacking
+from scanloom.stages.texturing.texture import texture
 
 ALL = np.ones((CAMERA.height, CAMERA.width), bool)
 # Pixels of a photo in each pixel, along each side: what a pixel shows is a mean.

@@ -4,14 +4,14 @@ import pytest
 import trimesh
 from coloured_meshes import ball, of_trimesh, sheet
 
-import stages.texturing.painted_pages as pages_module
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.simplification.simplify import simplify
-from stages.surface.color import color_at
-from stages.surface.mesh import Image, Material, Mesh, Texture
-from stages.texturing.bake import bake
-from stages.texturing.codes import TEXTURE_BAKE_LEFT_OUT
-from stages.texturing.filling import filled_up
+import scanloom.stages.texturing.painted_pages as pages_module
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.texturing.bake import bake
+from scanloom.stages.texturing.codes import TEXTURE_BAKE_LEFT_OUT
+from scanloom.stages.texturing.filling import filled_up
 
 
 def square(depth: float = 0.0, turned: bool = False) -> Mesh:

@@ -15,12 +15,12 @@ from textured_models import (
     with_materials,
 )
 
-from stages.simplification.simplify import simplify
-from stages.surface.color import color_at, sampled
-from stages.surface.formats.gltf_materials import GltfStatements
-from stages.surface.mesh import Image, Material, Mesh
-from stages.surface.mesh_files import write_mesh
-from stages.texturing.image_format import jpeg_quality
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.color import color_at, sampled
+from scanloom.stages.surface.formats.gltf_materials import GltfStatements
+from scanloom.stages.surface.mesh import Image, Material, Mesh
+from scanloom.stages.surface.mesh_files import write_mesh
+from scanloom.stages.texturing.image_format import jpeg_quality
 
 
 def kept_image(mesh: Mesh, name: str, material: int = 0) -> Image:
@@ -33,7 +33,7 @@ def kept_image(mesh: Mesh, name: str, material: int = 0) -> Image:
 
 def color_difference(mesh: Mesh, original: Mesh) -> float:
     """Mean difference of colour in levels, at points of a ball, in the direction of the points."""
-    import stages
+    from scanloom import stages
 
     return stages.compare(original, mesh, samples=5000).color_a_to_b.rmse
 

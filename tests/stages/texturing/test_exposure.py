@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.texturing.exposure import exposures
+from scanloom.stages.texturing.exposure import exposures
 
 
 def samples(

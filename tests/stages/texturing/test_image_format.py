@@ -7,8 +7,14 @@ import pytest
 from PIL import Image as PillowImage
 from textured_models import as_jpeg, as_png, waves
 
-from stages.surface.mesh import Image
-from stages.texturing.image_format import ImageFormat, choose_format, encode, encode_within, jpeg_quality
+from scanloom.stages.surface.mesh import Image
+from scanloom.stages.texturing.image_format import (
+    ImageFormat,
+    choose_format,
+    encode,
+    encode_within,
+    jpeg_quality,
+)
 
 
 @pytest.mark.parametrize("quality", [15, 50, 75, 90, 97])

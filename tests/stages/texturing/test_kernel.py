@@ -8,15 +8,15 @@ import trimesh
 from coloured_meshes import ball, of_trimesh
 from photographed import CAMERA, flat_photo, paint, photos, pose, wall
 
-from stages import Mesh, _kernels
-from stages.progress import silent
-from stages.scans.model.poses import inverted
-from stages.surface.raycasting import Surface
-from stages.surface.vertex_normals import vertex_normals
-from stages.texturing.exposure import no_exposure
-from stages.texturing.photos import photos_of
-from stages.texturing.seams import SeamSums
-from stages.texturing.views import drawn_mesh, kernel_camera, see
+from scanloom.stages import Mesh, _kernels
+from scanloom.stages.progress import silent
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.vertex_normals import vertex_normals
+from scanloom.stages.texturing.exposure import no_exposure
+from scanloom.stages.texturing.photos import photos_of
+from scanloom.stages.texturing.seams import SeamSums
+from scanloom.stages.texturing.views import drawn_mesh, kernel_camera, see
 
 
 def camera(place: np.ndarray) -> tuple:

@@ -9,15 +9,15 @@ from photographed import paint, photo, pose, wall
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from stages import _kernels
-from stages.progress import silent
-from stages.surface.vertex_normals import vertex_normals
-from stages.texturing import painting
-from stages.texturing.exposure import no_exposure
-from stages.texturing.photos import photos_of
-from stages.texturing.seams import SeamSums, beside_photos
-from stages.texturing.texture import texture
-from stages.texturing.views import drawn_mesh, see
+from scanloom.stages import _kernels
+from scanloom.stages.progress import silent
+from scanloom.stages.surface.vertex_normals import vertex_normals
+from scanloom.stages.texturing import painting
+from scanloom.stages.texturing.exposure import no_exposure
+from scanloom.stages.texturing.photos import photos_of
+from scanloom.stages.texturing.seams import SeamSums, beside_photos
+from scanloom.stages.texturing.texture import texture
+from scanloom.stages.texturing.views import drawn_mesh, see
 
 SIDE = 120
 REACH = 8.0

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from photographed import CAMERA, photo, pose, wall
 
-from stages.scans.model.scan import Frame
-from stages.texturing import painting
-from stages.texturing.local_exposure import in_levels, local_exposure_of, made_even
-from stages.texturing.texture import texture
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.texturing import painting
+from scanloom.stages.texturing.local_exposure import in_levels, local_exposure_of, made_even
+from scanloom.stages.texturing.texture import texture
 
 HEIGHT, WIDTH = CAMERA.height, CAMERA.width
 STILL = np.zeros((61, 81, 2), np.float16)

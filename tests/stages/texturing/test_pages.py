@@ -7,13 +7,13 @@ from coloured_meshes import of_trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages import _kernels
-from stages.progress import silent
-from stages.surface.mesh import Mesh
-from stages.surface.rasterize import covered
-from stages.surface.texture import signed_areas
-from stages.surface.topology import areas
-from stages.texturing.pages import Pages, fitted, laid_out, texels_of
+from scanloom.stages import _kernels
+from scanloom.stages.progress import silent
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.rasterize import covered
+from scanloom.stages.surface.texture import signed_areas
+from scanloom.stages.surface.topology import areas
+from scanloom.stages.texturing.pages import Pages, fitted, laid_out, texels_of
 
 MESHES = {
     "box": of_trimesh(trimesh.creation.box()),

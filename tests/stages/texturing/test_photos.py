@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from photographed import photos
 
-from stages.progress import silent
-from stages.scans.model.scan import Frame
-from stages.texturing.photos import photos_of
+from scanloom.stages.progress import silent
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.texturing.photos import photos_of
 
 
 def blurred(frame: Frame, spread: float) -> Frame:

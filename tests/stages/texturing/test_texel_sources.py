@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stages import _kernels
-from stages.surface.color import sampled
-from stages.surface.raycasting import Surface, closest_weights, unit_normals
+from scanloom.stages import _kernels
+from scanloom.stages.surface.color import sampled
+from scanloom.stages.surface.raycasting import Surface, closest_weights, unit_normals
 
 WRAPS = ("repeat", "clamp", "mirror")
 

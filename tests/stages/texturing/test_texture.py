@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from photographed import CAMERA, brighter, flat_photo, hits, paint, photo, photos, pose, wall
 
-from stages import InputError, MeshError, UsageError
-from stages.progress import silent
-from stages.scans.model.images import read_photo
-from stages.scans.model.scan import Frame, Scan
-from stages.surface.color import color_at
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.texturing import maps, painting, survey
-from stages.texturing import photos as photos_module
-from stages.texturing.maps import write_maps
-from stages.texturing.texture import Textured, texture
-from stages.texturing.views import see
+from scanloom import InputError, MeshError, UsageError
+from scanloom.stages.progress import silent
+from scanloom.stages.scans.model.images import read_photo
+from scanloom.stages.scans.model.scan import Frame, Scan
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.texturing import maps, painting, survey
+from scanloom.stages.texturing import photos as photos_module
+from scanloom.stages.texturing.maps import write_maps
+from scanloom.stages.texturing.texture import Textured, texture
+from scanloom.stages.texturing.views import see
 
 INNER = (0.2, 0.8)
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.texturing.views import _BLUR, _blurred
+from scanloom.stages.texturing.views import _BLUR, _blurred
 
 
 def picture(width: int, height: int) -> np.ndarray:

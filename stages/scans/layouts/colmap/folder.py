@@ -17,24 +17,24 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import collecting, emit
-from stages.diagnostics.errors import InputError
-from stages.files.images import image_size
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import image_size
+from scanloom.stages.scans.codes import (
     DEPTH_RANGE_UNKNOWN,
     FILE_COLMAP_INVALID,
     FRAME_IMAGE_MISSING,
     SCAN_ASSUMED,
     SCAN_FILES_MISSING,
 )
-from stages.scans.image_folders.image_files import numbers
-from stages.scans.layouts.colmap import model_files as colmap
-from stages.scans.layouts.colmap.model_files import View
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.views import in_metres, single_view
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.image_folders.image_files import numbers
+from scanloom.stages.scans.layouts.colmap import model_files as colmap
+from scanloom.stages.scans.layouts.colmap.model_files import View
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.views import in_metres, single_view
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
+from scanloom.stages.scans.trajectory import files as trajectories
 
 # nerfstudio keeps the model below colmap/. Models that did not grow together are in folders with numbers.
 _MODELS = ("sparse", ".", "colmap/sparse", "colmap")

@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.codes import MACHINE_BUSY
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_TEXT_INVALID, FILE_UNREADABLE
-from stages.files.image_bytes import MAX_PIXELS
-from stages.files.opening import content_of, opened
-from stages.scans.calibration.camera_files import checked
-from stages.scans.calibration.fov_lens import fisheye_of_fov
-from stages.scans.codes import CAMERA_LENS_UNKNOWN, FILE_COLMAP_INVALID
-from stages.scans.model.poses import inverted, pose_from_quaternion
-from stages.scans.model.scan import Camera, Pose
+from scanloom.stages.diagnostics.codes import MACHINE_BUSY
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_TEXT_INVALID, FILE_UNREADABLE
+from scanloom.stages.files.image_bytes import MAX_PIXELS
+from scanloom.stages.files.opening import content_of, opened
+from scanloom.stages.scans.calibration.camera_files import checked
+from scanloom.stages.scans.calibration.fov_lens import fisheye_of_fov
+from scanloom.stages.scans.codes import CAMERA_LENS_UNKNOWN, FILE_COLMAP_INVALID
+from scanloom.stages.scans.model.poses import inverted, pose_from_quaternion
+from scanloom.stages.scans.model.scan import Camera, Pose
 
 
 @dataclass(frozen=True)

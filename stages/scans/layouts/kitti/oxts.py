@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.codes import POSE_TRAJECTORY_UNREADABLE
-from stages.scans.image_folders.image_files import first_existing, numbers
-from stages.scans.model.poses import inverted, rigid
-from stages.scans.model.scan import Pose
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.codes import POSE_TRAJECTORY_UNREADABLE
+from scanloom.stages.scans.image_folders.image_files import first_existing, numbers
+from scanloom.stages.scans.model.poses import inverted, rigid
+from scanloom.stages.scans.model.scan import Pose
 
 _DATA = "oxts/data"
 # Metres, of the equator.

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration.camera_files import matrix_camera
-from stages.scans.calibration.image_size import LARGEST_SIDE, for_images, is_of_shape
-from stages.scans.calibration.rig_calibration import with_baseline
-from stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, StereoRig
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration.camera_files import matrix_camera
+from scanloom.stages.scans.calibration.image_size import LARGEST_SIDE, for_images, is_of_shape
+from scanloom.stages.scans.calibration.rig_calibration import with_baseline
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, StereoRig
 
 # Images that were made smaller are smaller than so, as a share of the stated width.
 _SMALLER = 0.9

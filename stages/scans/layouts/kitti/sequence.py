@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, SCAN_TABLE_DAMAGED
-from stages.scans.image_folders.image_files import (
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, SCAN_TABLE_DAMAGED
+from scanloom.stages.scans.image_folders.image_files import (
     check_order,
     common_size,
     first_existing,
@@ -25,21 +25,21 @@ from stages.scans.image_folders.image_files import (
     images,
     pair,
 )
-from stages.scans.layouts.kitti.oxts import unit_poses
-from stages.scans.layouts.kitti.projections import (
+from scanloom.stages.scans.layouts.kitti.oxts import unit_poses
+from scanloom.stages.scans.layouts.kitti.projections import (
     projected_camera,
     projected_rig,
     read_projections,
     rectified_size,
 )
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.views import single_view
-from stages.scans.model.lacking import calibration_missing, poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
-from stages.scans.model.world import Z_UP, WorldUp, up_of_layout
-from stages.scans.streams.stereo_rigs import uncalibrated
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.views import single_view
+from scanloom.stages.scans.model.lacking import calibration_missing, poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
+from scanloom.stages.scans.streams.stereo_rigs import uncalibrated
+from scanloom.stages.scans.trajectory import files as trajectories
 
 # Left folder, right folder, the number of the left projection matrix. Colour is preferred.
 _CAMERAS = (

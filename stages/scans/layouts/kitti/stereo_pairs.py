@@ -9,17 +9,17 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError
-from stages.files.images import image_size
-from stages.files.noting import note
-from stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, RECORDING_SEVERAL, SCAN_FILES_MISSING
-from stages.scans.image_folders.image_files import has, images, pair
-from stages.scans.layouts.kitti.projections import projected_rig, read_projections, rectified_size
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Frame, Pose, Scan
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import image_size
+from scanloom.stages.files.noting import note
+from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, RECORDING_SEVERAL, SCAN_FILES_MISSING
+from scanloom.stages.scans.image_folders.image_files import has, images, pair
+from scanloom.stages.scans.layouts.kitti.projections import projected_rig, read_projections, rectified_size
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Frame, Pose, Scan
+from scanloom.stages.scans.trajectory import files as trajectories
 
 _CAMERAS = (
     ("image_2", "image_3", 2),

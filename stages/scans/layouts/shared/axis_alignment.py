@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.codes import SCAN_ALIGNMENT_MISSING, SCAN_ASSUMED
-from stages.scans.model.poses import rigid
-from stages.scans.model.scan import Pose, Scan
-from stages.scans.model.world import Z_UP, WorldUp, up_of_layout
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.codes import SCAN_ALIGNMENT_MISSING, SCAN_ASSUMED
+from scanloom.stages.scans.model.poses import rigid
+from scanloom.stages.scans.model.scan import Pose, Scan
+from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
 
 _NAME = re.compile(r"scene\d{4}_\d\d")
 _LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)

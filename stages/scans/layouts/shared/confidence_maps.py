@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.images import read_stored
-from stages.files.noting import only_looking
-from stages.scans.codes import SCAN_CONFIDENCE
-from stages.scans.image_folders.image_files import first_existing, images, numbers
-from stages.scans.layouts.shared.phones import least_confidence
-from stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import read_stored
+from scanloom.stages.files.noting import only_looking
+from scanloom.stages.scans.codes import SCAN_CONFIDENCE
+from scanloom.stages.scans.image_folders.image_files import first_existing, images, numbers
+from scanloom.stages.scans.layouts.shared.phones import least_confidence
+from scanloom.stages.scans.model.reading_params import ReadingParams
 
 _FOLDERS = ("confidence", "conf", "confidences")
 _LOOKED_AT = 4

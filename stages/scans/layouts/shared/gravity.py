@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCALE_UP_UNCERTAIN
-from stages.scans.streams.clocked_streams import Accelerometer
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import SCALE_UP_UNCERTAIN
+from scanloom.stages.scans.streams.clocked_streams import Accelerometer
 
 Floats = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Scan
-from stages.scans.model.world import Direction
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.model.world import Direction
 
 
 @dataclass(frozen=True)

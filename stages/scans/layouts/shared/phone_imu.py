@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.files import documents
-from stages.scans.codes import SCALE_UP_UNCERTAIN
-from stages.scans.streams.clocked_streams import Accelerometer
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files import documents
+from scanloom.stages.scans.codes import SCALE_UP_UNCERTAIN
+from scanloom.stages.scans.streams.clocked_streams import Accelerometer
 
 _COLUMNS = ("timestamp", "a_x", "a_y", "a_z")
 # The camera's x goes down the phone, its y to the left, for its images lie on their side: and it looks back.

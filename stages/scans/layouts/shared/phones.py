@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.codes import SCAN_CONFIDENCE, SCAN_PHONE_IMAGES
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, scaled
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.codes import SCAN_CONFIDENCE, SCAN_PHONE_IMAGES
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, scaled
 
 # 1920×1440 and 256×192 agree exactly; 4032×3024 cropped to 16:9 does not.
 _SAME_SHAPE = 0.02

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.files.images import image_size
-from stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, SCAN_DEPTH_MISSING
-from stages.scans.layouts.shared.phones import seen_in
-from stages.scans.model.depth_range import range_of_points
-from stages.scans.model.scan import Camera, Frame, Packed, Pose
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import image_size
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, SCAN_DEPTH_MISSING
+from scanloom.stages.scans.layouts.shared.phones import seen_in
+from scanloom.stages.scans.model.depth_range import range_of_points
+from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose
 
 # Two widths that differ by less are nearly one.
 _NEARLY = 0.1

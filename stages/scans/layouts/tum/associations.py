@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
-from stages.scans.trajectory import files as trajectories
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
+from scanloom.stages.scans.trajectory import files as trajectories
 
 
 @dataclass(frozen=True)

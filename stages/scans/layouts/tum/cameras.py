@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from stages.diagnostics.collector import collecting, emit
-from stages.files import documents
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.resolution import found_camera
-from stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
-from stages.scans.image_folders.image_files import first_existing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, scaled
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.resolution import found_camera
+from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
+from scanloom.stages.scans.image_folders.image_files import first_existing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, scaled
 
 # fx fy cx cy, then k1 k2 p1 p2 k3.
 _CAMERAS = {

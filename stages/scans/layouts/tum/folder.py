@@ -10,13 +10,13 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.diagnostic import Diagnostic
-from stages.diagnostics.errors import InputError
-from stages.files import documents
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration.discovery import trajectory_beside
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import documents
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration.discovery import trajectory_beside
+from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     POSE_ASSUMED,
@@ -25,8 +25,8 @@ from stages.scans.codes import (
     SCAN_FILES_MISSING,
     SCAN_TABLE_DAMAGED,
 )
-from stages.scans.image_folders.depth_units import MILLIMETRES, told_units
-from stages.scans.image_folders.image_files import (
+from scanloom.stages.scans.image_folders.depth_units import MILLIMETRES, told_units
+from scanloom.stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
     DEPTHS,
@@ -36,18 +36,18 @@ from stages.scans.image_folders.image_files import (
     has,
     images,
 )
-from stages.scans.image_folders.path_remapping import found_file
-from stages.scans.image_folders.timestamp_matching import nearest_in_time
-from stages.scans.layouts.shared.layout import Layout
-from stages.scans.layouts.shared.views import single_view
-from stages.scans.layouts.tum.associations import read_associations
-from stages.scans.layouts.tum.cameras import camera_of, data_set_camera, is_named_in
-from stages.scans.model.lacking import poses_missing
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
-from stages.scans.model.world import Z_UP, WorldUp, up_of_layout
-from stages.scans.trajectory import files as trajectories
-from stages.scans.trajectory.timed_poses import poses_at
+from scanloom.stages.scans.image_folders.path_remapping import found_file
+from scanloom.stages.scans.image_folders.timestamp_matching import nearest_in_time
+from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.views import single_view
+from scanloom.stages.scans.layouts.tum.associations import read_associations
+from scanloom.stages.scans.layouts.tum.cameras import camera_of, data_set_camera, is_named_in
+from scanloom.stages.scans.model.lacking import poses_missing
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Frame, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
+from scanloom.stages.scans.trajectory import files as trajectories
+from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 # The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
 _TOLERANCE = 20_000_000

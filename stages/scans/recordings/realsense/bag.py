@@ -9,22 +9,22 @@ from __future__ import annotations
 import re
 from functools import partial
 
-from stages.scans.model.scan import Pose
-from stages.scans.recordings.images import topic_images
-from stages.scans.recordings.messages import (
+from scanloom.stages.scans.model.scan import Pose
+from scanloom.stages.scans.recordings.images import topic_images
+from scanloom.stages.scans.recordings.messages import (
     CameraMessage,
     read_camera_info,
     read_float,
     read_image,
     read_transform,
 )
-from stages.scans.recordings.realsense.streams import (
+from scanloom.stages.scans.recordings.realsense.streams import (
     MOST_OPTIONS,
     RealSense,
     RealSenseStream,
     accelerometers_of,
 )
-from stages.scans.recordings.recording import Recording
+from scanloom.stages.scans.recordings.recording import Recording
 
 _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data")
 

@@ -13,19 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.diagnostics.errors import InputError
-from stages.files.codes import RECORDING_DAMAGED
-from stages.scans.model.poses import rigid
-from stages.scans.model.scan import Pose
-from stages.scans.recordings.images import topic_images
-from stages.scans.recordings.messages import CameraMessage, read_text
-from stages.scans.recordings.realsense.streams import (
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.codes import RECORDING_DAMAGED
+from scanloom.stages.scans.model.poses import rigid
+from scanloom.stages.scans.model.scan import Pose
+from scanloom.stages.scans.recordings.images import topic_images
+from scanloom.stages.scans.recordings.messages import CameraMessage, read_text
+from scanloom.stages.scans.recordings.realsense.streams import (
     MOST_OPTIONS,
     RealSense,
     RealSenseStream,
     accelerometers_of,
 )
-from stages.scans.recordings.recording import Messages, Recording
+from scanloom.stages.scans.recordings.recording import Messages, Recording
 
 _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data(/compressed|/compressedDepth)?")
 

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from stages.diagnostics.collector import emit
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration import camera_files as calibration
-from stages.scans.calibration import rig_calibration
-from stages.scans.calibration.realsense import is_like_opencv
-from stages.scans.codes import (
+from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration import camera_files as calibration
+from scanloom.stages.scans.calibration import rig_calibration
+from scanloom.stages.scans.calibration.realsense import is_like_opencv
+from scanloom.stages.scans.codes import (
     CAMERA_INTRINSICS_GUESSED,
     CAMERA_LENS_UNKNOWN,
     CAMERA_PAIR_UNCALIBRATED,
@@ -27,13 +27,13 @@ from stages.scans.codes import (
     RECORDING_TOPIC_MISSING,
     SCALE_DEPTH_UNIT_ASSUMED,
 )
-from stages.scans.model.poses import inverted
-from stages.scans.model.reading_params import ReadingParams
-from stages.scans.model.scan import Camera, Pose
-from stages.scans.recordings.messages import CameraMessage
-from stages.scans.recordings.recording import Messages, Recording
-from stages.scans.recordings.topics import acceleration
-from stages.scans.streams.clocked_streams import (
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.model.reading_params import ReadingParams
+from scanloom.stages.scans.model.scan import Camera, Pose
+from scanloom.stages.scans.recordings.messages import CameraMessage
+from scanloom.stages.scans.recordings.recording import Messages, Recording
+from scanloom.stages.scans.recordings.topics import acceleration
+from scanloom.stages.scans.streams.clocked_streams import (
     Accelerometer,
     Images,
     Pair,
@@ -42,7 +42,7 @@ from stages.scans.streams.clocked_streams import (
     extrinsics_unknown,
     stated_depth_camera,
 )
-from stages.scans.streams.stereo_rigs import stated_rig
+from scanloom.stages.scans.streams.stereo_rigs import stated_rig
 
 # A person changes an option now and then, a damaged file a million times: so many values are read.
 MOST_OPTIONS = 100

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from plates import CAMERA, depth_of, frames_of, looking, plate, together, without
 
-from stages import Mesh, clean, coverage
-from stages.diagnostics.errors import InputError, MeshError, UsageError
-from stages.inspecting.coverage.covered import Coverage
-from stages.inspecting.coverage.kinds import MISSING, THIN
-from stages.inspecting.coverage.place import Place
-from stages.scans.model.scan import Frame
-from stages.surface.raycasting import Surface
+from scanloom import Mesh, clean, coverage
+from scanloom.stages.diagnostics.errors import InputError, MeshError, UsageError
+from scanloom.stages.inspecting.coverage.covered import Coverage
+from scanloom.stages.inspecting.coverage.kinds import MISSING, THIN
+from scanloom.stages.inspecting.coverage.place import Place
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.surface.raycasting import Surface
 
 WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))
 # Five cameras in a row before the wall.

@@ -9,17 +9,17 @@ import pytest
 from cut_in_pieces import cut_in_pieces
 from plates import frames_of, plate, without
 
-from stages import coverage, read_scan
-from stages.inspecting.coverage import probes
-from stages.inspecting.coverage.borders import border_of
-from stages.inspecting.coverage.covered import Coverage
-from stages.inspecting.coverage.sight import Sight
-from stages.scans.model.scan import Frame
-from stages.surface import piecewise
-from stages.surface.formats.ply import read_ply
-from stages.surface.pieces import Pieces
-from stages.surface.piecewise import OnePiece, Piecewise
-from stages.surface.raycasting import Surface
+from scanloom import coverage, read_scan
+from scanloom.stages.inspecting.coverage import probes
+from scanloom.stages.inspecting.coverage.borders import border_of
+from scanloom.stages.inspecting.coverage.covered import Coverage
+from scanloom.stages.inspecting.coverage.sight import Sight
+from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.surface import piecewise
+from scanloom.stages.surface.formats.ply import read_ply
+from scanloom.stages.surface.pieces import Pieces
+from scanloom.stages.surface.piecewise import OnePiece, Piecewise
+from scanloom.stages.surface.raycasting import Surface
 
 _SAMPLE = Path(__file__).resolve().parents[4] / "samples" / "rgbd"
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from plates import CAMERA, frames_of, plate, together
 
-from stages import coverage
-from stages.inspecting.coverage.kinds import THIN
-from stages.scans.model.scan import Frame
+from scanloom import coverage
+from scanloom.stages.inspecting.coverage.kinds import THIN
+from scanloom.stages.scans.model.scan import Frame
 
 WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))
 STRAIGHT = [((x, -1.2, 0.6), (x, 0, 0.6)) for x in np.linspace(-0.3, 0.3, 6)]

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.azure_kinect import color_from_depth
-from stages.scans.calibration.camera_files import read_camera
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.azure_kinect import color_from_depth
+from scanloom.stages.scans.calibration.camera_files import read_camera
+from scanloom.stages.scans.read import read_scan
 
 # Shares of the sensor's sides, and a lens of its own for each camera.
 DEPTH = [0.51, 0.515, 0.49, 0.491, 0.5, -0.02, -0.003, 0.9, 0.09, -0.01, 0, 0, -7e-5, 2e-5]

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.camera_files import read_camera, read_depth_scale
-from stages.scans.calibration.rig_calibration import read_rig
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.camera_files import read_camera, read_depth_scale
+from scanloom.stages.scans.calibration.rig_calibration import read_rig
 
 K = [[100, 0, 16], [0, 110, 12], [0, 0, 1]]
 BENT = [0.1, -0.2, 0.003, 0.004, 0.05]

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.scans.calibration.camera_files import read_camera
-from stages.scans.calibration.rig_calibration import read_rig
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.scans.calibration.camera_files import read_camera
+from scanloom.stages.scans.calibration.rig_calibration import read_rig
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 K = [[100, 0, 16], [0, 100, 12], [0, 0, 1]]
 OPENCV = {"K1": K, "K2": K, "R": np.eye(3).tolist(), "T": [-0.5, 0, 0]}

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.camera_files import read_camera
-from stages.scans.calibration.rig_calibration import read_rig
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.camera_files import read_camera
+from scanloom.stages.scans.calibration.rig_calibration import read_rig
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 # For images twice as large as the tiny world's: pixel centres are at whole numbers.
 LARGE = [[200, 0, 32.5], [0, 200, 24.5], [0, 0, 1]]

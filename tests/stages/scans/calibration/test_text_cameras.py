@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.files.documents import read_document
-from stages.scans.calibration.camera_files import read_camera, read_depth_scale
-from stages.scans.calibration.rig_calibration import read_rig
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.documents import read_document
+from scanloom.stages.scans.calibration.camera_files import read_camera, read_depth_scale
+from scanloom.stages.scans.calibration.rig_calibration import read_rig
 
 K = [[100, 0, 16], [0, 110, 12], [0, 0, 1]]
 

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.scans.calibration.camera_files import read_camera
-from stages.scans.calibration.rig_calibration import read_rig
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.calibration.camera_files import read_camera
+from scanloom.stages.scans.calibration.rig_calibration import read_rig
 
 CONF = """
 [LEFT_CAM_2K]

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.image_folders.image_files import images, pair
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.image_folders.image_files import images, pair
 
 
 def paths(*names):

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.scans.image_folders.rotated_bits import is_rotated, turned_back
-from stages.scans.model.images import read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.scans.image_folders.rotated_bits import is_rotated, turned_back
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 def rotated(depth):

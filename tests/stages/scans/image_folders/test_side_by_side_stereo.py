@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.scans.image_folders.side_by_side_stereo import are_pairs
-from stages.scans.model.images import read_color, read_right
-from stages.scans.read import read_scan
+from scanloom.stages.scans.image_folders.side_by_side_stereo import are_pairs
+from scanloom.stages.scans.model.images import read_color, read_right
+from scanloom.stages.scans.read import read_scan
 
 WIDTH, HEIGHT, SHIFT = 160, 90, 9
 CAMERA = {"fx": 150, "fy": 150, "cx": 80, "cy": 45, "baseline": 0.12}

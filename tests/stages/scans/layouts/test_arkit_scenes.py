@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 # Depth's own names, and those of the other files: off by a millisecond either way.
 DEPTHS = ("41069021_9.500", "41069021_10.250")

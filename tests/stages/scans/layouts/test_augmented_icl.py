@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 TOGETHER = (".", ".", "livingroom1.log")
 APART = ("livingroom1-color", "livingroom1-depth-clean", "livingroom1-traj.txt")

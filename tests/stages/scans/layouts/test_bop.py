@@ -3,10 +3,10 @@ import json
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.poses import inverted
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 # Tenths of a millimetre.
 UNITS = 10_000

@@ -2,9 +2,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 def rotated(metres: float, scale: float = 10_000.0) -> np.ndarray:
@@ -38,7 +38,7 @@ def scan_folder(tmp_path, tiny, matrix_text):
 
 
 def seen(frame):
-    from stages.scans.model.images import read_depth
+    from scanloom.stages.scans.model.images import read_depth
 
     z = float(read_depth(frame)[17 * 4, 26 * 4])
     u, v = 26 * 4 + 1.5, 17 * 4 + 1.5

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 CALIB = (
     "P1: 90 0 20 0 0 90 15 0 0 0 1 0\n"

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from pipeline.cache.digest import scan_digest
-from stages.diagnostics.errors import InputError
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.pipeline.cache.digest import scan_digest
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 CAMERA = "100 0 16 0 100 12 0 0 1"
 # World-to-camera of the two frames of the tiny world: R and t by hand, R = pose.T, t = -R c.

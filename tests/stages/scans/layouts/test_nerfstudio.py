@@ -6,10 +6,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color, read_depth, read_seen
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color, read_depth, read_seen
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 FACTOR = 4
 APPLIED = np.array([[0, 1, 0, 0.5], [1, 0, 0, -2], [0, 0, -1, 7], [0, 0, 0, 1.0]])

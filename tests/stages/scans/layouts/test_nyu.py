@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.adjusting.offset import offset, sights
-from stages.adjusting.view import color_camera, place_of_color
-from stages.diagnostics.errors import InputError
-from stages.frames.matching_color import read_matching_color
-from stages.scans.model.images import read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.adjusting.offset import offset, sights
+from scanloom.stages.adjusting.view import color_camera, place_of_color
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 DEPTHS = ("d-10.000000-100.pgm", "d-10.500000-600.pgm", "d-20.000000-900.pgm")
 COLORS = ("r-10.030000-101.ppm", "r-10.490000-590.ppm", "r-10.600000-700.ppm")

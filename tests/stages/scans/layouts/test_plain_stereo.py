@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.inspecting.unused import unused
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.inspecting.unused import unused
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 CAMERA = {"fx": 100, "fy": 100, "cx": 16, "cy": 12}
 

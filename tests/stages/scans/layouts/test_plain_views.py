@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan, recognise
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan, recognise
 
 K = {"camera_matrix": [[40.0, 0, 15.5], [0, 40.0, 11.5], [0, 0, 1]], "image_width": 32, "image_height": 24}
 

@@ -7,10 +7,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 FACTOR = 4
 HALF = 0.5**0.5
@@ -269,6 +269,6 @@ def test_an_archive_of_another_compression_is_one_sentence(tmp_path, tiny, metho
 
 def test_an_entry_may_not_be_larger_than_what_it_holds_ever_is(tmp_path, tiny, monkeypatch):
     write_archive(tmp_path / "take.r3d", tiny)
-    monkeypatch.setattr("stages.scans.layouts.record3d._MAX_ENTRY_BYTES", 100)
+    monkeypatch.setattr("scanloom.stages.scans.layouts.record3d._MAX_ENTRY_BYTES", 100)
     with pytest.raises(InputError, match=r"take\.r3d: metadata is too large for what it should hold"):
         read_scan(tmp_path)

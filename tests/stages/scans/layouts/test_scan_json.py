@@ -4,13 +4,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.layouts.scan_json import write_scan_json
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Camera, Frame
-from stages.scans.model.world import WorldUp
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.layouts.scan_json import write_scan_json
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.model.world import WorldUp
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 CAMERA = {"width": 32, "height": 24, "fx": 100, "fy": 100, "cx": 16, "cy": 12}
 

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.frames.matching_color import read_matching_color
-from stages.scans.model.images import read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 # The colour camera sees the same view, three times as large and from a centre that is not the image's: the
 # known pixel (26, 17) lies at 300 · (0.1, 0.05) + (50, 33) = (80, 48) of its images.

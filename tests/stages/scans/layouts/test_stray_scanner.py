@@ -2,10 +2,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 FACTOR = 8
 HEADER = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"

@@ -5,10 +5,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.files.images import image_size
-from stages.scans.model.images import read_color, read_depth, read_right, read_seen
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import image_size
+from scanloom.stages.scans.model.images import read_color, read_depth, read_right, read_seen
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 CAMERA = Camera(32, 24, 100, 100, 16, 12)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from photographed import CAMERA, hits, paint, photo, pose
 
-from stages.scans.model.images import read_color, read_depth, read_photo, read_pinhole, read_seen
-from stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.model.images import read_color, read_depth, read_photo, read_pinhole, read_seen
+from scanloom.stages.scans.model.scan import Camera, Frame
 
 TURN = np.radians((2.0, -3.0, 1.5))
 STAND = pose(0.5, 0.5, z=-0.6, turn=5)

@@ -10,16 +10,16 @@ from itertools import islice
 
 import pytest
 
-from stages.scans.model.prefetch import both, read_ahead, workers
-from stages.scans.model.threads import VARIABLE, environment_of, threads_to_use
+from scanloom.stages.scans.model.prefetch import both, read_ahead, workers
+from scanloom.stages.scans.model.threads import VARIABLE, environment_of, threads_to_use
 
 # Threads while a mesh is simplified, at the most, and the result.
 SCRIPT = """
 import hashlib, threading, time
 from pathlib import Path
 import numpy as np
-import stages
-from stages.surface.mesh import Mesh
+import scanloom.stages
+from scanloom.stages.surface.mesh import Mesh
 u, v = np.meshgrid(np.arange(260), np.arange(260))
 height = 0.3 * np.sin(u / 9) * np.cos(v / 7)
 vertices = np.stack([u, v, height], -1).reshape(-1, 3).astype(float)
@@ -35,7 +35,7 @@ def count():
 counter = threading.Thread(target=count)
 before = len(list(Path("/proc/self/task").iterdir()))
 counter.start()
-light = stages.simplify(Mesh(vertices, faces.reshape(-1, 3).astype(np.int32)), ratio=0.2).mesh
+light = scanloom.stages.simplify(Mesh(vertices, faces.reshape(-1, 3).astype(np.int32)), ratio=0.2).mesh
 going = False
 counter.join()
 print(most - before, hashlib.sha256(light.vertices.tobytes()).hexdigest())

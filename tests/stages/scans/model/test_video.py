@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model import video
-from stages.scans.model.video import Video
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model import video
+from scanloom.stages.scans.model.video import Video
 
 COUNT = 40
 

@@ -10,8 +10,8 @@ from tiny_recordings import (
     recording,
 )
 
-from stages.diagnostics.errors import InputError
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.read import read_scan
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import tracemalloc
 import lz4.frame
 import pytest
 
-from stages.scans.recordings import chunked
+from scanloom.stages.scans.recordings import chunked
 
 if sys.version_info >= (3, 14):
     from compression import zstd

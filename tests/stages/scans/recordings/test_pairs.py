@@ -8,10 +8,10 @@ from recordings import Image, Recording, Stream, made, stamped, transform
 from scipy.spatial.transform import Rotation
 from tiny_recordings import INTERVAL, START, doubts
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color, read_right
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color, read_right
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 BASELINE = 0.05
 

@@ -14,10 +14,10 @@ from tiny_recordings import (
     recording,
 )
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 def test_images_of_one_moment_are_paired_whatever_was_dropped(tmp_path):

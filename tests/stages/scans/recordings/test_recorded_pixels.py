@@ -5,9 +5,9 @@ import pytest
 from recordings import Image
 from tiny_recordings import START, color_image, color_stream, depth_map, depth_stream, recording
 
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 @pytest.mark.parametrize(

@@ -20,11 +20,11 @@ from tiny_recordings import (
     ros_depth,
 )
 
-from stages.diagnostics.errors import InputError
-from stages.files import zstd_blocks
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files import zstd_blocks
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 def test_a_bag_without_images_says_what_it_holds(tmp_path):

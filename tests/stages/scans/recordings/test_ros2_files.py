@@ -6,9 +6,9 @@ import pytest
 from recordings import Image
 from tiny_recordings import INTERVAL, START, color_image, depth_map, outcome, ros_bag, ros_color, ros_depth
 
-from stages.diagnostics.errors import InputError
-from stages.scans.read import read_scan
-from stages.scans.recordings import chunked
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.recordings import chunked
 
 FORMS = [
     ("mcap", "none"),

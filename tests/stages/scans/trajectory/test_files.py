@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.scans.model.poses import inverted
-from stages.scans.trajectory.files import (
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.poses import inverted
+from scanloom.stages.scans.trajectory.files import (
     Trajectory,
     by_number,
     in_order,

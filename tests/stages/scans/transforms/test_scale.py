@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import tagged_wall
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError, UsageError
-from stages.scans.model.images import read_depth
-from stages.scans.model.scan import Camera, Frame, Scan, StereoRig
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
-from stages.scans.transforms.scale import with_scale
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.transforms.scale import with_scale
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 FACTOR = 0.25

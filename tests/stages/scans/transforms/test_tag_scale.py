@@ -10,12 +10,12 @@ import tagged_wall
 from scipy.spatial.transform import Rotation
 from tagged_wall import CAMERA, TAGS, Tag
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.errors import InputError
-from stages.scans.model import tags
-from stages.scans.model.scan import Camera, Frame
-from stages.scans.model.tags import FAMILIES
-from stages.scans.transforms.tag_scale import scale_by_tags
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model import tags
+from scanloom.stages.scans.model.scan import Camera, Frame
+from scanloom.stages.scans.model.tags import FAMILIES
+from scanloom.stages.scans.transforms.tag_scale import scale_by_tags
 
 FOLDER = Path("scan")
 EDGE = 0.12

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stages.scans.layouts import polycam
-from stages.scans.model.scan import Camera, Frame, Scan
-from stages.scans.model.world import Y_UP, Z_UP, WorldUp, up_of_layout
-from stages.scans.params import ScanParams
-from stages.scans.table import LAYOUTS
-from stages.scans.transforms.up import known_up, with_up
+from scanloom.stages.scans.layouts import polycam
+from scanloom.stages.scans.model.scan import Camera, Frame, Scan
+from scanloom.stages.scans.model.world import Y_UP, Z_UP, WorldUp, up_of_layout
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.table import LAYOUTS
+from scanloom.stages.scans.transforms.up import known_up, with_up
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 FRAME = Frame("a", CAMERA, world_from_camera=np.eye(4))

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seamed_meshes import edge_counts, outside_charts, welded, wrapped_ball
 
-import stages
-from stages.comparing.certify import certify
-from stages.comparing.compare import compare
-from stages.simplification.certified.color_samples import color_samples
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Image, Material, Mesh, Texture
-from stages.surface.mesh_files import read_mesh
+from scanloom import stages
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.simplification.certified.color_samples import color_samples
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.surface.mesh_files import read_mesh
 
 DATA = Path(__file__).parents[5] / "shared" / "data" / "meshes"
 

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.cleaning.clean import clean
-from stages.comparing.certify import certify
-from stages.comparing.compare import compare
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import UsageError
-from stages.params import resolve
-from stages.simplification.auto import chosen
-from stages.simplification.regions import Box, Sphere
-from stages.simplification.simplify import Simplified, SimplifyParams, simplify
-from stages.surface.mesh import Mesh, Texture
-from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.surface.raycasting import Surface, interpolated
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.certify import certify
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.params import resolve
+from scanloom.stages.simplification.auto import chosen
+from scanloom.stages.simplification.regions import Box, Sphere
+from scanloom.stages.simplification.simplify import Simplified, SimplifyParams, simplify
+from scanloom.stages.surface.mesh import Mesh, Texture
+from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
+from scanloom.stages.surface.raycasting import Surface, interpolated
+from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 

@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stages.cleaning.clean import clean
-from stages.diagnostics.errors import UsageError
-from stages.simplification.certified.details import CertifiedDetails
-from stages.simplification.result import Simplified
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Surface, interpolated
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.certified.details import CertifiedDetails
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Surface, interpolated
+from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 

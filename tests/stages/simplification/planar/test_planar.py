@@ -11,17 +11,17 @@ from coloured_meshes import MESHES, assert_same_topology, sheet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import stages
-from stages.cleaning.clean import clean
-from stages.comparing.compare import compare
-from stages.diagnostics.errors import UsageError
-from stages.simplification.planar.patches import colored_by_patch
-from stages.simplification.result import Simplified
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Material, Mesh, Texture
-from stages.surface.mesh_files import read_mesh
-from stages.surface.raycasting import Surface
-from stages.surface.topology import areas, topology
+from scanloom import stages
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.planar.patches import colored_by_patch
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Material, Mesh, Texture
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import Surface
+from scanloom.stages.surface.topology import areas, topology
 
 BENCHES = Path(__file__).resolve().parents[4] / "benches"
 # Below the 9° between two sectors of the cone, none takes in what is thin enough of the next near the apex.

@@ -12,14 +12,14 @@ import trimesh
 from numpy.typing import NDArray
 from real_parts import quarter
 
-from stages.cleaning.clean import clean
-from stages.progress import Progress, silent
-from stages.simplification.planar.run import planar_patches
-from stages.simplification.planar.tighter import fewest_patches, fewest_triangles
-from stages.simplification.result import Simplified
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.progress import Progress, silent
+from scanloom.stages.simplification.planar.run import planar_patches
+from scanloom.stages.simplification.planar.tighter import fewest_patches, fewest_triangles
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
 
 BENCHES = Path(__file__).resolve().parents[4] / "benches"
 KITCHEN = (

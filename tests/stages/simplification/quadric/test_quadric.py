@@ -14,19 +14,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from stages import _kernels
-from stages.cleaning.clean import clean
-from stages.comparing.compare import compare
-from stages.diagnostics.errors import UsageError
-from stages.progress import silent
-from stages.simplification.codes import SIMPLIFY_CROWDED
-from stages.simplification.regions import Sphere
-from stages.simplification.result import Simplified
-from stages.simplification.simplify import simplify
-from stages.surface.convert import as_mesh, to_open3d_legacy
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.topology import topology
+from scanloom.stages import _kernels
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.progress import silent
+from scanloom.stages.simplification.codes import SIMPLIFY_CROWDED
+from scanloom.stages.simplification.regions import Sphere
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.convert import as_mesh, to_open3d_legacy
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.topology import topology
 
 
 def normals(mesh: Mesh) -> NDArray[np.float64]:

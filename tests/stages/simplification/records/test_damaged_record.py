@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from saved_records import arrays_of, recorded, saved
 
-from stages.diagnostics.errors import InputError
-from stages.simplification.records.load import load_record
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.simplification.records.load import load_record
 
 
 @pytest.mark.parametrize("kind", ["vertices", "wedges"])

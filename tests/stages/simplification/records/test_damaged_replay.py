@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from saved_records import KINDS, arrays_of, saved
 
-from stages.diagnostics.errors import ScanloomError
-from stages.simplification.records.load import load_record
-from stages.surface.mesh import validated
+from scanloom.stages.diagnostics.errors import ScanloomError
+from scanloom.stages.simplification.records.load import load_record
+from scanloom.stages.surface.mesh import validated
 
 SEEDS = range(25)
 

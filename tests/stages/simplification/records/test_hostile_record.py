@@ -12,10 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from saved_records import KINDS, arrays_of, saved
 
-from stages.diagnostics.errors import InputError, ScanloomError
-from stages.simplification.records.load import load_record
-from stages.simplification.records.record import CollapseRecord
-from stages.surface.mesh import Mesh
+from scanloom.stages.diagnostics.errors import InputError, ScanloomError
+from scanloom.stages.simplification.records.load import load_record
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.surface.mesh import Mesh
 
 
 def header(shape: tuple[int, ...], kind: str) -> bytes:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.simplification.records.meetings import Meetings
+from scanloom.stages.simplification.records.meetings import Meetings
 
 
 def followed(count: int, removed: list[int], survivor: list[int], a: int, b: int) -> int:

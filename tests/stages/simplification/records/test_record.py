@@ -11,15 +11,15 @@ import pytest
 import trimesh
 from real_parts import quarter
 
-from stages.cleaning.clean import clean
-from stages.comparing.compare import compare
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.records.steps import Replayed
-from stages.simplification.simplify import Simplified, simplify
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh
-from stages.surface.topology import topology
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.records.steps import Replayed
+from scanloom.stages.simplification.simplify import Simplified, simplify
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.topology import topology
 
 
 def ring() -> Mesh:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from saved_records import KINDS, arrays_of, recorded, saved
 
-from stages.diagnostics.errors import StageError
-from stages.simplification.records.load import load_record
-from stages.simplification.records.record import FORMAT_VERSION
-from stages.simplification.records.steps import Replayed
+from scanloom.stages.diagnostics.errors import StageError
+from scanloom.stages.simplification.records.load import load_record
+from scanloom.stages.simplification.records.record import FORMAT_VERSION
+from scanloom.stages.simplification.records.steps import Replayed
 
 
 def assert_equal(one: Replayed, other: Replayed) -> None:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.comparing.compare import compare
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Mesh
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Mesh
 
 # Permitted ratio of the RMS distance of `seams` to that of `quadric`.
 MOST_RATIO = 1.3

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from seamed_meshes import edge_counts, outside_charts, welded
 
-from stages.comparing.compare import compare
-from stages.simplification.simplify import simplify
-from stages.surface.mesh import Image, Material, Mesh, Texture
+from scanloom.stages.comparing.compare import compare
+from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
 def globe(rings: int, segments: int, bumps: float) -> Mesh:

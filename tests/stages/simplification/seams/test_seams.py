@@ -24,18 +24,18 @@ from seamed_meshes import (
 from simplified_checks import assert_finite
 from simplified_checks import assert_sound as assert_near
 
-from stages import _kernels
-from stages.cleaning.clean import clean
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import UsageError
-from stages.simplification.codes import SIMPLIFY_IMAGES_KEPT
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.result import Simplified
-from stages.simplification.seams.similar import equal_sets, joinable_sets
-from stages.simplification.simplify import SimplifyParams, simplify
-from stages.surface.mesh import Material, Mesh, Texture
-from stages.surface.mesh_files import read_mesh
-from stages.surface.topology import repeats_vertex
+from scanloom.stages import _kernels
+from scanloom.stages.cleaning.clean import clean
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.simplification.codes import SIMPLIFY_IMAGES_KEPT
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.seams.similar import equal_sets, joinable_sets
+from scanloom.stages.simplification.simplify import SimplifyParams, simplify
+from scanloom.stages.surface.mesh import Material, Mesh, Texture
+from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.topology import repeats_vertex
 
 DATA = Path(__file__).parents[5] / "shared" / "data" / "meshes"
 TEXTURED = (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages.simplification.seams.similar import _few_pairs, _pairs_in_tree
+from scanloom.stages.simplification.seams.similar import _few_pairs, _pairs_in_tree
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stages.simplification.result import Details
+from scanloom.stages.simplification.result import Details
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from stages.simplification.sixth.details import CutDetails
-from stages.simplification.sixth.params import CutParams
 
-from stages.simplification.result import Simplified
-from stages.simplification.task import Task
+from scanloom.stages.simplification.result import Simplified
+from scanloom.stages.simplification.sixth.details import CutDetails
+from scanloom.stages.simplification.sixth.params import CutParams
+from scanloom.stages.simplification.task import Task
 
 RESULT_VERSION = 1
 

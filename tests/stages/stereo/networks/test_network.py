@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper
 
-from stages.diagnostics.errors import InputError
-from stages.stereo.networks.network import Network
-from stages.stereo.networks.probe import known_pair
-from stages.stereo.networks.process import NetworkProcesses
-from stages.stereo.networks.sidecar import Sidecar
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.stereo.networks.network import Network
+from scanloom.stages.stereo.networks.probe import known_pair
+from scanloom.stages.stereo.networks.process import NetworkProcesses
+from scanloom.stages.stereo.networks.sidecar import Sidecar
 
 PAIR = Sidecar("stereo", {"left": "left", "right": "right"}, "disparity", "px", multiple_of=32)
 ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth")

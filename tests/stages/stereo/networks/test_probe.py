@@ -4,9 +4,9 @@ import networks
 import pytest
 from onnx import helper
 
-from stages.diagnostics.errors import InputError, StageError
-from stages.stereo.networks import probe
-from stages.stereo.networks.probe import probe_network
+from scanloom.stages.diagnostics.errors import InputError, StageError
+from scanloom.stages.stereo.networks import probe
+from scanloom.stages.stereo.networks.probe import probe_network
 
 
 @pytest.fixture(autouse=True)

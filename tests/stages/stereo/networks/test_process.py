@@ -14,9 +14,9 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from stages.diagnostics.errors import InputError, UsageError
-from stages.stereo.networks import process
-from stages.stereo.networks.process import NetworkProcesses
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.stereo.networks import process
+from scanloom.stages.stereo.networks.process import NetworkProcesses
 
 IMAGE = ("image", [1, 3, "h", "w"])
 FEED = {"image": np.ones((1, 3, 20, 30), np.float32)}

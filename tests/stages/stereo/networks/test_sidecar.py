@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.stereo.networks.sidecar import Sidecar, read_sidecar, sidecar_of, written
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.stereo.networks.sidecar import Sidecar, read_sidecar, sidecar_of, written
 
 PAIR = 'kind = "stereo"\noutput = "d"\nunit = "px"\n[inputs]\na = "left"\nb = "right"\n'
 

@@ -7,12 +7,12 @@ import struct
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError, MeshError
-from stages.files.image_bytes import encoded_png
-from stages.surface.formats.gltf import read_gltf
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image, Material, Texture
+from scanloom.stages.diagnostics.errors import InputError, MeshError
+from scanloom.stages.files.image_bytes import encoded_png
+from scanloom.stages.surface.formats.gltf import read_gltf
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, Material, Texture
 
 RED = encoded_png(np.full((2, 2, 3), (200, 10, 20), np.uint8))
 BLUE = encoded_png(np.full((4, 2, 3), (10, 20, 200), np.uint8))

@@ -12,11 +12,11 @@ from coloured_sheet import sheet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages import Image, Material, Mesh, Texture, _kernels, read_mesh
-from stages.diagnostics.errors import InputError
-from stages.surface.formats.gltf_container import read_container
-from stages.surface.formats.gltf_packing import COMPRESSIONS, lattice_of
-from stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages import Image, Material, Mesh, Texture, _kernels, read_mesh
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.surface.formats.gltf_container import read_container
+from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS, lattice_of
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
 
 SMALL = [way for way in COMPRESSIONS if way != "none"]
 

@@ -11,14 +11,14 @@ import trimesh
 from browsers import PAGE, browser
 from coloured_sheet import UP, ball, sheet, textured_sheet
 
-from stages import Image, Mesh, Texture, bake, read_mesh, write_mesh
-from stages._open3d import open3d
-from stages.surface.formats.colors import linear_from_srgb
-from stages.surface.formats.gltf_container import read_container
-from stages.surface.formats.gltf_materials import UNLIT, is_shown_as_it_is, shown_as_it_is
-from stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS
-from stages.surface.formats.gltf_writer import write_gltf
-from stages.surface.texture import Material
+from scanloom import Image, Mesh, Texture, bake, read_mesh, write_mesh
+from scanloom.stages._open3d import open3d
+from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages.surface.formats.gltf_container import read_container
+from scanloom.stages.surface.formats.gltf_materials import UNLIT, is_shown_as_it_is, shown_as_it_is
+from scanloom.stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS
+from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.texture import Material
 
 
 def tree_of(path: Path):

@@ -11,11 +11,11 @@ from coloured_sheet import sheet
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages import read_mesh, simplify, write_mesh
-from stages.diagnostics.errors import MeshError, UsageError
-from stages.surface.formats.colors import linear_from_srgb
-from stages.surface.formats.gltf_container import read_container
-from stages.surface.upright import direction_of, turn_along_y, turn_along_z
+from scanloom import read_mesh, simplify, write_mesh
+from scanloom.stages.diagnostics.errors import MeshError, UsageError
+from scanloom.stages.surface.formats.colors import linear_from_srgb
+from scanloom.stages.surface.formats.gltf_container import read_container
+from scanloom.stages.surface.upright import direction_of, turn_along_y, turn_along_z
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 

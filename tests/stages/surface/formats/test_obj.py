@@ -5,15 +5,15 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.diagnostic import Severity
-from stages.diagnostics.errors import InputError
-from stages.files.image_bytes import encoded_png
-from stages.surface.convert import with_vertex_colors
-from stages.surface.formats import obj_statements
-from stages.surface.formats.obj import read_obj, write_obj
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image, Material, Texture
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.image_bytes import encoded_png
+from scanloom.stages.surface.convert import with_vertex_colors
+from scanloom.stages.surface.formats import obj_statements
+from scanloom.stages.surface.formats.obj import read_obj, write_obj
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, Material, Texture
 
 RED = encoded_png(np.full((2, 2, 3), (200, 10, 20), np.uint8))
 BLUE = encoded_png(np.full((2, 2, 4), (10, 20, 200, 255), np.uint8))

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.evaluation import deviations
-from pipeline.steps import coverage as covering
-from stages.diagnostics.errors import InputError, MeshError, StageError
-from stages.surface.formats.ply import read_ply, read_vertex_values, write_ply, write_ply_cloud
-from stages.surface.mesh import Mesh
-from stages.surface.texture import Image, Material, Texture
+from scanloom.pipeline.evaluation import deviations
+from scanloom.pipeline.steps import coverage as covering
+from scanloom.stages.diagnostics.errors import InputError, MeshError, StageError
+from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values, write_ply, write_ply_cloud
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, Material, Texture
 
 XYZ = "property float x\nproperty float y\nproperty float z\n"
 FACE = "property list uchar int vertex_indices\n"
@@ -95,7 +95,7 @@ def test_texture_round_trip(tmp_path):
 def test_other_programs_read_what_is_written(tmp_path):
     import trimesh
 
-    from stages._open3d import open3d
+    from scanloom.stages._open3d import open3d
 
     mesh = grid_mesh()
     path = tmp_path / "mesh.ply"

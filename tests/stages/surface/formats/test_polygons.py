@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stages.diagnostics.collector import collecting
-from stages.diagnostics.diagnostic import Diagnostic, Severity
-from stages.surface.formats.polygons import split_polygons
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
+from scanloom.stages.surface.formats.polygons import split_polygons
 
 
 def split(ring) -> tuple[np.ndarray, list[Diagnostic]]:

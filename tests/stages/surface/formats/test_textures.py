@@ -7,8 +7,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from stages.surface.formats.textures import write_images
-from stages.surface.texture import Image
+from scanloom.stages.surface.formats.textures import write_images
+from scanloom.stages.surface.texture import Image
 
 
 def png(level: int) -> bytes:

@@ -5,11 +5,11 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.frames.matching_color import read_matching_color
-from stages.scans.model.images import read_depth, read_pinhole
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.scans.model.images import read_depth, read_pinhole
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 NAMES = ("10.png", "left side/a view 2.png")
 HALF = 0.5**0.5

@@ -8,9 +8,9 @@ it and 0.5 m above; camera 0 looks forward, x right, y down, z forward, 0.3 m be
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 CAMERAS = """S_rect_02: 3.200000e+01 2.400000e+01
 R_rect_00: 1 0 0 0 1 0 0 0 1

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color, read_right
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color, read_right
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 # P0 and P1: baseline 0.5 m. P2 and P3: the colour pair stands 0.06 m left of camera 0, baseline 0.54 m.
 CALIB = """P0: 100 0 16 0 0 100 12 0 0 0 1 0

@@ -6,10 +6,10 @@ from recordings import Reading, Recording, transform
 from scipy.spatial.transform import Rotation
 from tiny_recordings import INTERVAL, LINKS, START, depth_stream, recording, ros_bag
 
-from stages.diagnostics.collector import collecting
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
-from stages.scans.transforms.up import known_up
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.transforms.up import known_up
 
 ACCEL = "/device_0/sensor_2/Accel_0/imu/data"
 # In the second pose of the tiny world, too, y of the camera is y of the world, which then is down.

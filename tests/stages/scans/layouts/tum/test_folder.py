@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.diagnostics.errors import InputError
-from stages.scans.image_folders.depth_units import told_units
-from stages.scans.model.images import read_depth
-from stages.scans.model.world import WorldUp
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.image_folders.depth_units import told_units
+from scanloom.stages.scans.model.images import read_depth
+from scanloom.stages.scans.model.world import WorldUp
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 @pytest.fixture

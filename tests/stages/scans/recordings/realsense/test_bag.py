@@ -16,11 +16,11 @@ from tiny_recordings import (
     recording,
 )
 
-from stages.diagnostics.errors import InputError
-from stages.frames.matching_color import read_matching_color
-from stages.scans.model.images import read_color, read_depth, read_right
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.frames.matching_color import read_matching_color
+from scanloom.stages.scans.model.images import read_color, read_depth, read_right
+from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.read import read_scan
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])

@@ -15,10 +15,10 @@ from tiny_recordings import (
     recording,
 )
 
-from stages.diagnostics.errors import InputError
-from stages.scans.model.images import read_color, read_depth
-from stages.scans.read import read_scan
-from stages.scans.recordings import db3 as ros_db3
+from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.images import read_color, read_depth
+from scanloom.stages.scans.read import read_scan
+from scanloom.stages.scans.recordings import db3 as ros_db3
 
 
 @pytest.mark.parametrize("form", ["raw", "png", "zstd"])
