@@ -101,7 +101,7 @@ def write_package() -> str:
     """Return the source of `stages/__init__.py` with the names of its table imported and listed."""
     text = PACKAGE.read_text(encoding="utf-8")
     imports = [
-        f"    from stages.{module} import {', '.join(names)}\n"
+        f"    from scanloom.stages.{module} import {', '.join(names)}\n"
         for module, names in sorted(stages._NAMES_OF.items())
     ]
     listed = sorted({*stages._MODULE_OF, "__version__"})
