@@ -24,6 +24,12 @@ pub fn diagonal([low, high]: &[Vec3; 2]) -> f64 {
     norm2(&sub(high, low).map(|side| side.max(0.0))).sqrt()
 }
 
+/// A box that is larger on each side by a share of its diagonal.
+pub fn enlarged([low, high]: &[Vec3; 2], share: f64) -> [Vec3; 2] {
+    let margin = share * diagonal(&[*low, *high]);
+    [low.map(|x| x - margin), high.map(|x| x + margin)]
+}
+
 /// a + t·b
 #[inline]
 pub fn add_scaled<const D: usize>(a: &[f64; D], t: f64, b: &[f64; D]) -> [f64; D] {

@@ -5,7 +5,7 @@ use crate::mesh::triangle_mesh::Mesh;
 
 /// What a measure remembers of the whole mesh.
 pub trait Records<const D: usize>: Sized + Send + Sync {
-    type Measure: Measure<D>;
+    type Measure: Measure<D> + Send;
     /// What is left of a region's records.
     type Remains: Send;
 

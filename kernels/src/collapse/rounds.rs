@@ -13,6 +13,7 @@
 //! from the mesh alone, so the result has the same bits for any number of threads. Regions fit into the
 //! cache, which makes this faster than one queue also on a single core.
 
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use crate::base::errors::KernelError;
@@ -52,6 +53,10 @@ const SHARE: f64 = 0.75;
 
 /// Free pages stay where only one collapse took place for so many triangles: they are needed again at once.
 const FEW: usize = 16;
+
+/// With at most so many regions, all are sampled, and their engines are kept: they take as much memory as on as many
+/// threads.
+const MAX_BEGUN: usize = 8;
 
 type Bound<const D: usize, R> = <<R as Records<D>>::Measure as Measure<D>>::Bound;
 
@@ -201,7 +206,7 @@ impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
     fn work(&self, cut: &Cut, progress: &Progress) -> Result<Done<D, R>, KernelError> {
         let (mesh, goal, count) = (&self.mesh, self.goal, self.mesh.triangles.len());
         let gone = AtomicU64::new(self.gone() as u64);
-        let run = Run { rounds: self, cut, gone, total: self.total() as u64 };
+        let mut run = Run { rounds: self, cut, gone, total: self.total() as u64, begun: vec![] };
         let is_one = cut.partition.len() == 1;
         let priority = match &self.waiting {
             _ if is_one || self.is_stalled => f64::INFINITY,
@@ -271,7 +276,10 @@ struct Run<'a, const D: usize, R: Records<D>> {
     /// Triangles gone so far, of how many that may go.
     gone: AtomicU64,
     total: u64,
+    /// Engines of the regions that were sampled, if they are few enough to wait for their turn.
+    begun: Vec<Mutex<Option<Engine<D, R::Measure>>>>,
 }
+
 impl<const D: usize, R: Records<D>> Run<'_, D, R> {
     /// What all regions left, each taken as far as said for it, and which edges wait there.
     #[allow(clippy::type_complexity)]
@@ -300,16 +308,18 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
     }
 
     /// The priorities in some of the regions, before the first round.
-    fn sample(&self, progress: &Progress) -> Result<Histogram, KernelError> {
+    fn sample(&mut self, progress: &Progress) -> Result<Histogram, KernelError> {
         let partition = &self.cut.partition;
         let step = self.step();
+        let is_kept = partition.len() <= MAX_BEGUN;
         let waiting = Histogram::default();
         let one = |scratch: &mut Scratch, i: usize| {
             progress.check()?;
-            waiting.add(self.engine(scratch, i * step)?.waiting());
-            Ok(())
+            let engine = self.engine(scratch, i * step)?;
+            waiting.add(engine.waiting());
+            Ok(Mutex::new(is_kept.then_some(engine)))
         };
-        self.each(partition.len().div_ceil(step), one)?;
+        self.begun = self.each(partition.len().div_ceil(step), one)?;
         Ok(waiting)
     }
 
@@ -323,7 +333,12 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         map(count, self.rounds.goal.threads, scratch, one).into_iter().collect()
     }
 
+    /// The engine of a region: the one of the sample, if it was kept.
     fn engine(&self, scratch: &mut Scratch, p: usize) -> Result<Engine<D, R::Measure>, KernelError> {
+        let begun = self.begun.get(p).and_then(|engine| engine.lock().ok()?.take());
+        if let Some(engine) = begun {
+            return Ok(engine);
+        }
         let (mesh, refusals) = self.rounds.mesh.cut(self.cut.partition.region(p), &self.cut.rim, scratch)?;
         let measure = self.rounds.records.load(&mesh);
         Ok(Engine::resume(mesh, measure, refusals))

@@ -8,7 +8,9 @@
 //! the centre: exact for the integral of what is quadratic on the triangle.
 
 use crate::base::errors::KernelError;
-use crate::base::geometry::{Vec3, add_scaled, area, cross, dot, nearest_on_triangle, norm2, position, sub};
+use crate::base::geometry::{
+    Vec3, add_scaled, area, around, cross, dot, enlarged, nearest_on_triangle, norm2, position, sub,
+};
 use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::base::parallel::{each, fill};
 use crate::base::progress::Progress;
@@ -28,6 +30,10 @@ const LEAST_COSINE: f64 = 0.5;
 /// Largest way of a vertex, in distances of its farthest sample. Where normals are nearly at right angles to all
 /// triangles, as on a thin prism, samples hardly hold a vertex: it would leave the surface as a spike.
 const MAX_REACH: f64 = 2.0;
+
+/// How far a vertex may leave the input's box, as a share of the diagonal. Where a vertex stands for a whole side of the
+/// object, the least squares of its distance to all of it lie far outside.
+pub const BOX_MARGIN: f64 = 0.05;
 
 /// Samples a thread takes at a time.
 const CHUNK: usize = 1 << 14;
@@ -169,15 +175,29 @@ pub fn fit<const D: usize>(
     let system = System::new(mesh, &samples, &hits, &normals, threads);
     progress.check()?;
     let mut solution = system.solve();
-    for (step, farthest2) in solution.iter_mut().zip(&system.farthest2) {
+    let bounds = enlarged(&around(input.points.iter().map(position)), BOX_MARGIN);
+    for (v, (step, farthest2)) in solution.iter_mut().zip(&system.farthest2).enumerate() {
         let reach = MAX_REACH * farthest2.sqrt();
-        step[0] = step[0].clamp(-reach, reach);
+        step[0] =
+            until_leaving(&bounds, &position(&mesh.points[v]), &normals[v], step[0].clamp(-reach, reach));
     }
     for (point, step) in mesh.points.iter_mut().zip(&solution) {
         (3..D).for_each(|j| point[j] += step[j]);
     }
     move_along_normals(mesh, &normals, &solution);
     Ok(())
+}
+
+/// The way along a direction, or the part of it that does not leave a box; none for a point outside.
+fn until_leaving([low, high]: &[Vec3; 2], from: &Vec3, direction: &Vec3, way: f64) -> f64 {
+    let mut share = 1.0_f64;
+    for i in 0..3 {
+        let (step, wall) = (way * direction[i], if way * direction[i] > 0.0 { high[i] } else { low[i] });
+        if step != 0.0 {
+            share = share.min(((wall - from[i]) / step).max(0.0));
+        }
+    }
+    share * way
 }
 
 /// The normal equations: unknown 0 of a vertex is its way along the normal, the others its attributes.

@@ -12,8 +12,6 @@ pub(super) struct Candidate {
     /// The end whose texture coordinates are kept; none if the quadrics tell them.
     pub keep: Option<usize>,
     pub cost: f64,
-    /// How far the image of the seam would be from what it was.
-    pub drift: f64,
 }
 
 /// A seam edge that takes in the place of one that shrinks.

@@ -16,6 +16,12 @@ impl<T> Default for Joined<T> {
 }
 
 impl<T> Joined<T> {
+    pub fn of(part: Vec<T>) -> Self {
+        let mut joined = Self::default();
+        joined.push(part);
+        joined
+    }
+
     pub fn push(&mut self, part: Vec<T>) {
         self.starts.push(self.count);
         self.count += part.len() as u32;

@@ -23,7 +23,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         plan: &mut Plan<K>,
         candidate: Candidate,
     ) -> Result<(), Rule> {
-        if !is_within_reach(star, &candidate.place) {
+        if !is_within_reach(star, &candidate.place) || !is_in_box(&self.bounds, &candidate.place) {
             return Err(Rule::Fold);
         }
         keeps_triangles(star, &candidate.place).map_err(|_| Rule::Fold)?;
@@ -41,9 +41,6 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             return Err(Rule::Chart);
         }
         plan.runs = [None; 2];
-        if candidate.drift > self.knobs.seam_drift {
-            return Err(Rule::Drift);
-        }
         if !self.is_seam[star.edge.index()] {
             plan.runs = self.follow_tips(mesh, star.edge, plan, &candidate.place, candidate.keep);
         } else if let Some(end) = candidate.keep {
@@ -51,7 +48,8 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             let runs = [runs.next(), runs.next()];
             plan.runs = runs;
         }
-        Ok(())
+        let drift = plan.runs.iter().flatten().fold(0.0, |drift: f64, run| drift.max(run.drift));
+        if drift > self.knobs.seam_drift { Err(Rule::Drift) } else { Ok(()) }
     }
 
     /// Whether every triangle of the star that has an image keeps its side up in it.
@@ -157,6 +155,11 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             },
         )
     }
+}
+
+/// Whether a position lies in a box.
+fn is_in_box([low, high]: &[Vec3; 2], place: &Vec3) -> bool {
+    (0..3).all(|i| low[i] <= place[i] && place[i] <= high[i])
 }
 
 /// Check that a position is no farther from the middle of the star than the ends of its spokes.

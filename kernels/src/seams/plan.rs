@@ -102,15 +102,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         cost += self.input_error(ends, &place);
         // Seam drift is bounded, but costs nothing: its visible part, the shift of the texture next to the seam, is in the
         // quadrics of the wedges.
-        let mut drift: f64 = 0.0;
-        if !self.is_seam[edge.index()] {
-            let runs = self.follow_tips(mesh, edge, plan, &place, keep);
-            drift = runs.iter().flatten().fold(0.0, |drift, run| drift.max(run.drift));
-        } else if let Some(end) = keep {
-            drift =
-                self.follow_seam(mesh, edge, plan.sides, end).fold(0.0, |drift, run| drift.max(run.drift));
-        }
-        Candidate { place, keep, cost: self.penalty(ends, plan.members.len()) * cost, drift }
+        Candidate { place, keep, cost: self.penalty(ends, plan.members.len()) * cost }
     }
 
     /// Put the wedges of both ends into classes: those that meet along the edge, on one side of it, become one.

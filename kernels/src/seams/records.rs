@@ -11,6 +11,7 @@ use super::surface::Surface;
 use super::texture::{Charts, Drifts};
 use super::wedges::{NONE, Wedge, Wedges};
 use super::weld::TOUCHES_NONE;
+use crate::base::geometry::Vec3;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::collapse::records::Records;
 use crate::collapse::region::SHARED;
@@ -39,9 +40,9 @@ type Drift = (u32, u8, f64);
 /// The surface before any collapse.
 pub struct Given<'a, const K: usize> {
     pub surface: &'a Surface<K>,
-    /// Triangle of the input that each triangle is.
-    pub triangle_source: &'a [u32],
     pub charts: &'a Charts,
+    /// No vertex leaves this box.
+    pub bounds: [Vec3; 2],
 }
 
 pub struct SeamRecords<'a, const D: usize, const K: usize> {
@@ -51,6 +52,8 @@ pub struct SeamRecords<'a, const D: usize, const K: usize> {
     pub wedges: Joined<Wedge<K>>,
     /// Wedges of the corners of each triangle.
     pub corners: Joined<[u32; 3]>,
+    /// Factor of the error of each triangle; empty for 1.
+    importance: Joined<f64>,
     /// Of each part of the triangles, by its own numbers.
     drifts: Vec<Vec<Drift>>,
     pub largest_drift: f64,
@@ -64,6 +67,7 @@ pub struct Remains<const K: usize> {
     places: Vec<Place>,
     wedges: Vec<Wedge<K>>,
     corners: Vec<[u32; 3]>,
+    importance: Vec<f64>,
     drifts: Vec<Drift>,
     largest_drift: f64,
     changes: Option<Changes<K>>,
@@ -76,25 +80,23 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
         places: Vec<Place>,
         wedges: Vec<Wedge<K>>,
         corners: Vec<[u32; 3]>,
+        importance: Vec<f64>,
         is_recorded: bool,
     ) -> Self {
         const { assert!(D == K + 3) };
         let has_touching = places.iter().any(|place| place.touching != TOUCHES_NONE);
-        let mut records = Self {
+        Self {
             knobs,
             given,
-            places: Joined::default(),
-            wedges: Joined::default(),
-            corners: Joined::default(),
+            places: Joined::of(places),
+            wedges: Joined::of(wedges),
+            corners: Joined::of(corners),
+            importance: Joined::of(importance),
             drifts: vec![vec![]],
             largest_drift: 0.0,
             has_touching,
             changes: is_recorded.then(Vec::new),
-        };
-        records.places.push(places);
-        records.wedges.push(wedges);
-        records.corners.push(corners);
-        records
+        }
     }
 
     /// The wedges of a region, and their numbers on the whole surface.
@@ -130,15 +132,10 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
 
     /// The importance of each triangle of a region; empty for 1.
     fn load_importance(&self, region: &Mesh<3>) -> Vec<f64> {
-        let Given { surface, triangle_source, .. } = self.given;
-        if surface.importance.is_empty() {
+        if self.importance.is_empty() {
             return vec![];
         }
-        region
-            .triangle_source
-            .iter()
-            .map(|&t| surface.importance[triangle_source[t as usize] as usize])
-            .collect()
+        region.triangle_source.iter().map(|&t| *self.importance.at(t)).collect()
     }
 
     fn load_spots(&self, region: &Mesh<3>, wedges: &Wedges<K>, is_seam: &[bool]) -> Vec<Spot> {
@@ -234,6 +231,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
         let mut seams = Seams {
             knobs: self.knobs,
             charts: self.given.charts,
+            bounds: self.given.bounds,
             spots: self.load_spots(region, &wedges, &is_seam),
             drifts: self.load_drifts(region),
             plan: RefCell::default(),
@@ -261,6 +259,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             places: Vec::with_capacity(inside),
             wedges: Vec::with_capacity(inside),
             corners: Vec::with_capacity(connectivity.triangle_count()),
+            importance: vec![],
             drifts: drifts_left(connectivity, &measure.drifts),
             largest_drift: measure.drifts.largest,
             changes: None,
@@ -284,6 +283,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
         for t in connectivity.triangles() {
             let wedges = [0, 1, 2].map(|corner| measure.wedges.of(HalfedgeId(3 * t.0 + corner)));
             remains.corners.push(wedges.map(|wedge| number[wedge as usize]));
+            remains.importance.extend(measure.importance.get(t.index()));
         }
         remains.changes = measure.changes;
         remains
@@ -303,6 +303,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             places: Joined::default(),
             wedges: Joined::default(),
             corners: Joined::default(),
+            importance: Joined::default(),
             drifts: vec![],
             ..self
         };
@@ -317,6 +318,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             next.places.push(std::mem::take(&mut piece.places));
             next.wedges.push(std::mem::take(&mut piece.wedges));
             next.corners.push(std::mem::take(&mut piece.corners));
+            next.importance.push(std::mem::take(&mut piece.importance));
             next.drifts.push(std::mem::take(&mut piece.drifts));
             if let Some((all, changes)) = next.changes.as_mut().zip(piece.changes.take()) {
                 all.push(changes);

@@ -8,14 +8,14 @@ use super::texture::Charts;
 use super::wedges::{NONE, input_corner, seams, wedges};
 use super::weld::{TOUCHES_NONE, Welded, weld};
 use crate::base::errors::KernelError;
-use crate::base::geometry::Vec3;
+use crate::base::geometry::{Vec3, around, enlarged};
 use crate::base::ids::{HalfedgeId, VertexId};
 use crate::base::progress::Progress;
 use crate::collapse::engine::{Refusal, Stop};
 use crate::collapse::logs;
 use crate::collapse::rounds::{self, collapse};
 use crate::collapse::whole::Whole;
-use crate::fitting::fit::{Input, fit};
+use crate::fitting::fit::{BOX_MARGIN, Input, fit};
 use crate::mesh::legality::Illegal;
 use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, check_points};
 
@@ -133,10 +133,13 @@ pub fn simplify_by<const D: usize, const K: usize>(
     let places = places(&mesh, surface, &touching);
     let corners = of_corner.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
     let numbered = goal.rounds.record.then(|| numbered(&mesh, surface, &of_corner));
-    let input = mesh.triangle_source.clone();
+    let of_input = |&t: &u32| surface.importance.get(t as usize).copied();
+    let importance = mesh.triangle_source.iter().filter_map(of_input).collect();
+    let bounds = enlarged(&around(mesh.points.iter().copied()), BOX_MARGIN);
     let (whole, sources) = Whole::from_mesh(mesh);
-    let given = Given { surface, triangle_source: &input, charts: &charts };
-    let records = SeamRecords::<D, K>::new(knobs, given, places, wedges, corners, goal.rounds.record);
+    let given = Given { surface, charts: &charts, bounds };
+    let is_recorded = goal.rounds.record;
+    let records = SeamRecords::<D, K>::new(knobs, given, places, wedges, corners, importance, is_recorded);
     let before = goal.fit.then(|| Before::new(&whole));
     let done = collapse(whole, records, &sources.vertices, progress)?;
 

@@ -80,6 +80,8 @@ pub(super) fn common(a: i32, b: i32) -> i32 {
 pub struct Seams<'a, const D: usize, const K: usize> {
     pub(super) knobs: Knobs,
     pub(super) charts: &'a Charts,
+    /// No vertex leaves this box.
+    pub(super) bounds: [Vec3; 2],
     pub(super) wedges: Wedges<K>,
     /// Cache of the shape quadrics of vertices near seams; none after a change.
     pub(super) shape: RefCell<Vec<Option<Quadric<0>>>>,
