@@ -55,8 +55,8 @@ IN_A_CHECKOUT = {
     "short names second": "import scanloom.stages.surface.mesh as ours, stages.surface.mesh\n"
     "assert stages.surface.mesh is ours",
     "names": "from scanloom import Mesh\nfrom stages import Mesh as same\nassert Mesh is same",
-    "specs": "import stages.diagnostics.errors as errors\n"
-    "assert (errors.__name__, errors.__spec__.name) == ('scanloom.stages.diagnostics.errors', errors.__name__)",
+    "specs": "import stages.files.opening as opening\n"
+    "assert (opening.__name__, opening.__spec__.name) == ('scanloom.stages.files.opening', opening.__name__)",
     "no copies": "import sys, stages, cli.app, pipeline.run.run\ncli.app.app()\n"
     "files = {id(one): one.__file__ for one in sys.modules.values() if getattr(one, '__file__', None)}\n"
     "ours = [path for path in files.values() if path.startswith(sys.argv[1])]\n"
