@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -53,6 +54,10 @@ def _never_skipped(scan: Any, config: Any) -> str | None:  # noqa: ARG001
     return None
 
 
+def _no_bound(config: Any) -> float:  # noqa: ARG001
+    return math.inf
+
+
 def _reads_all(config: Any) -> Collection[str]:  # noqa: ARG001
     return ()
 
@@ -82,6 +87,8 @@ class Stage(Generic[Inputs, Params]):
     cost : estimate for the first run.
     headline : format of the line that sums up a result, or a function from figures to it. Fields are figures.
     progress_unit : what the progress callback counts.
+    is_summary : its figures sum up the run: report.json has them at the top, and the page belongs to it.
+    memory_bound : from the configuration to the bytes that the stage keeps to.
     reads : names of the inputs and labels.
     """
 
@@ -101,6 +108,8 @@ class Stage(Generic[Inputs, Params]):
     cost: Cost = field(default_factory=Cost)
     headline: str | Callable[[Mapping[str, Any]], str] = ""
     progress_unit: str = "steps"
+    is_summary: bool = False
+    memory_bound: Callable[[Any], float] = _no_bound
     reads: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -149,7 +149,7 @@ def find_codes() -> list[Code]:
     """Return all codes, in the order of their declarations."""
     for path in _sources():
         if path.name == "codes.py":
-            importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+            importlib.import_module(".".join(("scanloom", *path.relative_to(ROOT).with_suffix("").parts)))
     # Not in the order in which modules happened to be imported.
     codes = declared_codes()
     return [codes[name] for name in find_constants().values()]

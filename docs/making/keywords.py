@@ -56,7 +56,7 @@ def find_classes() -> list[type]:
     for path in sorted((ROOT / "stages").rglob("*.py")):
         if "node_modules" in path.parts or "param(" not in path.read_text(encoding="utf-8"):
             continue
-        parts = path.relative_to(ROOT).with_suffix("").parts
+        parts = ("scanloom", *path.relative_to(ROOT).with_suffix("").parts)
         module = importlib.import_module(".".join(parts).removesuffix(".__init__"))
         for name, cls in vars(module).items():
             if _is_declared_in(cls, module.__name__) and (described(cls) or find_nested(cls)):

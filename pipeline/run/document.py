@@ -8,6 +8,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from scanloom.pipeline.graph import find_stage
 from scanloom.pipeline.run.engine import Outcome
 from scanloom.pipeline.run.schema import SCHEMA
 from scanloom.stages import __version__
@@ -61,6 +62,7 @@ def compose(
 
 
 def _stage(outcome: Outcome, out: Path) -> dict[str, Any]:
+    stage = find_stage(outcome.stage)
     return {
         "cached": outcome.cached,
         "reason": outcome.reason,
@@ -69,7 +71,7 @@ def _stage(outcome: Outcome, out: Path) -> dict[str, Any]:
         "made_in_s": outcome.made["seconds"],
         "peak_memory_mb": round(outcome.made["peak_memory_bytes"] / 1e6, 1),
         "params": outcome.params,
-        "figures": {} if outcome.stage == "report" else outcome.figures,
+        "figures": {} if stage is not None and stage.is_summary else outcome.figures,
         "diagnostics": [one.figures() for one in outcome.diagnostics],
         "results": [path.relative_to(out).as_posix() for path in outcome.results],
     }

@@ -12,7 +12,7 @@ from typing import Any
 from scanloom.pipeline.cache.digest import digest
 from scanloom.pipeline.cache.entry import DamagedError, read_manifest
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.expectation import BASE_BYTES, Expectation, as_before, expected, megapixels
+from scanloom.pipeline.expectation import Expectation, as_before, expected, megapixels
 from scanloom.pipeline.graph import plan_for
 from scanloom.stages.fusion.params import FuseParams
 from scanloom.stages.scans.model.scan import Scan
@@ -51,9 +51,7 @@ def expected_of(scan: Scan, config: Config, planned: Sequence[str], cache: Path)
             factor = _finer(earlier[0], voxels, config.fuse)
             if factor is not None:
                 take = as_before(earlier[0], factor * (size / then if then else 1.0), "scaled", stage.cost)
-        # Space is cut in bricks where the volume would outgrow its memory; the rest takes about as much.
-        bound = int(BASE_BYTES + 2e6 * config.fuse.memory)
-        found[stage.name] = take.bounded(bound) if stage.name == "fuse" else take
+        found[stage.name] = take.bounded(stage.memory_bound(config))
     return found
 
 
@@ -79,8 +77,8 @@ def _note_voxels(one: Manifest, voxels: dict[str, tuple[float, FuseParams]]) -> 
     """Note of a result how large the voxels were that it comes from."""
     recipe = one["recipe"]
     at = next((voxels[content] for content in recipe["inputs"].values() if content in voxels), None)
-    if recipe["stage"] == "fuse" and one["figures"].get("voxel_size_m"):
-        stated = recipe["params"].get("fuse", {})
+    if one["figures"].get("voxel_size_m"):
+        stated = recipe["params"].get(recipe["stage"], {})
         known = {name: stated[name] for name in ("voxel_size", "voxel_factor") if name in stated}
         at = (float(one["figures"]["voxel_size_m"]), FuseParams(**known))
     if at is not None:

@@ -220,7 +220,7 @@ def wanted_of(
             )
         emit_skipped([one.figures() for one in scan.skipped])
         planned = tuple(names[: names.index(until) + 1])
-        photos = _photos(config, scan) if "texture" in planned else None
+        photos = _photos(config, scan) if any("photos" in one.reads for one in plan[: len(planned)]) else None
     return Wanted(scan, photos, out, config, plan, planned, force, (*scan.diagnostics, *diagnostics))
 
 
@@ -340,10 +340,11 @@ def _decides_page(params: ReportParams) -> str:
 
 def placed_by(wanted: Wanted) -> list[str]:
     """Return the names in the output folder that a run will place files under."""
+    has_summary = any(stage.is_summary and stage.name in wanted.planned for stage in wanted.plan)
     return [
         *(name for stage in wanted.plan if stage.name in wanted.planned for name in stage.results),
         REPORT,
-        *([PAGE] if "report" in wanted.planned and wanted.config.report.page else []),
+        *([PAGE] if has_summary and wanted.config.report.page else []),
     ]
 
 

@@ -19,7 +19,7 @@ from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.artifacts.poses import Poses
 from scanloom.pipeline.artifacts.up_direction import Up
-from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.expectation import BASE_BYTES, Cost
 from scanloom.pipeline.result_versions import result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.skipped import emit_skipped
@@ -123,6 +123,11 @@ def _versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]: 
     return result_versions(fuse, *((require_poses,) if config.get(ScanParams).check_poses else ()))
 
 
+def _memory_bound(config: Sections) -> float:
+    # Space is cut into bricks where the volume would outgrow its memory; the rest takes about as much.
+    return BASE_BYTES + 2e6 * config.get(FuseParams).memory
+
+
 def _headline(figures: Mapping[str, Any]) -> str:
     if figures.get("truncation_m") == 0:
         # A single frame is triangulated directly, without a volume.
@@ -146,4 +151,5 @@ STAGE = Stage(
     cost=Cost(seconds_per_megapixel=0.4),
     headline=_headline,
     progress_unit="frames",
+    memory_bound=_memory_bound,
 )

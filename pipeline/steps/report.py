@@ -124,4 +124,5 @@ STAGE = Stage(
     skip_reason=_skip_reason,
     cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6, most_bytes=MAX_BYTES_IN_PARTS),
     headline="{pictures} pictures",
+    is_summary=True,
 )
