@@ -22,7 +22,7 @@ PACKAGES := $(PAGE)/node_modules/.package-lock.json
 # The site of docs/, which opens from the disk: build/docs/index.html.
 SITE := build/docs
 
-.PHONY: docs page browser packages demo check test test-all campaign bench format lint python-lint ruff mypy mypy-windows stubtest clippy rust-tests collected clean
+.PHONY: docs page browser packages demo check test suite test-all campaign bench format lint python-lint ruff mypy mypy-windows stubtest clippy rust-tests collected clean
 
 demo: $(READY)
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
@@ -33,7 +33,7 @@ check: lint
 	$(BIN)/pytest --quiet -m "not slow" $(QUICK)
 
 # Imports, messages and names: what most changes break.
-QUICK := tests/test_imports.py tests/docs/test_messages.py tests/stages/test_package.py tests/pipeline/test_versions.py
+QUICK := tests/test_imports.py tests/docs/test_diagnostics.py tests/docs/test_keywords.py tests/test_import_name.py tests/stages/test_package.py tests/pipeline/test_versions.py
 
 # What needs no Python, and what is only fetched, goes on while the kernels are compiled. A machine with nothing prepared
 # compiles them for the tests alone: to optimise them together with the crates they use takes minutes, and changes no
@@ -46,8 +46,12 @@ test: export CARGO_INCREMENTAL = 0
 test: export CARGO_PROFILE_TEST_LTO = off
 test: export CARGO_PROFILE_TEST_CODEGEN_UNITS = 2
 test: export CARGO_PROFILE_TEST_DEBUG = 0
+# Types and style are checked while tests run: each leaves a core free at times.
 test:
-	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target python-lint clippy rust-tests browser packages collected
+	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target clippy rust-tests browser packages collected
+	@$(MAKE) --no-print-directory --jobs=2 python-lint suite
+
+suite: $(READY)
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal --quiet -m "not thorough"
 
 # Real scans, wheels, the documentation site, simulated clusters and systems, benches, kills and random damage.
