@@ -30,7 +30,6 @@ IN_EVERY_RUN = (
     "golden",
     "pipeline/test_keys.py",
     "pipeline/test_new_stage.py",
-    "pipeline/test_views.py",
     "stages/simplification/test_textured.py",
     "stages/texturing/test_bake_materials.py",
     "test_recipes.py",

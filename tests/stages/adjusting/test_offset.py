@@ -16,6 +16,8 @@ from scanloom.stages.adjusting.view import color_camera, place_of_color
 from scanloom.stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED
 from scanloom.stages.scans.model.images import read_color, read_depth
 
+pytestmark = pytest.mark.slow
+
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 
 

@@ -14,6 +14,8 @@ from scanloom.stages.adjusting.problem import Frees, Problem, State
 from scanloom.stages.adjusting.resection import resected
 from scanloom.stages.adjusting.surfaces import Surfaces
 
+pytestmark = pytest.mark.slow
+
 PRIOR = np.array([0.02] * 3 + [np.radians(0.6)] * 3)
 
 
