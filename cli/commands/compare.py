@@ -5,26 +5,46 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from scanloom import stages
 from scanloom.cli.comparison_text import comparison_text
-from scanloom.cli.deviation_picture import write_deviation_picture
 from scanloom.cli.mesh_arguments import about_file, read_file_or_cloud, write_file
 from scanloom.cli.output import Output
 from scanloom.cli.overlap import require_overlap
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from scanloom.pipeline.report.comparison_page import page_of_comparison
-from scanloom.stages import ChangeParams, CompareParams, DeviationParams, Mesh, UsageError, ViewsParams
+from scanloom.stages import (
+    ChangeParams,
+    CompareParams,
+    DeviationParams,
+    Deviations,
+    Mesh,
+    UsageError,
+    ViewsParams,
+)
+from scanloom.stages._opencv import require_opencv
+from scanloom.stages.comparing.palette import colors_of
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.files.replacing import replacing
-from scanloom.stages.picturing.render import write_png
+from scanloom.stages.picturing.render import Model, write_png
+from scanloom.stages.picturing.spots import spots
+from scanloom.stages.picturing.viewpoints import viewpoints
 from scanloom.stages.surface.cloud import is_cloud
 from scanloom.stages.surface.codes import COMPARE_POINT_CLOUD
 from scanloom.stages.surface.mesh_files import SHAPE_ALONE, standing
+from scanloom.stages.surface.raycasting import Surface
 
 # Formats that keep the colours of a change.
 COLORED_SUFFIXES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SHAPE_ALONE)
+# Points of a cloud that are drawn.
+_MAX_SPOTS = 400_000
+# The picture of deviations, px: each view, the bar of colours, and the scale that the bar is part of.
+_VIEW_WIDTH, _BAR, _SCALE_WIDTH = 1000, 28, 200
+_INK, _PAPER = (40, 44, 52), 250
+_STEPS = 9
 
 
 def compare(
@@ -151,7 +171,7 @@ def compare(
         write_file(save_ply, found.painted, out)
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
-        write_deviation_picture(picture, found, told.palette)
+        _write_picture(picture, found, told.palette)
     moved = stages.changes(a, b, changed) if change else None
     if moved is not None and save_change is not None:
         write_file(save_change, moved.painted, out)
@@ -188,3 +208,31 @@ def _require_surfaces(wanted: dict[str, Any], read: dict[Path, Mesh]) -> None:
                 option=option,
                 cloud=cloud,
             )
+
+
+def _write_picture(path: Path, found: Deviations, palette: str) -> None:
+    """Write a picture of the deviations: the mesh from two sides and a colour scale."""
+    painted = spots(found.painted, _MAX_SPOTS) if is_cloud(found.painted) else found.painted
+    views = viewpoints(painted, 4, width=_VIEW_WIDTH)
+    model = Model(Surface(painted))
+    drawn = [model.draw(view, "color") for view in (views[0], views[2])]
+    height = drawn[0].shape[0]
+    write_png(path, np.ascontiguousarray(np.hstack([*drawn, _draw_scale(found, palette, height)])))
+
+
+def _draw_scale(found: Deviations, palette: str, height: int) -> NDArray[np.uint8]:
+    require_opencv()
+    import cv2
+
+    panel = np.full((height, _SCALE_WIDTH, 3), _PAPER, np.uint8)
+    top, bottom = 50, height - 30
+    most, lowest = found.color_range, -found.color_range if found.is_signed else 0.0
+    values = np.linspace(most, lowest, bottom - top)
+    panel[top:bottom, 20 : 20 + _BAR] = colors_of(values, found.within, most, palette)[:, None]
+    cv2.putText(panel, "mm", (20, 32), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _INK, 1, cv2.LINE_AA)
+    for value in np.linspace(most, lowest, _STEPS):
+        row = round(top + (most - value) / (most - lowest) * (bottom - top - 1))
+        text = f"{1000 * value:+.3g}" if found.is_signed else f"{1000 * value:.3g}"
+        at = (20 + _BAR + 10, row + 6)
+        cv2.putText(panel, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)
+    return panel

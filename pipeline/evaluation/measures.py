@@ -19,6 +19,7 @@ from scanloom.pipeline.evaluation.params import ReportParams
 from scanloom.pipeline.evaluation.photos import write_photos
 from scanloom.stages.comparing.compare import CompareParams, compare_searched, compare_surfaces
 from scanloom.stages.comparing.deviations import DeviationParams, Deviations, deviations_from
+from scanloom.stages.comparing.distance_map import distance_map
 from scanloom.stages.comparing.in_pieces import compare_in_pieces
 from scanloom.stages.comparing.needles import WithNeedles
 from scanloom.stages.picturing.in_pieces import draw_in_pieces
@@ -274,3 +275,44 @@ def choose_viewpoints(
         points = mesh.some_vertices(ENOUGH)
         return viewpoints_around(points, params.viewpoints, frames=numbered, width=params.width)
     return viewpoints(mesh, params.viewpoints, frames=numbered, width=params.width)
+
+
+def report_levels(
+    folder: Path | None,
+    original: Mesh,
+    levels: Sequence[Mesh],
+    viewpoint: Viewpoint,
+    compared: CompareParams,
+) -> tuple[dict[str, Any], list[str]]:
+    """Measure and draw the levels of a normal mesh.
+
+    Each level is drawn with its triangles. The original is painted by its distance from the last level.
+
+    Parameters
+    ----------
+    folder : for the pictures; None to draw none.
+    original : the mesh that was remeshed.
+    compared : as for the whole mesh; each level gets a quarter of the samples.
+
+    Returns
+    -------
+    Figures, and the names of the pictures: `remeshed-level_<k>.png` and `remeshed-distance.png`. In the
+    latter, the last colour stands for `full_scale_m` of the figures, or more.
+    """
+    fewer = replace(compared, samples=math.ceil(compared.samples / 4))
+    box = bounding_box(original, *levels)
+    reference, figures, images = Surface(original, box), [], {}
+    for level, mesh in enumerate(levels):
+        surface = Surface(mesh, box)
+        found = compare_surfaces(reference, surface, fewer)
+        counts = {"level": level, "vertices": len(mesh.vertices), "triangles": len(mesh.triangles)}
+        figures.append(counts | {"to_simplified": found.figures()})
+        if folder is not None:
+            images[f"remeshed-level_{level}.png"] = Model(surface).draw(viewpoint, "edges")
+    if folder is None:
+        return {"levels": figures, "full_scale_m": None}, []
+    painted, full_scale = distance_map(original, surface)
+    images["remeshed-distance.png"] = Model(Surface(painted, box)).draw(viewpoint)
+    for name, image in images.items():
+        write_png(folder / name, image)
+    return {"levels": figures, "full_scale_m": full_scale}, list(images)

@@ -54,7 +54,6 @@ class Inputs(PosedFrames):
 def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str, Any]:
     # Declaring the stage must not import the renderer.
     from scanloom.pipeline.evaluation import held_out, measures
-    from scanloom.pipeline.evaluation.normal_mesh import report_levels
 
     compared = context.config.get(CompareParams)
     simplified = inputs.simplified_mesh.load()
@@ -79,7 +78,9 @@ def _run(inputs: Inputs, params: ReportParams, context: Context) -> Mapping[str,
     if inputs.normal_mesh is not None:
         viewpoint = measures.choose_viewpoints(meshes["fused"], frames, params)[-1]
         levels = inputs.normal_mesh.load_levels()
-        report["normal_mesh"], drawn = report_levels(drawn_in, simplified, levels, viewpoint, compared)
+        report["normal_mesh"], drawn = measures.report_levels(
+            drawn_in, simplified, levels, viewpoint, compared
+        )
         report["pictures"] += drawn
     if inputs.held_out is not None:
         report["held_out"], drawn = held_out.judge(drawn_in, result, others, context.progress)

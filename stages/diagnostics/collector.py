@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import replace
 
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 
@@ -72,3 +73,18 @@ def emit(*diagnostics: Diagnostic) -> None:
             warnings.warn(DiagnosticWarning(diagnostic), stacklevel=3)
         for listener in listeners:
             listener(diagnostic)
+
+
+def merge_repeated(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """Merge diagnostics that only differ in their file: keep the first and add the number of others."""
+    groups: dict[Diagnostic, list[Diagnostic]] = {}
+    for one in diagnostics:
+        groups.setdefault(replace(one, where=None), []).append(one)
+    merged = []
+    for first, *others in groups.values():
+        if not others:
+            merged.append(first)
+            continue
+        message = f"{first.message} (and {len(others):,} more files)"
+        merged.append(replace(first, message=message, values={**first.values, "more_files": len(others)}))
+    return merged

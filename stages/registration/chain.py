@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_left
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from threading import Lock
 
 import numpy as np
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.progress import Progress
+from scanloom.stages.registration.features import Features
 from scanloom.stages.registration.graph import Edge
-from scanloom.stages.registration.key_views import KeyViews
 from scanloom.stages.registration.motion import (
     Motion,
     NoMotion,
@@ -32,6 +34,42 @@ from scanloom.stages.scans.model.scan import Frame, Pose, SkippedFrame
 _KEY_SHIFT = 0.08
 _KEY_TURN = np.radians(8)
 _KEY_FRAMES = 10
+# Views whose images are kept, of 0.3 MB each; others are read again when they are asked for.
+_MAX_HELD_VIEWS = 256
+
+
+class KeyViews:
+    """Views of key frames by their index in the scan. Safe to use from any thread.
+
+    All features stay in memory; images stay as long as there is room.
+    """
+
+    def __init__(self, frames: Sequence[Frame], max_depth: float) -> None:
+        self.features: dict[int, Features] = {}
+        self._frames = frames
+        self._max_depth = max_depth
+        self._held: OrderedDict[int, View] = OrderedDict()
+        self._lock = Lock()
+
+    def keep(self, number: int, view: View) -> None:
+        """Store the view of a key frame, and drop the least recently used one if too many are held."""
+        with self._lock:
+            self.features[number] = view.features
+            self._held[number] = view
+            self._held.move_to_end(number)
+            if len(self._held) > _MAX_HELD_VIEWS:
+                self._held.popitem(last=False)
+
+    def view(self, number: int) -> View:
+        """Return a stored view; images that were dropped are read again."""
+        with self._lock:
+            view = self._held.get(number)
+            if view is not None:
+                self._held.move_to_end(number)
+                return view
+        view = read_view(self._frames[number], self._max_depth, self.features[number])
+        self.keep(number, view)
+        return view
 
 
 @dataclass(frozen=True)

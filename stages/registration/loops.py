@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.progress import Progress
-from scanloom.stages.registration.across import across, joined
 from scanloom.stages.registration.appearance import likeness
 from scanloom.stages.registration.chain import Chain
 from scanloom.stages.registration.features import recognise
@@ -26,6 +25,9 @@ _LOOP_POINTS = 25
 # Where both views have so many points and none in common, surfaces alone are not believed.
 _RICH = 100
 _LEAST_LIKENESS = 0.15
+# Frame pairs of different parts that are tried, the most similar first. That takes little time, because pairs
+# without common features are rejected before surfaces are aligned.
+_MAX_PAIRS_BETWEEN_PARTS = 500
 
 
 def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: Progress) -> list[Edge]:
@@ -72,7 +74,7 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
         if edge is not None:
             edges.append(edge)
     # Views in no order are alike by chance: what is still apart is looked at couple by couple.
-    apart = sorted(across(alike, joined(parts, edges)) - set(couples))
+    apart = sorted(_pairs_between_parts(alike, _join_parts(parts, edges)) - set(couples))
     more = read_ahead(close, apart, threads=threads, ahead=2 * threads)
     return [*edges, *(edge for edge in more if edge is not None)]
 
@@ -103,3 +105,24 @@ def _alike(alike: NDArray[np.float32], parts: NDArray[np.int64]) -> set[tuple[in
         others = places[may][np.argsort(-alike[one, may], kind="stable")[:_ALIKE]]
         couples |= {(int(max(one, o)), int(min(one, o))) for o in others}
     return couples
+
+
+def _pairs_between_parts(alike: NDArray[np.float32], parts: NDArray[np.int64]) -> set[tuple[int, int]]:
+    """Return pairs (later, earlier) of key frames of different parts, the most similar ones.
+
+    Parameters
+    ----------
+    alike : (n, n) similarity of views. It says little about small overlaps: few pairs are all taken.
+    parts : (n,) index of the part of a broken chain for each key frame.
+    """
+    later, earlier = np.nonzero(np.tril(parts[:, None] != parts))
+    order = np.argsort(-alike[later, earlier], kind="stable")[:_MAX_PAIRS_BETWEEN_PARTS]
+    return {(int(a), int(b)) for a, b in zip(later[order], earlier[order], strict=True)}
+
+
+def _join_parts(parts: NDArray[np.int64], edges: Sequence[Edge]) -> NDArray[np.int64]:
+    """Return the parts (n,) of key frames after edges have joined some."""
+    found: NDArray[np.int64] = parts.copy()
+    for edge in edges:
+        found[found == found[edge.source]] = found[edge.target]
+    return found

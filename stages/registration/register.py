@@ -16,7 +16,6 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.frames.sampling import sample_evenly
 from scanloom.stages.params import resolve
 from scanloom.stages.progress import Progress, silent
-from scanloom.stages.registration.bridges import confirmed
 from scanloom.stages.registration.chain import Chain, key_edges, make_chain
 from scanloom.stages.registration.choosing import Placed, placed
 from scanloom.stages.registration.codes import REGISTER_FRAMES_UNUSABLE, REGISTER_NOT_CONNECTED
@@ -44,6 +43,10 @@ RESULT_VERSION = 4
 
 # Depth is used up to so many times its median in so many frames.
 _MEDIANS, _SAMPLED = 2.5, 7
+# Fitness from which an edge needs no confirmation. Edges of fewer points need more: the keys of a keyboard
+# look alike, and a blurred view of them fits where it does not belong. Edges without points need no more:
+# their alignment started from the pose of the frame before.
+_MIN_FITNESS, _SURE_POINTS, _SURE_FITNESS = 0.4, 15, 0.6
 
 
 def register(
@@ -157,10 +160,32 @@ def _registered(
         if params.loops:
             edges += loops(chain, max_depth, guesses, progress)
         if chain.breaks:
-            edges = confirmed(chain.keys, edges)
+            edges = _drop_unconfirmed(chain.keys, edges)
         groups = pieces(len(chain.keys), edges)
         found = placed(chain, groups, edges, given)
     return _result(frames, chain, groups, found, where, given, params.piece)
+
+
+def _drop_unconfirmed(keys: Sequence[int], edges: Sequence[Edge]) -> list[Edge]:
+    """Drop uncertain edges that alone connect two parts of the graph.
+
+    Parameters
+    ----------
+    keys : indices of the key frames in the scan. Of the chain, only edges of consecutive frames are dropped:
+        frames between two key frames belong to both.
+    """
+    kept = list(edges)
+    for edge in edges:
+        motion = edge.motion
+        is_few = 0 < motion.points < _SURE_POINTS
+        least = _SURE_FITNESS if is_few else _MIN_FITNESS
+        is_between = edge.is_certain and keys[edge.source] - keys[edge.target] != 1
+        if motion.fitness >= least or is_between:
+            continue
+        others = [one for one in kept if one is not edge]
+        if len(pieces(len(keys), others)) > len(pieces(len(keys), kept)):
+            kept = others
+    return kept
 
 
 def _given(frames: Sequence[Frame]) -> dict[int, Pose]:

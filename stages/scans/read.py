@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from scanloom.stages._opencv import require_opencv
-from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.diagnostics.collector import collecting, emit, merge_repeated
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files.blas_buffers import require_buffers
 from scanloom.stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
 from scanloom.stages.files.noting import noting
-from scanloom.stages.files.repeated import merge_repeated
 from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,

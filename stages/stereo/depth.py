@@ -30,6 +30,7 @@ from scanloom.stages.stereo.disparity import stereo_disparity, volume_bytes
 from scanloom.stages.stereo.matching import (
     LARGEST_DISPARITY,
     SUBPIXELS,
+    Disparity16,
     Matcher,
     SearchRange,
     consistency,
@@ -40,9 +41,8 @@ from scanloom.stages.stereo.matching import (
 )
 from scanloom.stages.stereo.networks.network import Network
 from scanloom.stages.stereo.pairs import report_rows, require_pair
-from scanloom.stages.stereo.params import AUTO, FAST, SEVERAL, DepthParams
+from scanloom.stages.stereo.params import AUTO, FAST, SEVERAL, DepthParams, SgbmParams
 from scanloom.stages.stereo.rectify import RectifiedRig, rectified_rig
-from scanloom.stages.stereo.smoothing import smoothed
 from scanloom.stages.stereo.subpixel import refined
 
 if TYPE_CHECKING:
@@ -343,14 +343,8 @@ class PairStage:
         matched &= textured(pair[0], self.params.min_texture)
         trust = confidence(first, residual, matched, search)
         if self.params.sgbm.smooth:
-            first = smoothed(
-                first,
-                self.matcher.right(*pair, search),
-                _rgb(left),
-                block_size=self.params.sgbm.block_size,
-                strength=self.params.sgbm.smooth_lambda,
-                edge_sigma=self.params.sgbm.smooth_sigma,
-            )
+            second = self.matcher.right(*pair, search)
+            first = _smooth_disparity(first, second, _rgb(left), self.params.sgbm)
         none = first < SUBPIXELS * search.lowest
         return np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS)), trust
 
@@ -361,6 +355,24 @@ class PairStage:
         z = np.divide(np.float32(self.rig.focal_baseline), parallel, out=np.zeros_like(parallel), where=used)
         z[(z < (self.params.min_depth or 0)) | (z > self.max_depth)] = 0
         return np.asarray(z, np.float32)
+
+
+def _smooth_disparity(
+    left: Disparity16, right: Disparity16, guide: ColorImage, sgbm: SgbmParams
+) -> Disparity16:
+    """Smooth the left disparity along the edges of the left image, the `guide`; the result is dense.
+
+    This is the weighted least squares filter of ximgproc (Min et al., "Fast global image smoothing based on
+    weighted least squares", 2014). Pixels that fail its own left–right check are filled in from their
+    surroundings: a picture, not a measurement.
+    """
+    import cv2
+
+    wls = cv2.ximgproc.createDisparityWLSFilterGeneric(True)
+    wls.setLambda(sgbm.smooth_lambda)
+    wls.setSigmaColor(sgbm.smooth_sigma)
+    wls.setDepthDiscontinuityRadius((sgbm.block_size + 1) // 2)
+    return np.asarray(wls.filter(left, guide, disparity_map_right=right), np.int16)
 
 
 def _depth_bound(rig: RectifiedRig, params: DepthParams) -> float:

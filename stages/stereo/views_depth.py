@@ -43,11 +43,10 @@ from scanloom.stages.stereo.partners import partners
 from scanloom.stages.stereo.plane_fill import filled_on_planes
 from scanloom.stages.stereo.posed_views import PosedView, posed_views
 from scanloom.stages.stereo.recognised import Recognised, neighbours, recognised
-from scanloom.stages.stereo.reduced import reduced
 from scanloom.stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
 from scanloom.stages.stereo.shown import in_hull, outline_of
 from scanloom.stages.stereo.turned_back import turned_back
-from scanloom.stages.stereo.view_images import color_of, grey_of
+from scanloom.stages.stereo.view_images import color_of, downscale, grey_of
 from scanloom.stages.stereo.view_matching import images_of, measured_view
 from scanloom.stages.stereo.views_confidence import views_confidence
 
@@ -137,7 +136,7 @@ def _results(
     """Measure the views, and count what becomes of the pixels of each."""
     _require_enough(scan, params)
     network = network_of(params)
-    frames = [reduced(frame, params.max_side) for frame in scan.frames]
+    frames = [downscale(frame, params.max_side) for frame in scan.frames]
     smaller = sum(one is not other for one, other in zip(frames, scan.frames, strict=True))
     scan = replace(scan, frames=frames)
     views = posed_views(scan)

@@ -7,15 +7,15 @@ with a colour and no image becomes an image of one pixel.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.surface.codes import MESH_LEFT_OUT
+from scanloom.stages.surface.codes import MESH_CONVERSION_LOSS, MESH_LEFT_OUT
 from scanloom.stages.surface.color import tinted
-from scanloom.stages.surface.conversion_losses import find_material_losses, report_losses
 from scanloom.stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TensorMap
 from scanloom.stages.surface.formats.colors import to_uint8
 from scanloom.stages.surface.mesh import Mesh
@@ -174,10 +174,10 @@ def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
         result.triangle.texture_uvs = tensor(mesh.texture.uvs)
         result.triangle.material_ids = tensor(mesh.texture.material_ids)
         _set_tensor_materials(o3d, result.material, mesh.texture.materials)
-    losses = [*find_material_losses(mesh), *(["names of parts"] if any(mesh.part_names) else [])]
+    losses = [*_find_material_losses(mesh), *(["names of parts"] if any(mesh.part_names) else [])]
     if mesh.up is not None:
         losses.append("the up direction")
-    report_losses("open3d.t.geometry.TriangleMesh", losses)
+    _report_losses("open3d.t.geometry.TriangleMesh", losses)
     return cast("t.geometry.TriangleMesh", result)
 
 
@@ -220,8 +220,8 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
         ("parts", mesh.part_ids is not None),
         ("the up direction", mesh.up is not None),
     )
-    losses = [*find_material_losses(mesh), *(name for name, is_lost in has if is_lost)]
-    report_losses("open3d.geometry.TriangleMesh", losses)
+    losses = [*_find_material_losses(mesh), *(name for name, is_lost in has if is_lost)]
+    _report_losses("open3d.geometry.TriangleMesh", losses)
     return cast("geometry.TriangleMesh", result)
 
 
@@ -243,3 +243,28 @@ def _tint_pixels(pixels: Pixels, material: Material) -> Pixels:
     colors = pixels[..., :3].reshape(-1, 3).astype(np.float32)
     levels = np.rint(tinted(colors, material)).astype(np.uint8)
     return np.concatenate([levels.reshape(*pixels.shape[:2], 3), pixels[..., 3:]], axis=2)
+
+
+def _report_losses(class_name: str, losses: Iterable[str]) -> None:
+    """Emit one warning that names all data left out; none if there is no loss."""
+    found = list(losses)
+    if found:
+        emit(
+            MESH_CONVERSION_LOSS.warning(
+                "{class_name} cannot hold {losses} of this mesh: left out.",
+                remedy="Pass the Mesh itself, or write it with write_mesh as GLB, OBJ or PLY.",
+                class_name=class_name,
+                losses=" and ".join(found),
+            )
+        )
+
+
+def _find_material_losses(mesh: Mesh) -> list[str]:
+    """List properties of materials that are neither image nor base colour."""
+    materials = () if mesh.texture is None else mesh.texture.materials
+    losses = (
+        ("names of materials", any(material.name for material in materials)),
+        ("wrap modes of images", any(set(material.wrap) != {"repeat"} for material in materials)),
+        ("shading properties of materials", any(material.kept is not None for material in materials)),
+    )
+    return [name for name, is_lost in losses if is_lost]

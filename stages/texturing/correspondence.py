@@ -21,7 +21,6 @@ from scanloom.stages.surface.raycasting import Floats, Located, unit_normals
 from scanloom.stages.surface.texture import signed_areas
 from scanloom.stages.texturing.facing import INWARDS, PROBES, move_inwards
 from scanloom.stages.texturing.pages import Pages
-from scanloom.stages.texturing.sampling import sample_image
 
 Pixels = NDArray[np.uint8]
 
@@ -136,7 +135,7 @@ class TexelSources:
         if len(points.texels):
             at = np.einsum("kc,kcx->kx", points.weights, uvs[points.triangles])
             channels = canvas.shape[2]
-            canvas.reshape(-1, channels)[points.texels] = sample_image(image, at, wrap, channels)
+            canvas.reshape(-1, channels)[points.texels] = _sample_image(image, at, wrap, channels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,6 +392,22 @@ def _locate(
 ) -> NDArray[np.float32]:
     """Find the points of triangles (m, 3, 2) nearest to texels (n,): weights (n, 3)."""
     return _kernels.locate_texels(corners, triangles, texels, width=width, wanted_threads=0)
+
+
+def _sample_image(image: Pixels, uvs: Floats, wrap: tuple[str, str], channels: int) -> Pixels:
+    """Sample the first channels of an image (h, w, c) at texture coordinates (k, 2), v up.
+
+    Returns
+    -------
+    (k, channels) uint8.
+    """
+    return _kernels.sample_points(
+        np.ascontiguousarray(image),
+        np.ascontiguousarray(uvs, np.float64),
+        channels=channels,
+        wrap=wrap,
+        wanted_threads=0,
+    )
 
 
 def _max_of_corners(values: Floats, triangles: NDArray[np.int32]) -> Floats:

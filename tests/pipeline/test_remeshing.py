@@ -9,7 +9,7 @@ import pytest
 from coloured_meshes import MESHES
 
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.evaluation.normal_mesh import report_levels
+from scanloom.pipeline.evaluation.measures import report_levels
 from scanloom.pipeline.run.run import CACHE_VARIABLE, run
 from scanloom.pipeline.steps.remesh import NormalMeshFiles, RemeshSection, write_normal_mesh
 from scanloom.stages.comparing.compare import CompareParams

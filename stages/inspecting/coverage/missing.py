@@ -12,7 +12,6 @@ from scanloom.stages.inspecting.coverage.patches import Patch, cut_up, squares, 
 from scanloom.stages.inspecting.coverage.rims import Cap
 from scanloom.stages.inspecting.coverage.sight import Sight
 from scanloom.stages.inspecting.coverage.space import BLANK, HIDDEN, NOTHING, Frontier, Space
-from scanloom.stages.inspecting.coverage.surroundings import open_sectors
 from scanloom.stages.inspecting.coverage.views import Floats
 
 # What is told of the sides of a frontier.
@@ -20,6 +19,12 @@ _KINDS = {NOTHING: "unseen", BLANK: "blank", HIDDEN: "hidden"}
 # Of the circle around a patch, degrees: without surface in a wider sector the scan ends there; where frames
 # looked and have no depth, one may be wider.
 _OPEN = {NOTHING: 135.0, BLANK: 200.0}
+# Directions in the plane of a patch, and how far they are turned out of it, degrees: to both sides, because
+# what goes on beside it may lie a little before or behind it.
+_DIRECTIONS = 72
+_TILTS = (-5.0, 0.0, 5.0)
+# Positions whose surroundings are measured at a time: bounds the memory.
+_AT_ONCE = 1000
 # Cells that a frontier may lie before a hole that it belongs to.
 _BEFORE = 3.0
 # Faces that hang together: fewer are the noise of the grid.
@@ -100,7 +105,7 @@ def _within(
     middles, normals = (
         np.array([getattr(patch, name) for patch in asked]).reshape(-1, 3) for name in ("middle", "normal")
     )
-    sectors = iter(open_sectors(middles + origin, normals, sight, reach))
+    sectors = iter(_measure_open_sectors(middles + origin, normals, sight, reach))
     kept, ends = [], 0.0
     for behind, patch in found:
         sector = 0.0 if behind == HIDDEN else float(next(sectors))
@@ -109,6 +114,47 @@ def _within(
         else:
             kept.append(patch if sector < _OPEN[NOTHING] else replace(patch, kind="end"))
     return kept, ends
+
+
+def _measure_open_sectors(middles: Floats, normals: Floats, sight: Sight, reach: float) -> Floats:
+    """Measure the widest sector (k,), in degrees, without surface around each position.
+
+    The wall of a room that no frame saw has surface all around. Where a scan ends, surface lies on one side.
+    Without any surface around, the sector is 360°.
+
+    Parameters
+    ----------
+    middles : (k, 3) metres, in the axes of the surface.
+    normals : (k, 3) towards the viewer of each position; 0 if it is seen from all sides.
+    reach : metres, up to which surface counts.
+    """
+    sectors = np.full(len(middles), 360.0)
+    (rows,) = np.nonzero(normals.any(axis=1))
+    for start in range(0, len(rows), _AT_ONCE):
+        some = rows[start : start + _AT_ONCE]
+        rays = np.stack([_fan_directions(normal) for normal in normals[some]])
+        count = rays.shape[1]
+        met = sight.is_met(
+            np.repeat(middles[some], count, axis=0), rays.reshape(-1, 3), np.full(len(some) * count, reach)
+        )
+        hits = met.reshape(len(some), len(_TILTS), _DIRECTIONS)
+        for row, at_tilts in zip(some, hits, strict=True):
+            (ways,) = np.nonzero(at_tilts.any(axis=0))
+            if len(ways):
+                widest = np.diff(ways, append=ways[0] + _DIRECTIONS).max()
+                sectors[row] = float(widest) * 360 / _DIRECTIONS
+    return sectors
+
+
+def _fan_directions(normal: Floats) -> Floats:
+    """Return directions (k, 3) around a normal: all directions for each tilt in turn."""
+    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    across /= np.linalg.norm(across)
+    angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    level = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * np.cross(normal, across)
+    tilts = np.radians(_TILTS)
+    rays = np.cos(tilts)[:, None, None] * level + np.sin(tilts)[:, None, None] * normal
+    return np.asarray(rays.reshape(-1, 3), np.float64)
 
 
 def before(patches: list[Patch], gaps: list[Patch], cell: float, reach: float) -> list[Patch]:

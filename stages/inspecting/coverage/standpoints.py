@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.frames.sampling import sample_evenly
-from scanloom.stages.inspecting.coverage.directions import all_around
 from scanloom.stages.inspecting.coverage.patches import Patch
 from scanloom.stages.inspecting.coverage.sight import Sight
 from scanloom.stages.inspecting.coverage.space import Space
@@ -119,7 +118,7 @@ class Standing:
     def _looks(self, patch: Patch) -> _Looks:
         """Return how places around a patch look at it."""
         normal, middle = patch.normal, patch.middle
-        directions = all_around(_DIRECTIONS)
+        directions = _spread_directions(_DIRECTIONS)
         if normal.any():
             directions = directions[directions @ normal > _LEAST_COSINE]
         reaches = np.repeat(np.array(_DISTANCES) * self._usual, len(directions))
@@ -130,6 +129,15 @@ class Standing:
         rays = lines / np.maximum(lengths, np.finfo(np.float64).tiny)[..., None]
         straight = np.maximum(-(rays @ normal), 0.0) if normal.any() else np.ones_like(lengths)
         return _Looks(places, reaches, middle, rays, lengths, straight)
+
+
+def _spread_directions(count: int) -> Floats:
+    """Spread unit directions (count, 3) evenly over the sphere."""
+    # Along a spiral, by the golden angle.
+    z = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.arange(count) * np.pi * (3 - 5**0.5)
+    level = np.sqrt(1 - z * z)
+    return np.stack([level * np.cos(angle), level * np.sin(angle), z], axis=1)
 
 
 def _numbers(point: Floats) -> tuple[float, float, float]:

@@ -10,9 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
+from scanloom.stages.files.images import decode_color, file_bytes
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.calibration.resolution import stated_camera
 from scanloom.stages.scans.codes import (
@@ -21,7 +25,6 @@ from scanloom.stages.scans.codes import (
     SCAN_PHONE_IMAGES,
     SCAN_TABLE_DAMAGED,
 )
-from scanloom.stages.scans.image_folders.black_border import border_mask
 from scanloom.stages.scans.image_folders.image_files import IMAGES, common_size, images, numbers
 from scanloom.stages.scans.layouts.shared.layout import Layout
 from scanloom.stages.scans.layouts.shared.phones import least_confidence, seen_in
@@ -36,6 +39,10 @@ _LEVELS = (0, 127, 255)
 # Optimised and undistorted, the first is the better one; long captures lack it.
 _CORRECTED = "corrected_images"
 _SETS = (("corrected_cameras", _CORRECTED), ("cameras", "images"))
+# Largest level of a black border: JPEG lets a little of the neighbours into it.
+_MAX_BLACK = 8
+# Largest width of a border relative to the side of the image; a dark corner of the room may reach farther in.
+_MAX_BORDER_RATIO = 0.1
 
 
 def _matches(folder: Path) -> str | None:
@@ -54,7 +61,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     color_size = common_size(list(colors.values()))
     stems = [file.stem for file in camera_files]
     masks = {
-        stem: Packed(color, "border", partial(border_mask, color))
+        stem: Packed(color, "border", partial(_border_mask, color))
         for stem, color in colors.items()
         if color.parent.name == _CORRECTED
     }
@@ -121,6 +128,30 @@ def _chosen(folder: Path) -> tuple[list[Path], dict[str, Path]]:
 
 def _by_stem(folder: Path) -> dict[str, Path]:
     return {file.stem: file for file in images(folder, IMAGES)} if folder.is_dir() else {}
+
+
+def _border_mask(path: Path) -> NDArray[np.uint8]:
+    """Mask the black border of an undistorted image: (h, w) uint8, 0 in the border and 255 elsewhere.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or does not decode.
+    """
+    import cv2
+
+    image = decode_color(file_bytes(path), path)
+    black = (image.max(axis=2) <= _MAX_BLACK).astype(np.uint8)
+    height, width = black.shape
+    deep, wide = int(_MAX_BORDER_RATIO * height), int(_MAX_BORDER_RATIO * width)
+    black[deep : height - deep, wide : width - wide] = 0
+    # A frame of one pixel around joins all pieces of black that touch the edge.
+    framed = cv2.copyMakeBorder(black, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
+    _, pieces = cv2.connectedComponents(framed, connectivity=4)
+    border = (pieces[1:-1, 1:-1] == pieces[0, 0]).astype(np.uint8)
+    # One pixel more, which was interpolated.
+    border = cv2.dilate(border, np.ones((3, 3), np.uint8))
+    return np.asarray(255 * (border == 0), np.uint8)
 
 
 def _camera(

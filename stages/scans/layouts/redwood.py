@@ -6,12 +6,15 @@ Small recordings often hold the same in one folder, side by side: rgb_0.png, dep
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.images import read_stored
+from scanloom.stages.files.noting import only_looking
 from scanloom.stages.scans.calibration import azure_kinect
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.calibration.discovery import trajectory_beside
@@ -22,7 +25,6 @@ from scanloom.stages.scans.codes import (
     SCALE_DEPTH_UNIT_ASSUMED,
     SCAN_FILES_MISSING,
 )
-from scanloom.stages.scans.image_folders.depth_pictures import without_pictures
 from scanloom.stages.scans.image_folders.depth_units import FIFTHS, told_units
 from scanloom.stages.scans.image_folders.image_files import (
     COLOR_FOLDERS,
@@ -69,7 +71,34 @@ def _side_by_side(folder: Path) -> tuple[list[Path], list[Path]]:
     files = images(folder, DEPTHS)
     of_depth = [path for path in files if "depth" in path.stem.lower()]
     colors = [path for path in files if path not in of_depth and _COLOR.search(path.stem)]
-    return without_pictures(of_depth), colors
+    return _drop_pictures(of_depth), colors
+
+
+def _drop_pictures(depths: Sequence[Path]) -> list[Path]:
+    """Drop coloured pictures of depth, which programs save beside depth maps under similar names.
+
+    Parameters
+    ----------
+    depths : where their names, numbers aside, are of several kinds, one of each kind is read.
+    """
+    kinds = defaultdict(list)
+    for path in depths:
+        kinds[re.sub(r"\d+", "#", path.stem)].append(path)
+    if len(kinds) < 2:
+        return list(depths)
+    with only_looking():
+        pictures = {kind for kind, files in kinds.items() if _is_picture(files[len(files) // 2])}
+    if len(pictures) == len(kinds):
+        # Whoever reads them tells what they are.
+        return list(depths)
+    return [path for path in depths if re.sub(r"\d+", "#", path.stem) not in pictures]
+
+
+def _is_picture(path: Path) -> bool:
+    try:
+        return read_stored(path).ndim > 2
+    except InputError:
+        return False
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
@@ -78,7 +107,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         depths, colors = _side_by_side(folder)
         named = "the images named depth", "the images named color or rgb"
     else:
-        depths, colors = without_pictures(images(folders[0], DEPTHS)), images(folders[1])
+        depths, colors = _drop_pictures(images(folders[0], DEPTHS)), images(folders[1])
         named = f"{folders[0].name}/", f"{folders[1].name}/"
     if not depths or not colors:
         raise InputError(

@@ -6,18 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import turned_thing
 
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.inspecting.inspect import inspect
-from scanloom.stages.registration.across import across, joined
-from scanloom.stages.registration.bridges import confirmed
 from scanloom.stages.registration.focal import focal_of, is_guess
 from scanloom.stages.registration.focal_by_marks import focal_by_marks
-from scanloom.stages.registration.graph import Edge
-from scanloom.stages.registration.motion import Motion
 from scanloom.stages.registration.register import register
 from scanloom.stages.scans.calibration.resolution import found_camera
 from scanloom.stages.scans.codes import CAMERA_INTRINSICS_GUESSED
@@ -115,27 +110,3 @@ def test_the_guess_is_a_phone_s_or_a_kinect_s(tmp_path: Path, size: tuple[int, i
     assert (camera.fx, camera.fy, camera.is_guess) == (focal, focal, True)
     assert [one.code for one in diagnostics] == [CAMERA_INTRINSICS_GUESSED.name]
     assert ("LiDAR" in str(diagnostics[0])) == (focal == 187)
-
-
-# -- pieces ----------------------------------------------------------------------------------------------
-
-
-def link(source: int, target: int, fitness: float, points: int, *, is_certain: bool = False) -> Edge:
-    return Edge(source, target, Motion(np.eye(4), np.eye(6), fitness, None, points), is_certain)
-
-
-def test_a_weak_link_counts_where_another_confirms_it() -> None:
-    strong, weak, across_ = link(1, 0, 0.8, 60), link(2, 1, 0.3, 40), link(2, 0, 0.5, 30)
-    assert confirmed([0, 5, 9], [strong, weak]) == [strong]
-    assert confirmed([0, 5, 9], [strong, weak, across_]) == [strong, weak, across_]
-    few = link(2, 1, 0.5, 8, is_certain=True)
-    assert confirmed([0, 5, 6], [strong, few]) == [strong]
-    # Frames between the two would be torn.
-    assert confirmed([0, 5, 9], [strong, few]) == [strong, few]
-
-
-def test_couples_across_breaks_are_all_those_of_different_parts() -> None:
-    alike = np.zeros((4, 4), np.float32)
-    assert across(alike, np.array([0, 0, 1, 2])) == {(2, 0), (2, 1), (3, 0), (3, 1), (3, 2)}
-    assert across(alike, np.zeros(4, int)) == set()
-    assert across(alike, joined(np.array([0, 0, 1, 2]), [link(3, 2, 0.5, 30), link(2, 0, 0.5, 30)])) == set()

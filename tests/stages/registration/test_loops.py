@@ -14,9 +14,10 @@ from scanloom.stages.progress import silent
 from scanloom.stages.registration.chain import key_edges, make_chain
 from scanloom.stages.registration.choosing import placed
 from scanloom.stages.registration.graph import Edge, pieces
+from scanloom.stages.registration.loops import _join_parts, _pairs_between_parts
 from scanloom.stages.registration.motion import Motion, angle, motion_between
 from scanloom.stages.registration.odometry import one_thread_each
-from scanloom.stages.registration.register import register
+from scanloom.stages.registration.register import _drop_unconfirmed, register
 from scanloom.stages.scans.model.poses import inverted
 from scanloom.stages.scans.model.scan import Frame, Pose
 from tests.made.room_of_posters import STEP, turning
@@ -95,3 +96,25 @@ def test_false_loops_that_nothing_contradicts_do_not_bend_the_chain() -> None:
     shifts = [np.linalg.norm(found.poses[at][:3, 3] - alone.poses[at][:3, 3]) for at in range(len(truth))]
     assert max(shifts) < 1e-4
     assert max(turns_off(truth, [found.poses[place] for place in range(len(truth))])) < 0.3
+
+
+def link(source: int, target: int, fitness: float, points: int, *, is_certain: bool = False) -> Edge:
+    return Edge(source, target, Motion(np.eye(4), np.eye(6), fitness, None, points), is_certain)
+
+
+def test_a_weak_link_counts_where_another_confirms_it() -> None:
+    strong, weak, across = link(1, 0, 0.8, 60), link(2, 1, 0.3, 40), link(2, 0, 0.5, 30)
+    assert _drop_unconfirmed([0, 5, 9], [strong, weak]) == [strong]
+    assert _drop_unconfirmed([0, 5, 9], [strong, weak, across]) == [strong, weak, across]
+    few = link(2, 1, 0.5, 8, is_certain=True)
+    assert _drop_unconfirmed([0, 5, 6], [strong, few]) == [strong]
+    # Frames between the two would be torn.
+    assert _drop_unconfirmed([0, 5, 9], [strong, few]) == [strong, few]
+
+
+def test_pairs_between_parts_are_all_those_of_different_parts() -> None:
+    alike = np.zeros((4, 4), np.float32)
+    assert _pairs_between_parts(alike, np.array([0, 0, 1, 2])) == {(2, 0), (2, 1), (3, 0), (3, 1), (3, 2)}
+    assert _pairs_between_parts(alike, np.zeros(4, int)) == set()
+    parts = _join_parts(np.array([0, 0, 1, 2]), [link(3, 2, 0.5, 30), link(2, 0, 0.5, 30)])
+    assert _pairs_between_parts(alike, parts) == set()

@@ -1,7 +1,7 @@
 """Diagnostics that only differ in their file become one, which says how many there are."""
 
+from scanloom.stages.diagnostics.collector import merge_repeated
 from scanloom.stages.files.codes import FILE_DAMAGED
-from scanloom.stages.files.repeated import merge_repeated
 
 
 def test_equal_sentences_of_several_files_are_one() -> None:
