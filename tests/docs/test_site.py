@@ -129,7 +129,7 @@ def opened(site: Path) -> Iterator[Any]:
         (
             "warning: the poses are probably world-to-camera: so taken, the depth of one frame meets "
             "another's to 3 mm, as given to 240 mm",
-            "Poses that seem to be meant another way",
+            "Poses of another convention",
         ),
         (
             "--set: voxel_size is -1 m; it must be more than 0 m.",
