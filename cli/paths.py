@@ -14,7 +14,7 @@ from scanloom.stages.files.codes import FILE_PATH_INVALID
 from scanloom.stages.files.moving import move
 from scanloom.stages.surface.codes import USAGE_EXTENSION_UNKNOWN
 
-# What scanloom.stages.surface.mesh_files.write_mesh can write.
+# Extensions that `write_mesh` can write.
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 
 

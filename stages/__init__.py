@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if __name__ == "stages":
-    # Imported from the top of a checkout: the modules are those of `scanloom.stages`, not second copies.
+    # Imported from the top of a checkout: use `scanloom.stages`, so that no module is loaded twice.
     import_module("scanloom").add_alias(__name__)
 
 # For editors and type checkers. `PYTHONPATH=.:docs python -m making.keywords` writes these imports and

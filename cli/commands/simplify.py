@@ -127,7 +127,7 @@ def simplify(
             progress=progress,
         )
     with about_file(source):
-        # Of a format without textures, the user is told when the file is written.
+        # `write_file` warns about formats without textures.
         emit(*(one for one in diagnostics if holds_texture or one.code != SIMPLIFY_TEXTURE_LEFT_OUT.name))
     rounding = 0.0
     source_bytes = stored_bytes(source, mesh)

@@ -156,7 +156,7 @@ def find_codes() -> list[Code]:
 
 
 def find_constants() -> dict[str, str]:
-    """Return the names of codes by those of their constants."""
+    """Return the name of each code by its constant."""
     names = {}
     for path in _sources():
         if path.name == "codes.py":
@@ -170,7 +170,7 @@ def find_constants() -> dict[str, str]:
 
 
 def find_messages() -> Iterator[Message]:
-    """Yield the messages that are written beside the constant of a code, by file."""
+    """Yield the messages of all calls that name the constant of a code, by file."""
     constants = find_constants()
     for path in _sources():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
