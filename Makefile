@@ -16,7 +16,7 @@ TYPES := build/types/scanloom
 PACKAGE_LINKS := $(addprefix $(TYPES)/,stages pipeline cli)
 
 # Where npm puts what pages are made of and checked with; its own list there is written last.
-PAGE := stages/picturing/page
+PAGE := pipeline/report/page
 PACKAGES := $(PAGE)/node_modules/.package-lock.json
 
 # The site of docs/, which opens from the disk: build/docs/index.html.

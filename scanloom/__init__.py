@@ -5,8 +5,9 @@
 >>> cleaned = scanloom.clean(fused.mesh)
 >>> simplified = scanloom.simplify(cleaned.mesh, ratio=0.1).mesh
 
-Every public name of `scanloom.stages` is also a name of this package, and is imported on first use.
-`scanloom.pipeline` processes a scan folder, and `scanloom.cli` is the command line.
+Every public name of `scanloom.stages` is also a name of this package. `show` and `Page` are in this package
+alone, since pages belong to the report. Names are imported on first use. `scanloom.pipeline` processes a scan
+folder, and `scanloom.cli` is the command line.
 """
 
 from __future__ import annotations
@@ -22,10 +23,14 @@ if TYPE_CHECKING:
     from types import CodeType, ModuleType
     from typing import Any
 
+    from scanloom.pipeline.report.page.show import Page as Page
+    from scanloom.pipeline.report.page.show import show as show
     from scanloom.stages import *
     from scanloom.stages import __version__ as __version__
 
 _PACKAGES = ("stages", "pipeline", "cli")
+# Modules of the public names that are not of `scanloom.stages`.
+_MODULE_OF = dict.fromkeys(("Page", "show"), "pipeline.report.page.show")
 
 _FOLDER = path.dirname(__file__)
 if not path.isdir(path.join(_FOLDER, "stages")):
@@ -41,7 +46,9 @@ if not TYPE_CHECKING:
             return import_module(f"{__name__}.{name}")
         stages = import_module(f"{__name__}.stages")
         if name == "__all__":
-            value = stages.__all__
+            value = sorted([*stages.__all__, *_MODULE_OF])
+        elif name in _MODULE_OF:
+            value = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
         elif name in stages.__all__:
             value = getattr(stages, name)
         else:

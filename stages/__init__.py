@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from scanloom.stages.normal_meshes.remesh import RemeshParams, remesh
     from scanloom.stages.picturing.compare_views import ViewComparison, ViewsParams, compare_views
     from scanloom.stages.picturing.render import Viewpoint, render
-    from scanloom.stages.picturing.show import Page, show
     from scanloom.stages.picturing.viewpoints import viewpoints
     from scanloom.stages.registration.params import RegisterParams
     from scanloom.stages.registration.register import register
@@ -121,7 +120,6 @@ _NAMES_OF = {
     "normal_meshes.remesh": ("RemeshParams", "remesh"),
     "picturing.compare_views": ("ViewComparison", "ViewsParams", "compare_views"),
     "picturing.render": ("Viewpoint", "render"),
-    "picturing.show": ("Page", "show"),
     "picturing.viewpoints": ("viewpoints",),
     "registration.params": ("RegisterParams",),
     "registration.register": ("register",),
@@ -207,7 +205,6 @@ __all__ = [
     "MeshLike",
     "NormalMesh",
     "Offsets",
-    "Page",
     "PatchParams",
     "Patches",
     "Place",
@@ -270,7 +267,6 @@ __all__ = [
     "remesh",
     "render",
     "repair",
-    "show",
     "simplify",
     "stereo_disparity",
     "texture",

@@ -56,7 +56,7 @@ def test_the_wheel_holds_one_package(wheel: Path) -> None:
     sources = {p.relative_to(ROOT).as_posix() for one in PACKAGES for p in (ROOT / one).rglob("*.py")}
     assert {f"scanloom/{source}" for source in sources} <= names
 
-    page = ROOT / "stages" / "picturing" / "page"
+    page = ROOT / "pipeline" / "report" / "page"
     shown = {page / "library.js", page / "LICENSES.txt", *(page / "tiles").iterdir()}
     assert {f"scanloom/{path.relative_to(ROOT).as_posix()}" for path in shown} <= names
     assert not any("node_modules" in name for name in names)

@@ -47,15 +47,15 @@ def coverage(
 
     Example: scanloom coverage my_mesh
     """
+    from scanloom.pipeline.artifacts.file_names import COVERAGE
     from scanloom.pipeline.run.again import run_again
-    from scanloom.pipeline.steps.coverage import FILE
     from scanloom.stages.files.documents import read_json
 
     if scan is not None:
         require_scan(scan)
     with watching(out) as events:
         result = run_again(folder, "coverage", params, scan=scan, cache_dir=cache, events=events)
-    figures: Any = read_json(result.out / FILE)
+    figures: Any = read_json(result.out / COVERAGE)
     files = [str(path) for stage in result.stages if stage.stage == "coverage" for path in stage.results]
     is_metric = bool(result.report["scan"]["metric"])
     out.result({"output": files, **figures}, "\n".join(_lines(figures, is_metric=is_metric)))

@@ -12,6 +12,7 @@ import typer
 from scanloom.cli.mesh_arguments import about_file, read_file
 from scanloom.cli.output import Output, size_of
 from scanloom.cli.paths import require_file, require_writable
+from scanloom.pipeline.report.page.files import write_tiles_page
 from scanloom.stages import UsageError, lod
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import emit
@@ -50,6 +51,13 @@ def tiles(
         bool,
         typer.Option("--image/--no-image", help="Whether tiles get images, where there are any to get."),
     ] = True,
+    page: Annotated[
+        bool,
+        typer.Option(
+            "--page/--no-page",
+            help="Write a page beside the tiles, index.html and what it needs, that draws them in a browser.",
+        ),
+    ] = False,
 ) -> None:
     """Write levels of detail as 3D Tiles 1.1, which viewers in the browser load by what they show.
 
@@ -70,6 +78,8 @@ def tiles(
         hierarchy = replace(hierarchy, model_glb=None)
     with about_file(texture or source, "model"), out.progress("tiles", "tiles") as progress:
         written = lod.write_tiles(hierarchy, target, params, texture=model, images=images, progress=progress)
+    if page:
+        write_tiles_page(target)
     full = sum(image.is_full for image in written.images)
     if full:
         out.remark(

@@ -13,14 +13,14 @@ import typer
 from scanloom.cli.mesh_arguments import read_standing
 from scanloom.cli.output import Output
 from scanloom.cli.paths import require_new_file
-from scanloom.pipeline.report.page import page_of_mesh, page_of_run
+from scanloom.pipeline.report.page.files import tiles_page
+from scanloom.pipeline.report.page.serving import FolderServer
+from scanloom.pipeline.report.run_page import page_of_mesh, page_of_run
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files.codes import FILE_PATH_INVALID
 from scanloom.stages.files.replacing import replacing
-from scanloom.stages.lod.tiles import TILESET
-from scanloom.stages.picturing.page.files import INDEX, tiles_page
-from scanloom.stages.picturing.page.serving import FolderServer
+from scanloom.stages.lod.tiles import PAGE_INDEX, TILESET
 
 
 def view(
@@ -82,7 +82,7 @@ def view(
         page = page_of_mesh(what.resolve().stem, read_standing(what), most_bytes)
     if target is None:
         with TemporaryDirectory(prefix="scanloom-") as empty:
-            _serve(Path(empty), {INDEX: page}, port, open_browser, out)
+            _serve(Path(empty), {PAGE_INDEX: page}, port, open_browser, out)
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     with replacing(target) as draft:

@@ -54,7 +54,7 @@ def find_classes() -> list[type]:
     """
     found: dict[str, type] = {}
     for path in sorted((ROOT / "stages").rglob("*.py")):
-        if "node_modules" in path.parts or "param(" not in path.read_text(encoding="utf-8"):
+        if "param(" not in path.read_text(encoding="utf-8"):
             continue
         parts = ("scanloom", *path.relative_to(ROOT).with_suffix("").parts)
         module = importlib.import_module(".".join(parts).removesuffix(".__init__"))

@@ -9,10 +9,10 @@ from itertools import groupby
 from types import FunctionType, ModuleType
 from typing import Any
 
+import scanloom
 from making import parameters
 from making.docstrings import as_markdown
 from making.markdown import code, definitions, escaped
-from scanloom import stages
 from scanloom.stages import lod
 from scanloom.stages.params import describe_all
 
@@ -32,6 +32,7 @@ ROOMS = {
     "exporting": "Exporting",
     "comparing": "Comparing",
     "picturing": "Pictures",
+    "report": "Pages",
     "surface": "Meshes",
     "diagnostics": "Diagnostics and errors",
 }
@@ -49,7 +50,7 @@ def reference() -> str:
 
 def named() -> Iterator[tuple[str, Any]]:
     """Return every public name with what it is: `simplify`, `lod.build`."""
-    for prefix, package in (("", stages), ("lod.", lod)):
+    for prefix, package in (("", scanloom), ("lod.", lod)):
         for name in package.__all__:
             thing = getattr(package, name)
             if not isinstance(thing, (str, ModuleType)):
@@ -64,7 +65,7 @@ def _place(entry: tuple[str, Any]) -> tuple[int, bool, str]:
 def _room(thing: Any) -> str:
     package, *below = thing.__module__.removeprefix("scanloom.").split(".")
     # A name for several types says it is of typing; there is one, for what is taken as a mesh.
-    return str(below[0]) if package == "stages" else "surface"
+    return str(below[0]) if package in ("stages", "pipeline") else "surface"
 
 
 def _text(name: str, thing: Any) -> str:

@@ -9,9 +9,9 @@ from scanloom.pipeline.batch.codes import BATCH_ALREADY_EXISTS
 from scanloom.pipeline.batch.summary import COLUMNS, CSV, PARQUET, Summary, csv_of, parquet_of
 from scanloom.pipeline.batch.whole import write_whole
 from scanloom.pipeline.failures import explained
+from scanloom.pipeline.report.page.one_file import is_page, scans_page
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.opening import content_of
-from scanloom.stages.picturing.page.one_file import is_page, scans_page
 
 PAGE = "index.html"
 _PARQUET_MARK = b"PAR1"

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from scanloom.pipeline.evaluation.codes import REPORT_INCOMPLETE
 from scanloom.stages.comparing.deviations import Deviations
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.documents import read_json
-from scanloom.stages.picturing.codes import REPORT_INCOMPLETE
 from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
 from scanloom.stages.surface.raycasting import Floats
 

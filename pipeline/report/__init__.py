@@ -1,1 +1,1 @@
-"""The page of a run."""
+"""Pages of runs and of comparisons."""

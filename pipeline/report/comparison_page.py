@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.report.page.one_file import PageScale
+from scanloom.pipeline.report.page.packing import Shown, packed_page, turn_of_page
 from scanloom.pipeline.report.page_told import deviation_tables
 from scanloom.stages.comparing.change import Changes
 from scanloom.stages.comparing.deviations import Deviations
 from scanloom.stages.comparing.palette import colors_of
-from scanloom.stages.picturing.page.one_file import PageScale
-from scanloom.stages.picturing.page.packing import Shown, packed_page, turn_of_page
 from scanloom.stages.picturing.spots import spots
 from scanloom.stages.printing import place_in_words
 from scanloom.stages.surface.cloud import is_cloud

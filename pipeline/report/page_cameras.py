@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.evaluation.codes import REPORT_INCOMPLETE
 from scanloom.pipeline.evaluation.photos import FILE as CAMERAS
+from scanloom.pipeline.report.page.one_file import PageCamera
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.documents import read_json, require_inside
 from scanloom.stages.files.opening import content_of
-from scanloom.stages.picturing.codes import REPORT_INCOMPLETE
-from scanloom.stages.picturing.page.one_file import PageCamera
 
 _JPEG = b"\xff\xd8\xff"
 

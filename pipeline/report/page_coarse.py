@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from scanloom.pipeline.artifacts.up_direction import Up
-from scanloom.stages.picturing.page.packing import Shown
+from scanloom.pipeline.report.page.packing import Shown
 from scanloom.stages.surface.vertex_clustering import clustered
 
 # A page has room for a tenth of that, which are chosen with care.

@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.artifacts.file_names import COVERAGE, COVERAGE_MESH
 from scanloom.pipeline.artifacts.up_direction import Up
+from scanloom.pipeline.report.page.packing import Shown
 from scanloom.pipeline.report.page_cameras import as_runs_write
 from scanloom.pipeline.report.page_coarse import coarsely
 from scanloom.pipeline.report.page_paints import spread_paint
-from scanloom.pipeline.steps.coverage import FILE, MESH
 from scanloom.stages.files.documents import read_json
 from scanloom.stages.inspecting.coverage.kinds import KINDS
-from scanloom.stages.picturing.page.packing import Shown
 from scanloom.stages.printing import place_in_words
 from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values
 from scanloom.stages.surface.formats.ply_format import promised
@@ -41,10 +41,10 @@ def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_met
     turn : (3, 3) rotation that the models stand by.
     is_metric : lengths are metres, else units of the scan.
     """
-    if not ((folder / MESH).is_file() and (folder / FILE).is_file()):
+    if not ((folder / COVERAGE_MESH).is_file() and (folder / COVERAGE).is_file()):
         return None
-    with as_runs_write(folder / FILE):
-        told: Any = read_json(folder / FILE)
+    with as_runs_write(folder / COVERAGE):
+        told: Any = read_json(folder / COVERAGE)
         rows, places = [], []
         m, m2 = ("m", "m²") if is_metric else ("units", "units²")
         for one in told["places"]:
@@ -70,10 +70,12 @@ def missing_of(folder: Path, up: Up | None, turn: NDArray[np.float64], *, is_met
         "",
     ]
     table = {"title": "Where to go again", "head": head, "rows": rows, "places": places}
-    if is_many(promised(folder / MESH, "face")):
-        return Missing(coarsely(folder / MESH, up, _in_words(told["places"]), is_metric=is_metric), table)
-    mesh = read_ply(folder / MESH).with_(up=up)
-    spread, frames = (read_vertex_values(folder / MESH, name) for name in ("spread", "frames"))
+    if is_many(promised(folder / COVERAGE_MESH, "face")):
+        return Missing(
+            coarsely(folder / COVERAGE_MESH, up, _in_words(told["places"]), is_metric=is_metric), table
+        )
+    mesh = read_ply(folder / COVERAGE_MESH).with_(up=up)
+    spread, frames = (read_vertex_values(folder / COVERAGE_MESH, name) for name in ("spread", "frames"))
     paints = {}
     if spread is not None and frames is not None:
         paints["spread"] = spread_paint(mesh, np.where(frames > 0, spread, np.nan), is_metric=is_metric)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from scanloom.pipeline.evaluation.deviations import Kept
+from scanloom.pipeline.report.page.one_file import PageScale
+from scanloom.pipeline.report.page.packing import Paint
 from scanloom.stages.comparing.palette import colors_of
 from scanloom.stages.files.images import read_stored
-from scanloom.stages.picturing.page.one_file import PageScale
-from scanloom.stages.picturing.page.packing import Paint
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Floats
 

@@ -20,11 +20,11 @@ from scanloom.pipeline.cache.files import copy_whole, remove_abandoned, write_wh
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.failures import explained
 from scanloom.pipeline.report.file_names import PAGE, REPORT
+from scanloom.pipeline.report.page.one_file import is_page
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
 from scanloom.stages.files.inside import leads_inside
 from scanloom.stages.files.opening import text_in
-from scanloom.stages.picturing.page.one_file import is_page
 
 _FORMAT_VERSION = 1
 

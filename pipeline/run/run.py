@@ -13,12 +13,14 @@ from typing import Any
 from scanloom.pipeline.cache.digest import digest
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
+from scanloom.pipeline.evaluation.codes import REPORT_INCOMPLETE
 from scanloom.pipeline.evaluation.params import ReportParams
 from scanloom.pipeline.expectation import megapixels
 from scanloom.pipeline.failures import explained
 from scanloom.pipeline.graph import STAGES, plan_for, skip_reasons
 from scanloom.pipeline.report.file_names import PAGE, REPORT
-from scanloom.pipeline.report.page import page_of_run
+from scanloom.pipeline.report.page.show import Page
+from scanloom.pipeline.report.run_page import page_of_run
 from scanloom.pipeline.run.asked import Asked, from_anywhere
 from scanloom.pipeline.run.document import compose
 from scanloom.pipeline.run.engine import Engine, Outcome
@@ -39,8 +41,6 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
 from scanloom.stages.files.opening import content_of
-from scanloom.stages.picturing.codes import REPORT_INCOMPLETE
-from scanloom.stages.picturing.show import Page
 from scanloom.stages.printing import counted, line, rows_table
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.scans.read import read_scan, require_complete

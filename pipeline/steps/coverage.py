@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.artifacts.file_names import COVERAGE, COVERAGE_MESH
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
 from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
@@ -41,7 +42,7 @@ from scanloom.stages.surface.mesh_files import write_mesh
 from scanloom.stages.surface.pieces import Written, write_by_pieces
 from scanloom.stages.surface.piecewise import Piecewise
 
-MESH, MODEL, FILE = "coverage.ply", "coverage.glb", "coverage.json"
+MODEL = "coverage.glb"
 # Of each vertex: how many frames measured it, the angle of the straightest look and of the mean one, degrees;
 # the width of a pixel, and how far off it frames have measured it, RMS, metres. 0 frames, 90° and 0 for none.
 VALUES = ("frames", "angle", "mean_angle", "pixel", "spread")
@@ -98,14 +99,14 @@ def write_coverage(
     """Write coverage.ply, coverage.glb and coverage.json, and return the figures."""
     found = coverage(mesh, frames, params, progress=progress)
     figures = found.figures()
-    (folder / FILE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8", newline="\n")
+    (folder / COVERAGE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8", newline="\n")
     told = {**figures, "places": len(found.places)}
     if isinstance(mesh, Piecewise):
-        _write_in_pieces(folder / MESH, found.covered)
+        _write_in_pieces(folder / COVERAGE_MESH, found.covered)
         return told
     rows = np.concatenate([part.probes for part in found.covered.painted()])
     values = dict(zip(VALUES, values_of(found.covered.evidence.at(rows)).T, strict=True))
-    write_ply(folder / MESH, found.painted, vertex_values=values)
+    write_ply(folder / COVERAGE_MESH, found.painted, vertex_values=values)
     write_mesh(folder / MODEL, found.painted.with_(up=up))
     return told
 
@@ -145,7 +146,7 @@ STAGE = Stage(
     run=_run,
     versions=always(coverage),
     libraries=installed("open3d", "opencv", "scipy"),
-    results=(MESH, MODEL, FILE),
+    results=(COVERAGE_MESH, MODEL, COVERAGE),
     skip_reason=_skip_reason,
     cost=Cost(seconds=2, seconds_per_megapixel=0.15, bytes=300e6, most_bytes=MAX_BYTES_IN_PARTS),
     headline="{places} places to go again",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from scanloom.pipeline.artifacts.file_names import PICTURES
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.evaluation.params import ReportParams
 from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
@@ -22,9 +23,6 @@ from scanloom.stages.comparing.compare import CompareParams
 from scanloom.stages.inspecting.libraries import installed
 from scanloom.stages.scans.model.scan import Frame, Scan
 from scanloom.stages.scans.params import ScanParams
-
-# Folder of the pictures.
-PICTURES = "pictures"
 
 
 @dataclass(frozen=True)

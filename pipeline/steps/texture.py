@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.artifacts.file_names import TEXTURE_MAPS
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
 from scanloom.pipeline.expectation import MAX_BYTES_IN_PARTS, Cost
@@ -29,7 +30,7 @@ from scanloom.stages.surface.texture import Image
 from scanloom.stages.texturing.maps import write_maps
 from scanloom.stages.texturing.texture import TextureParams, texture
 
-FILE, MAPS = "textured.glb", "texture_maps"
+FILE = "textured.glb"
 
 # The golden angle, in half degrees as OpenCV counts hues.
 _GOLDEN = 68.754
@@ -67,7 +68,7 @@ class TexturedMesh(Artifact):
 
     def color_by_photo(self, mesh: Mesh) -> Mesh:
         """Colour the loaded mesh by the photo that has the most weight; grey where no photo sees it."""
-        return color_by_photo(mesh, self.folder / MAPS)
+        return color_by_photo(mesh, self.folder / TEXTURE_MAPS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,8 +121,8 @@ def write_textured(
     """Write textured.glb, which stands by what is up, and the maps of its images, and return the figures."""
     textured = texture(mesh, frames, params, progress=progress)
     write_mesh(folder / FILE, textured.mesh.with_(up=up))
-    (folder / MAPS).mkdir()
-    write_maps(folder / MAPS, textured)
+    (folder / TEXTURE_MAPS).mkdir()
+    write_maps(folder / TEXTURE_MAPS, textured)
     return textured.figures()
 
 
@@ -157,7 +158,7 @@ STAGE = Stage(
     run=_run,
     versions=always(texture),
     libraries=installed("scanloom", "opencv"),
-    results=(FILE, f"{MAPS}/"),
+    results=(FILE, f"{TEXTURE_MAPS}/"),
     unread=_unread,
     skip_reason=skip_reason,
     cost=Cost(

@@ -9,6 +9,7 @@ from typing import Any
 
 from scanloom.pipeline.artifacts.up_direction import Up, UpDirection
 from scanloom.pipeline.expectation import Cost
+from scanloom.pipeline.report.page.files import write_tiles_page
 from scanloom.pipeline.result_versions import always
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Artifact, Context, Stage
@@ -112,10 +113,11 @@ def write_tileset(
         texture=model,
         images=images,
         up="none" if up is None else " ".join(map(repr, up)),
-        page=params.page,
         compress=params.compress,
         progress=progress,
     )
+    if params.page:
+        write_tiles_page(folder / FOLDER)
     return written.figures()
 
 

@@ -35,15 +35,13 @@ from scanloom.stages.lod.tile_texture import (
 )
 from scanloom.stages.params import check as check_params
 from scanloom.stages.params import param, resolve
-from scanloom.stages.picturing.page.files import FOLDER as PAGE_FOLDER
-from scanloom.stages.picturing.page.files import INDEX, tiles_page
-from scanloom.stages.picturing.page.standing import facing
 from scanloom.stages.printing import by_figures, table
 from scanloom.stages.printing.rounding import rounded_up
 from scanloom.stages.progress import Progress, silent
 from scanloom.stages.surface.color import is_transparent
 from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.finite import require_finite
+from scanloom.stages.surface.mean_normal import estimate_mean_normal
 from scanloom.stages.surface.mesh import NOT_WRITTEN, Mesh
 from scanloom.stages.surface.upright import direction_of, turn_along_z
 
@@ -60,6 +58,8 @@ Floats = NDArray[np.float64]
 
 TILESET = "tileset.json"
 _FOLDER = "tiles"
+# What a page that draws the tiles adds to their folder.
+PAGE_INDEX, PAGE_FOLDER = "index.html", "page"
 COMPRESSIONS = ("none", "meshopt")
 # What refuses a folder that is something else.
 WHAT = "a tileset of scanloom"
@@ -80,9 +80,6 @@ class TilesParams:
         "The axis of the mesh that is up (+x, -x, +y, -y, +z, -z), or a direction, as three numbers; the "
         "tileset turns it along z, and `none` leaves it as it is. By default what the file says, or that of "
         "the texture; where neither says it -y, which is up in the frame of a camera.",
-    )
-    page: bool = param(
-        False, "Write a page beside the tiles, index.html and what it needs, that draws them in a browser."
     )
     compress: str = param(
         "none",
@@ -153,9 +150,6 @@ def write_tiles(
     **changes: Unpack[TilesKeywords],
 ) -> Tileset:
     """Write a hierarchy as 3D Tiles 1.1: `outdir/tileset.json` and a GLB file for each tile.
-
-    With `page`, `outdir/index.html` and `outdir/page/` draw them in a browser. They have to be served: a page
-    that is opened as a file may not load others.
 
     A tile is a node's coarse mesh; below each leaf there is one tile more, the mesh the hierarchy was built
     on. A tile's children take its place as one; where it has one child, with hardly more triangles, it is
@@ -228,9 +222,6 @@ def _write_tiles(
         up = _up(params, hierarchy, model)
         tree = _tileset(placed, tiles, of_tiles, grid, up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), encoding="utf-8", newline="\n")
-        for name, content in (tiles_page() if params.page else {}).items():
-            (draft / name).parent.mkdir(parents=True, exist_ok=True)
-            (draft / name).write_bytes(content)
     if model is not None and is_transparent(model):
         emit(LEVELS_LEFT_OUT.warning("tiles left out: the transparency of the model's images."))
     told = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
@@ -246,9 +237,10 @@ def _up(params: TilesParams, hierarchy: Hierarchy, model: Mesh | None) -> Floats
 
 
 def is_tileset(folder: Path) -> bool:
-    """Return whether a folder holds a tileset that scanloom wrote, and nothing else."""
+    """Return whether a folder holds a tileset of scanloom, with or without its page, and nothing else."""
     found, own = {entry.name for entry in folder.iterdir()}, {TILESET, _FOLDER}
-    if found not in (own, own | {INDEX, PAGE_FOLDER}):
+    # An interrupted command leaves a part of the page.
+    if not own <= found <= own | {PAGE_INDEX, PAGE_FOLDER}:
         return False
     try:
         tree = json.loads(content_of(folder / TILESET))
@@ -376,7 +368,7 @@ def _tileset(
     # Where nothing is shown, all of the model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
     about: Tree = {"scanloom": installed_version()}
-    look = facing(placed.mesh([0], [0]), turn_along_z(up))
+    look = estimate_mean_normal(placed.mesh([0], [0]), turn_along_z(up))
     if look is not None:
         about["facing"] = look
     if placed.is_one_sided:

@@ -444,7 +444,6 @@ class TilesKeywords(TypedDict, total=False):
     """Fields of `TilesParams`."""
 
     up: str | None
-    page: bool
     compress: str
 
 

@@ -13,7 +13,7 @@ import pytest
 from clouds import cloud, write_cloud
 from coloured_sheet import bumpy
 
-from scanloom.stages.picturing.page.one_file import is_page
+from scanloom.pipeline.report.page.one_file import is_page
 from scanloom.stages.surface.cloud_files import read_mesh_or_cloud
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 

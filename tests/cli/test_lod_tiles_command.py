@@ -47,6 +47,14 @@ def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     assert read_tiles(target).tree["transform"][:4] == [1, 0, 0, 0]
 
 
+def test_a_page_is_written_beside_tiles(scanloom: Run, slod: Path, tmp_path: Path) -> None:
+    target = tmp_path / "tiles"
+    assert scanloom("lod", "tiles", slod, target, "--page").exit_code == 0
+    assert sorted(path.name for path in target.iterdir()) == ["index.html", "page", "tiles", "tileset.json"]
+    assert scanloom("lod", "tiles", slod, target).exit_code == 0
+    assert sorted(path.name for path in target.iterdir()) == ["tiles", "tileset.json"]
+
+
 @pytest.fixture(scope="module")
 def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same sheet with an image."""

@@ -22,7 +22,7 @@ def test_a_new_name_in_the_table_is_imported_and_listed(monkeypatch):
     text = keywords.write_package()
 
     assert "\n    from scanloom.stages.progress import silent\n" in text
-    assert '\n    "show",\n    "silent",\n    "simplify",\n' in text
+    assert '\n    "repair",\n    "silent",\n    "simplify",\n' in text
 
 
 def test_every_field_of_a_parameter_class_is_a_keyword():

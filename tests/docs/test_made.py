@@ -11,6 +11,7 @@ from making.docstrings import as_markdown
 from making.markdown import code, definitions, escaped
 from markdown_it import MarkdownIt
 
+import scanloom
 from scanloom import stages
 from scanloom.pipeline.config import Config
 from scanloom.stages.params import describe_all
@@ -123,7 +124,7 @@ def test_every_command_and_option_is_there():
 def test_every_public_name_is_there():
     text = python.reference()
 
-    for package, prefix in ((stages, ""), (stages.lod, "lod.")):
+    for package, prefix in ((scanloom, ""), (stages.lod, "lod.")):
         for name in set(package.__all__) - {"__version__"}:
             assert f"### `{prefix}{name}`" in text
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-PAGE = Path(__file__).resolve().parents[2] / "stages" / "picturing" / "page"
+PAGE = Path(__file__).resolve().parents[2] / "pipeline" / "report" / "page"
 # Software draws, the same everywhere; and nothing is asked of anybody.
 _WORDS = (
     *("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic"),

@@ -151,7 +151,7 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
 
 
 def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> None:
-    from scanloom.pipeline.report.page import page_of_run
+    from scanloom.pipeline.report.run_page import page_of_run
 
     out = here / "out"
     run_again(out, "coverage", {})

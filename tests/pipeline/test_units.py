@@ -11,8 +11,8 @@ from coloured_meshes import sheet
 
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.report.page import page_of_run
 from scanloom.pipeline.report.page_told import deviation_tables, told_of
+from scanloom.pipeline.report.run_page import page_of_run
 from scanloom.pipeline.run.document import compose
 from scanloom.pipeline.run.run import wanted_of
 from scanloom.stages.scans.layouts.scan_json import write_scan_json

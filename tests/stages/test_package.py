@@ -49,6 +49,7 @@ def test_a_star_gives_all_names():
     for package in ("scanloom", "scanloom.stages"):
         code = f"from {package} import *; print(simplify.__name__, Mesh.__name__)"
         assert in_new_process(code) == "simplify Mesh"
+    assert in_new_process("from scanloom import *; print(show.__name__, Page.__name__)") == "show Page"
 
 
 def test_a_name_that_is_not_there_is_an_error_of_the_usual_kind():
@@ -61,9 +62,10 @@ def test_a_name_that_is_not_there_is_an_error_of_the_usual_kind():
 
 
 def test_the_top_has_the_same_names_and_the_packages():
-    assert scanloom.__all__ == stages.__all__
-    assert set(dir(scanloom)) == {*stages.__all__, "stages", "pipeline", "cli"}
+    assert scanloom.__all__ == sorted([*stages.__all__, "Page", "show"])
+    assert set(dir(scanloom)) == {*scanloom.__all__, "stages", "pipeline", "cli"}
     assert all(getattr(scanloom, name) is getattr(stages, name) for name in stages.__all__)
+    assert scanloom.show is import_module("scanloom.pipeline.report.page.show").show
 
 
 def test_no_room_has_the_name_of_a_function():

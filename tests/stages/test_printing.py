@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from scanloom import stages
+from scanloom import Page, show, stages
 from scanloom.stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, StereoRig, Texture, lod
 from scanloom.stages.printing import line
 from scanloom.stages.scans.model.scan import Packed, SkippedFrame
@@ -153,7 +153,7 @@ def everything():
         stages.compare(mesh, points, samples=100).clouds[1],
         (curve := stages.tradeoff(mesh, counts=(200, 100, 50), samples=1000)),
         curve.points[0],
-        stages.show(mesh, page_size=2),
+        show(mesh, page_size=2),
         # All of it was seen obliquely, as this asks.
         (missing := stages.coverage(fused.mesh, scan, oblique=1.0, few_frames=100, least_area=1e-4)),
         missing.places[0],
@@ -234,8 +234,8 @@ def picture_in(html: str) -> np.ndarray | None:
 
 
 def test_a_notebook_shows_a_table_and_a_picture(results):
-    # A page is no table; tests/stages/picturing/test_show.py opens it.
-    shown = [one for one in results if hasattr(one, "_repr_html_") and not isinstance(one, stages.Page)]
+    # A page is no table; tests/pipeline/report/page/test_show.py opens it.
+    shown = [one for one in results if hasattr(one, "_repr_html_") and not isinstance(one, Page)]
     assert {"Simplified", "Mesh", "Fused", "Baked", "NormalMesh", "Comparison", "Scan", "Frame"} <= {
         type(one).__name__ for one in shown
     }

@@ -45,6 +45,7 @@ mesh, scan = read_mesh("mesh.ply"), read_scan(Path("folder"))
 image = np.zeros((4, 4, 3), np.uint8)
 
 _ = scanloom.simplfy  # error: attr-defined
+_ = scanloom.stages.show  # error: attr-defined
 
 # Keywords are those of the parameters.
 fuse(scan)
@@ -76,6 +77,8 @@ views_depth(scan, partners=4)
 views_depth(scan, partner=4)  # error: call-arg
 mesh.with_(colors=None)
 mesh.with_(color=None)  # error: call-arg
+scanloom.show(mesh, beside={"other": mesh}, height=300)
+scanloom.show(mesh, heigth=300)  # error: call-arg
 scanloom.FuseParams(voxel=1.0)  # error: call-arg
 scanloom.FuseParams(0.01)  # error: call-arg
 
@@ -100,6 +103,7 @@ clean(o3d.t.geometry.PointCloud())  # error: arg-type
 # Results have types.
 assert_type(scanloom.__version__, str)
 assert_type(mesh, Mesh)
+assert_type(scanloom.show(mesh), scanloom.Page)
 assert_type(scan, Scan)
 assert_type(scan.frames[0].camera, Camera)
 assert_type(mesh.vertices, NDArray[np.float64])

@@ -605,19 +605,6 @@ def test_the_validator_of_gltf_finds_nothing(
     assert not any(said.values()), said
 
 
-def test_a_tileset_with_its_page_is_replaced_as_one(
-    hierarchies: dict[str, Hierarchy], tmp_path: Path
-) -> None:
-    lod.write_tiles(hierarchies["closed"], tmp_path / "out", page=True)
-    assert (tmp_path / "out" / "index.html").is_file()
-    lod.write_tiles(hierarchies["closed"], tmp_path / "out")
-    assert not (tmp_path / "out" / "index.html").exists()
-    lod.write_tiles(hierarchies["closed"], tmp_path / "out", page=True)
-    (tmp_path / "out" / "notes.txt").write_text("of somebody")
-    with pytest.raises(InputError, match="is not a tileset of scanloom"):
-        lod.write_tiles(hierarchies["closed"], tmp_path / "out")
-
-
 def corners(tile: Tile) -> list[tuple[tuple[float, ...], ...]]:
     """Return the triangles of a tile by what is at their corners, whatever their order in the file."""
     known = [tile.vertices, tile.colors, tile.uvs]

@@ -15,11 +15,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import unquote
 
+from scanloom.pipeline.report.page.codes import MACHINE_PORT_TAKEN
 from scanloom.stages.diagnostics.errors import InputError, StageError
 from scanloom.stages.files.codes import FILE_PATH_INVALID
 from scanloom.stages.files.opening import content_of
-from scanloom.stages.picturing.codes import MACHINE_PORT_TAKEN
-from scanloom.stages.picturing.page.files import INDEX
+from scanloom.stages.lod.tiles import PAGE_INDEX
 
 HOST = "127.0.0.1"
 # What is given, and as what; anything else is not found.
@@ -118,7 +118,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         asked = self.path.partition("#")[0].partition("?")[0]
         try:
-            path = unquote(asked, errors="strict")[1:] or INDEX
+            path = unquote(asked, errors="strict")[1:] or PAGE_INDEX
         except UnicodeDecodeError:
             self._refuse(HTTPStatus.NOT_FOUND)
             return

@@ -8,13 +8,13 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from scanloom.pipeline.report.page.packing import Shown, packed_page
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
 from scanloom.stages.files.replacing import replacing
 from scanloom.stages.picturing.codes import RENDER_NOTHING_TO_DRAW
-from scanloom.stages.picturing.page.packing import Shown, packed_page
 from scanloom.stages.printing import line
 from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.mesh import Mesh

@@ -10,21 +10,20 @@ from typing import Any
 import numpy as np
 
 from scanloom import stages
+from scanloom.pipeline.artifacts.file_names import PICTURES, TEXTURE_MAPS
+from scanloom.pipeline.evaluation.codes import REPORT_INCOMPLETE
 from scanloom.pipeline.evaluation.deviations import FIGURES, Kept, kept_of, read_deviations
 from scanloom.pipeline.evaluation.measures import SIGNED_SAMPLES
 from scanloom.pipeline.report.file_names import REPORT
+from scanloom.pipeline.report.page.packing import Paint, Shown, packed_page, turn_of_page
 from scanloom.pipeline.report.page_cameras import as_runs_write, cameras_of
 from scanloom.pipeline.report.page_coarse import coarsely
 from scanloom.pipeline.report.page_coverage import missing_of
 from scanloom.pipeline.report.page_paints import confidence_paint, deviation_paint
 from scanloom.pipeline.report.page_told import at, deviation_tables, skipped_in, told_of
-from scanloom.pipeline.steps.report import PICTURES
-from scanloom.pipeline.steps.texture import MAPS
 from scanloom.stages import Mesh
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.documents import read_json
-from scanloom.stages.picturing.codes import REPORT_INCOMPLETE
-from scanloom.stages.picturing.page.packing import Paint, Shown, packed_page, turn_of_page
 from scanloom.stages.surface.formats.ply_format import promised
 from scanloom.stages.surface.mesh_files import standing
 from scanloom.stages.surface.pieces import is_many
@@ -97,7 +96,7 @@ def page_of_run(folder: Path, most_bytes: int) -> bytes:
     if missing is not None:
         models["what is missing"] = missing.shown
         told["tables"] = [missing.table, *told.get("tables", ())]
-    confidence = confidence_paint(result, folder / MAPS)
+    confidence = confidence_paint(result, folder / TEXTURE_MAPS)
     if confidence is not None:
         paints["confidence"] = confidence
     models = {"result": Shown(_with_vertex_colors(folder, result), name, paints=paints), **models}

@@ -15,11 +15,11 @@ import pytest
 from coloured_meshes import sheet
 from page_content import shown
 
-import scanloom.pipeline.report.page
+import scanloom.pipeline.report.run_page
 from scanloom import Image, Material, Mesh, Texture, deviations
 from scanloom.pipeline.evaluation.deviations import FIGURES, MESH, kept_of, read_deviations, write_deviations
 from scanloom.pipeline.evaluation.photos import write_photos
-from scanloom.pipeline.report.page import page_of_run
+from scanloom.pipeline.report.run_page import page_of_run
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.scan import Camera, Frame
 from scanloom.stages.surface.formats.ply import write_ply
@@ -117,7 +117,7 @@ def test_what_the_report_measured_is_not_measured_again(out: Path, monkeypatch: 
     found = deviations(sheet(N), light(), signed_samples=2000)
     write_deviations(out / "pictures", found)
     again = looks_of(page_of_run(out, 5_000_000))
-    monkeypatch.setattr(scanloom.pipeline.report.page.stages, "deviations", silent)
+    monkeypatch.setattr(scanloom.pipeline.report.run_page.stages, "deviations", silent)
     assert looks_of(page_of_run(out, 5_000_000))["deviation"] == again["deviation"]
     kept, read = kept_of(found), read_deviations(out / "pictures")
     assert read is not None

@@ -7,9 +7,9 @@ import pytest
 from coloured_meshes import ball, sheet
 from page_content import shown
 
+from scanloom.pipeline.report.page.one_file import PageScale
+from scanloom.pipeline.report.page.packing import Paint, Shown, packed_page
 from scanloom.stages.diagnostics.collector import collecting
-from scanloom.stages.picturing.page.one_file import PageScale
-from scanloom.stages.picturing.page.packing import Paint, Shown, packed_page
 from scanloom.stages.surface.mesh import Mesh
 
 SCALE = PageScale("mm", -1.0, 1.0, 0.1, ["rgb(0, 0, 0)", "rgb(9, 9, 9)"], [0.5, 0.5])

@@ -14,12 +14,12 @@ import pytest
 from browsers import browser
 
 from scanloom import Image, Material, Mesh, Texture, export, preset
-from scanloom.stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
-from scanloom.stages.picturing.page.standing import facing
+from scanloom.pipeline.report.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
 from scanloom.stages.picturing.render import render
 from scanloom.stages.picturing.viewpoints import Viewpoint
 from scanloom.stages.scans.model.scan import Camera
 from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.mean_normal import estimate_mean_normal
 from scanloom.stages.surface.upright import turn_along_z
 
 pytestmark = pytest.mark.slow
@@ -450,5 +450,5 @@ def test_narrow_and_wide_fit(chromium: Any, page_file: Path, width: int, scheme:
 
 def test_what_was_seen_from_one_side_is_looked_at_from_there() -> None:
     wall = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1.0]]), np.array([[0, 1, 2]], np.int32))
-    assert facing(wall, np.eye(3)) == [0, -1, 0]
-    assert facing(body((1, 2, 3)), np.eye(3)) is None
+    assert estimate_mean_normal(wall, np.eye(3)) == [0, -1, 0]
+    assert estimate_mean_normal(body((1, 2, 3)), np.eye(3)) is None

@@ -14,15 +14,15 @@ import pytest
 from browsers import PAGE, browser, node, served
 from numpy.typing import NDArray
 
+from scanloom.pipeline.report.page.files import tiles_page, write_tiles_page
+from scanloom.pipeline.report.page.serving import FolderServer
 from scanloom.stages import Mesh, lod
-from scanloom.stages.picturing.page.files import tiles_page
-from scanloom.stages.picturing.page.serving import FolderServer
 from scanloom.stages.picturing.render import render
 from scanloom.stages.picturing.viewpoints import Viewpoint
 from scanloom.stages.scans.model.scan import Camera
 
 WIDTH, HEIGHT = 480, 360
-COMPRESS = Path(__file__).resolve().parents[2] / "made" / "compress_tiles.mjs"
+COMPRESS = Path(__file__).resolve().parents[3] / "made" / "compress_tiles.mjs"
 PAPER = {"light": (0xF4, 0xF5, 0xF7), "dark": (0x17, 0x1B, 0x21)}
 # Where the camera stands, and how many pixels a tile's error may have.
 VIEWS = {
@@ -53,7 +53,8 @@ def long_ring() -> Mesh:
 def tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     outdir = tmp_path_factory.mktemp("page") / "tiles"
     hierarchy = lod.build(long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
-    lod.write_tiles(hierarchy, outdir, up="+z", page=True)
+    lod.write_tiles(hierarchy, outdir, up="+z")
+    write_tiles_page(outdir)
     return outdir
 
 
@@ -66,7 +67,8 @@ def textured_tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     green = ring.with_(colors=np.tile(np.array(GREEN, np.uint8), (len(ring.vertices), 1)))
     hierarchy = lod.build(grey, cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
     images = lod.TileImageParams(image_side=128)
-    lod.write_tiles(hierarchy, outdir, texture=green, images=images, up="+z", page=True)
+    lod.write_tiles(hierarchy, outdir, texture=green, images=images, up="+z")
+    write_tiles_page(outdir)
     return outdir
 
 
@@ -182,7 +184,8 @@ def test_a_hole_would_be_seen(chromium: Any, tiles: Path, tmp_path: Path) -> Non
 def test_packed_tiles_are_drawn(chromium: Any, tiles: Path, tmp_path: Path, packed_by: str) -> None:
     if packed_by == "scanloom":
         hierarchy = lod.build(long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
-        lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z", page=True, compress="meshopt")
+        lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z", compress="meshopt")
+        write_tiles_page(tmp_path / "tiles")
     else:
         shutil.copytree(tiles, tmp_path / "tiles")
         node(COMPRESS, PAGE, tmp_path / "tiles" / "tiles")
@@ -311,7 +314,8 @@ def test_a_wall_is_first_seen_from_the_side_it_was_scanned_from(
     # Counter-clockwise from -y, or from +y.
     wall = Mesh(places, (faces if side < 0 else faces[:, ::-1]).astype(np.int32))
     hierarchy = lod.build(wall, cell_triangles=256, root_triangles=100)
-    lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z", page=True)
+    lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z")
+    write_tiles_page(tmp_path / "tiles")
     with served(FolderServer(tmp_path / "tiles")) as server:
         seen = opened(chromium, server.address)
         eye = seen.page.evaluate("scanloom.view()")["eye"]

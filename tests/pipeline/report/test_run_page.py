@@ -14,7 +14,7 @@ from coloured_meshes import sheet
 from page_content import shown
 
 from scanloom.pipeline.evaluation.photos import write_photos
-from scanloom.pipeline.report.page import page_of_mesh, page_of_run
+from scanloom.pipeline.report.run_page import page_of_mesh, page_of_run
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.model.scan import Camera, Frame

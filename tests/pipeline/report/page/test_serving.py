@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from browsers import served
 
+from scanloom.pipeline.report.page.serving import FolderServer
 from scanloom.stages.diagnostics.errors import InputError, StageError
-from scanloom.stages.picturing.page.serving import FolderServer
 
 SECRET = b"secret of somebody else"
 

@@ -12,16 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.report.page.codes import REPORT_REDUCED
+from scanloom.pipeline.report.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.exporting.images import with_images
 from scanloom.stages.exporting.presets import preset
 from scanloom.stages.files.opening import content_of
-from scanloom.stages.picturing.codes import REPORT_REDUCED
-from scanloom.stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
-from scanloom.stages.picturing.page.standing import facing
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.formats.gltf_writer import write_gltf
+from scanloom.stages.surface.mean_normal import estimate_mean_normal
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.upright import turn_along_z
 
@@ -254,7 +254,7 @@ def _as_file(plan: _Plan) -> tuple[Shown, PageModel]:
         path = Path(folder) / "model.glb"
         write_gltf(path, written, compress=web.compress, shading=web.shading, values=_values(paints))
         glb = content_of(path)
-    look = facing(mesh, turn_of_page(mesh))
+    look = estimate_mean_normal(mesh, turn_of_page(mesh))
     words = ", ".join(filter(None, (note, words)))
     return shown, PageModel(plan.name, glb, count, words, look, scale, tuple(looks))
 
