@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scanloom.stages.surface.color import pixels_of
 from scanloom.stages.surface.formats.gltf_materials import GltfStatements, multiplies_colors
 from scanloom.stages.surface.mesh import Mesh
-from scanloom.stages.surface.texture import Image, Material
+from scanloom.stages.surface.texture import Image, Material, Texture
 
 # The place of a texture in a material: the keys of the tree that lead to it.
 Path = tuple[str, ...]
@@ -104,6 +104,23 @@ def image_at(material: Material, path: Path) -> Image | None:
     info = value_at(material.kept.tree, path)
     image = None if info is None else material.kept.textures.get(info["index"], (None, {}))[0]
     return image if image is not None and pixels_of(Material(image=image)) is not None else None
+
+
+def list_images(texture: Texture, material_class: MaterialClass, path: Path) -> list[Image]:
+    """List the images of a class for one texture, without repeats."""
+    found = [image_at(texture.materials[number], path) for number in material_class.numbers if number >= 0]
+    return list({id(image): image for image in found if image is not None}.values())
+
+
+def list_all_images(mesh: Mesh, classes: Sequence[MaterialClass]) -> list[Image]:
+    """List the images that baking replaces, without repeats."""
+    assert mesh.texture is not None
+    found: dict[int, Image] = {}
+    for one in classes:
+        if one.is_baked:
+            for path in (BASE_COLOR, *one.maps):
+                found.update({id(image): image for image in list_images(mesh.texture, one, path)})
+    return list(found.values())
 
 
 def is_opaque(material: Material) -> bool:

@@ -1,0 +1,331 @@
+"""Baking of the images of one class of materials, page by page of its atlas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanloom.stages.surface.color import color_at
+from scanloom.stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
+from scanloom.stages.surface.formats.gltf_materials import multiplies_colors
+from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.texture import Image, Material, signed_areas
+from scanloom.stages.texturing.baked_material import build_material
+from scanloom.stages.texturing.correspondence import Correspondence, TexelPoints
+from scanloom.stages.texturing.filling import fill_gaps
+from scanloom.stages.texturing.image_format import ImageFormat, choose_format, resize_image
+from scanloom.stages.texturing.material_classes import (
+    BASE_COLOR,
+    FACTORS,
+    MaterialClass,
+    Path,
+    image_at,
+    is_opaque,
+    list_images,
+    value_at,
+)
+from scanloom.stages.texturing.material_factors import (
+    apply_factors,
+    apply_tint,
+    shares_base_color,
+    shares_factors,
+)
+from scanloom.stages.texturing.pages import Pages
+from scanloom.stages.texturing.tangent_frames import decode_normals, encode_normals, tangent_frames
+from scanloom.stages.texturing.texel_budgets import TexelBudget
+
+Pixels = NDArray[np.uint8]
+
+# An image that is finer than its atlas by more than this factor is averaged first.
+_SIMILAR = 1.25
+_WHITE = 255
+_FLAT_NORMAL = (128, 128, 255)
+# Normals transformed at a time: bounds the memory.
+_AT_ONCE = 1 << 18
+_SRGB_LEVELS = np.arange(256) / 255
+
+
+@dataclass(frozen=True, eq=False)
+class ClassMeshes:
+    """Triangles of one class, in both meshes.
+
+    Attributes
+    ----------
+    simplified, original : triangles of the class, with the vertices that they use.
+    rows : (q,) indices of the triangles in the whole simplified mesh.
+    """
+
+    simplified: Mesh
+    original: Mesh
+    rows: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialDraft:
+    """Material whose images are not encoded yet.
+
+    Attributes
+    ----------
+    canvases : name, pixels and format of each image.
+    image_indices : index of the image of each texture.
+    build : builds the material from the image of each texture.
+    """
+
+    canvases: list[tuple[str, Pixels, ImageFormat]]
+    image_indices: dict[Path, int]
+    build: Callable[[dict[Path, Image]], Material]
+
+
+@dataclass(eq=False)
+class AtlasStats:
+    """Statistics of the atlases of all classes."""
+
+    texels: int = 0
+    shown: int = 0
+    turned: int = 0
+    charts: int = 0
+    padding: float = math.inf
+
+
+class ClassBaker:
+    """Baker of the images of one class of materials."""
+
+    def __init__(
+        self, part: ClassMeshes, one: MaterialClass, budget: TexelBudget, pages: Pages, covered: float
+    ) -> None:
+        self._part, self._class, self._budget, self._pages = part, one, budget, pages
+        texture = part.original.texture
+        assert texture is not None
+        self._texture = texture
+        self._has_uvs = texture.has_uvs()
+        self._spread = np.abs(signed_areas(texture.uvs))
+        self._laid = float(np.abs(signed_areas(pages.corners)).sum())
+        self._covered = covered
+        self._reduced: dict[tuple[int, int], Pixels] = {}
+        self._frames: Any = None
+
+    def bake_page(
+        self, correspondence: Correspondence, page: int, name: str, stats: AtlasStats
+    ) -> MaterialDraft:
+        """Bake the images of one page of the atlas."""
+        sources = correspondence.find_sources(page)
+        self._correspondence, self._page = correspondence, page
+        width, height = self._pages.sizes[page]
+        filled = sources.is_filled
+        self._sources = sources
+        stats.texels += width * height
+        stats.shown += int(np.count_nonzero(filled))
+        stats.turned += sources.turned_count
+        jobs: list[tuple[Any, Path]] = []
+        canvases = []
+        base = self._bake_base_color()
+        if base is not None:
+            jobs.append((BASE_COLOR, BASE_COLOR))
+            canvases.append(base)
+        for path in self._class.maps:
+            if not list_images(self._texture, self._class, path):
+                continue
+            key = self._map_key(path)
+            if all(key != other for other, _ in jobs):
+                jobs.append((key, path))
+                canvases.append(self._bake_map(path))
+        fill_gaps(canvases, filled)
+        index_of = {key: index for index, (key, _) in enumerate(jobs)}
+        image_indices = {}
+        for path in (BASE_COLOR, *self._class.maps):
+            key = BASE_COLOR if path == BASE_COLOR else self._map_key(path)
+            if key in index_of:
+                image_indices[path] = index_of[key]
+        return MaterialDraft(
+            [
+                self._prepare_image(path, canvas, name)
+                for (_, path), canvas in zip(jobs, canvases, strict=True)
+            ],
+            image_indices,
+            partial(build_material, self._texture, self._class),
+        )
+
+    def _load_map(self, number: int, path: Path, channels: int) -> Pixels | None:
+        """Load a map, averaged to the resolution of the atlas if it is finer."""
+        image = image_at(self._texture.materials[number], path) if number >= 0 else None
+        if image is None:
+            return None
+        key = (id(image), channels)
+        if key not in self._reduced:
+            pixels = image.pixels
+            if pixels.shape[2] == 3 and channels == 4:
+                pixels = np.concatenate([pixels, np.full((*pixels.shape[:2], 1), 255, np.uint8)], axis=2)
+            pixels = np.ascontiguousarray(pixels[..., :channels])
+            height, width = pixels.shape[:2]
+            its = self._texture.material_ids == number
+            finer = math.sqrt(float(self._spread[its].sum()) * width * height / self._count_atlas_texels(its))
+            if finer > _SIMILAR:
+                pixels = resize_image(pixels, (max(round(width / finer), 1), max(round(height / finer), 1)))
+            self._reduced[key] = pixels
+        return self._reduced[key]
+
+    def _count_atlas_texels(self, its: NDArray[np.bool_]) -> float:
+        """Estimate how many texels of the atlas show some triangles of the original."""
+        shown = float(self._budget.covered[its].sum())
+        return max(self._laid * shown / max(self._covered, 1e-300), 1e-300)
+
+    def _sample(self, canvas: Pixels, image: Pixels, number: int, path: Path) -> None:
+        """Sample an image into the texels of a canvas that show a material."""
+        is_shown = self._texture.material_ids == number
+        self._sources.sample(canvas, image, self._texture.uvs, is_shown, self._get_wrap(number, path))
+
+    def _create_canvas(self, color: Sequence[int]) -> Pixels:
+        width, height = self._pages.sizes[self._page]
+        if len(set(color)) == 1:
+            # Much faster than a pattern.
+            return np.full((height, width, len(color)), color[0], np.uint8)
+        canvas = np.empty((height, width, len(color)), np.uint8)
+        canvas[:] = color
+        return canvas
+
+    def _get_wrap(self, number: int, path: Path) -> tuple[str, str]:
+        material = self._texture.materials[number]
+        if path == BASE_COLOR:
+            return material.wrap
+        codes = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+        info = value_at(material.kept.tree, path)
+        sampler = material.kept.textures[info["index"]][1]
+        return codes.get(sampler.get("wrapS"), "repeat"), codes.get(sampler.get("wrapT"), "repeat")
+
+    def _find_points(self, is_shown: NDArray[np.bool_]) -> TexelPoints:
+        """Find the points of some triangles (m,) of the original at texels."""
+        points = self._sources.points
+        return points if is_shown.all() else points[is_shown[points.triangles]]
+
+    def _bake_base_color(self) -> Pixels | None:
+        """Bake the base colours (h, w, 3 or 4); None if the class has none."""
+        mesh, one = self._part.original, self._class
+        images = list_images(self._texture, one, BASE_COLOR)
+        if not images and mesh.colors is None:
+            return None
+        channels = 4 if self.has_alpha() else 3
+        canvas = self._create_canvas((_WHITE,) * channels)
+        texels = canvas.reshape(-1, channels)
+        has_image = np.zeros(len(mesh.triangles), bool)
+        for number in one.numbers:
+            image = self._load_map(number, BASE_COLOR, channels)
+            if image is None:
+                continue
+            is_its = self._texture.material_ids == number
+            has_image |= is_its
+            material = self._texture.materials[number]
+            if material.base_color is not None and not shares_base_color(self._texture, self._class):
+                image = apply_tint(image, material.base_color)
+            self._sample(canvas, image, number, BASE_COLOR)
+            if mesh.colors is not None and multiplies_colors(material):
+                points = self._find_points(is_its)
+                texels[points.texels, :3] = self._multiply_colors(texels[points.texels, :3], points)
+        is_bare = ~(has_image & self._has_uvs)
+        if is_bare.any():
+            points = self._find_points(is_bare)
+            texels[points.texels, :3] = self._sample_colors(points)
+        return canvas
+
+    def has_alpha(self) -> bool:
+        """Return whether any image of the class has visible transparency."""
+        for number in self._class.numbers:
+            image = image_at(self._texture.materials[number], BASE_COLOR) if number >= 0 else None
+            if image is None or image.pixels.shape[2] < 4 or is_opaque(self._texture.materials[number]):
+                continue
+            if image.pixels[..., 3].min() < 255:
+                return True
+        return False
+
+    def _sample_colors(self, points: TexelPoints) -> Pixels:
+        found = color_at(self._part.original, points.triangles, points.weights)
+        return np.rint(found).clip(0, 255).astype(np.uint8)
+
+    def _multiply_colors(self, sampled: Pixels, points: TexelPoints) -> Pixels:
+        bare = self._part.original.with_(texture=None)
+        colors = color_at(bare, points.triangles, points.weights)
+        light = linear_from_srgb(_SRGB_LEVELS)[sampled] * linear_from_srgb(colors / 255)
+        return np.rint(255 * srgb_from_linear(light)).clip(0, 255).astype(np.uint8)
+
+    def _bake_map(self, path: Path) -> Pixels:
+        """Bake a map other than the base colour, (h, w, 3)."""
+        is_normal = path[-1].lower().endswith("normaltexture")
+        canvas = self._create_canvas(_FLAT_NORMAL if is_normal else (_WHITE,) * 3)
+        for number in self._class.numbers:
+            image = self._load_map(number, path, 3)
+            if image is not None:
+                self._sample(
+                    canvas,
+                    image if is_normal else apply_factors(self._texture, self._class, image, number, path),
+                    number,
+                    path,
+                )
+        if is_normal:
+            self._transform_normals(canvas, path)
+        return canvas
+
+    def _transform_normals(self, canvas: Pixels, path: Path) -> None:
+        """Transform normals from original to simplified tangent frames, in place."""
+        if self._frames is None:
+            self._frames = (
+                tangent_frames(self._part.original, self._texture.uvs),
+                tangent_frames(self._part.simplified, self._pages.uvs),
+            )
+        old, new = self._frames
+        # One more for triangles without a material.
+        scales = np.ones(len(self._texture.materials) + 1, np.float32)
+        for number in self._class.numbers:
+            if number >= 0:
+                scales[number] = float(
+                    value_at(self._texture.materials[number].kept.tree, (*path, "scale"), 1.0)
+                )
+        points = self._sources.points
+        texels = canvas.reshape(-1, 3)
+        for start in range(0, len(points.texels), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            at, triangles = points.texels[part], points.triangles[part]
+            directions = decode_normals(
+                texels[at],
+                old.at(triangles, points.weights[part]),
+                scales[self._texture.material_ids[triangles]],
+            )
+            own = self._correspondence.locate_texels(self._page, at)
+            texels[at] = encode_normals(directions, new.at(own.triangles, own.weights))
+
+    def _map_key(self, path: Path) -> Any:
+        """Return a key that is equal for maps with equal results."""
+        is_normal = path[-1].lower().endswith("normaltexture")
+        images = tuple(id(image_at(self._texture.materials[number], path)) for number in self._class.numbers)
+        is_own = is_normal or (path in FACTORS and not shares_factors(self._texture, self._class, path))
+        wraps = tuple(self._get_wrap(number, path) for number in self._class.numbers)
+        return (images, wraps, path if is_own else None)
+
+    def _prepare_image(self, path: Path, canvas: Pixels, name: str) -> tuple[str, Pixels, ImageFormat]:
+        """Choose name, size and format of a baked image."""
+        images = list_images(self._texture, self._class, path)
+        is_color = path == BASE_COLOR or path[-1] == "emissiveTexture"
+        every = images or [
+            image for place in self._class.maps for image in list_images(self._texture, self._class, place)
+        ]
+        form = choose_format(every, has_alpha=canvas.shape[2] == 4, is_color=is_color)
+        suffix = "" if path == BASE_COLOR else f"-{path[-1].removesuffix('Texture')}"
+        canvas = self._limit_size(canvas, path) if images else canvas
+        return f"{name}{suffix}.{form.extension}", canvas, form
+
+    def _limit_size(self, canvas: Pixels, path: Path) -> Pixels:
+        """Halve an image until it is about as coarse as those it replaces."""
+        covered = 0.0
+        for number in self._class.numbers:
+            image = image_at(self._texture.materials[number], path) if number >= 0 else None
+            if image is not None:
+                its = self._texture.material_ids == number
+                covered += float(self._spread[its].sum()) * image.pixels.shape[0] * image.pixels.shape[1]
+        while covered > 0 and covered < self._laid / 2 and min(canvas.shape[:2]) >= 64:
+            canvas = resize_image(canvas, (canvas.shape[1] // 2, canvas.shape[0] // 2))
+            covered *= 4
+        return canvas
