@@ -80,8 +80,8 @@ def _read(path: Path) -> Mesh:
     try:
         vertices, colors = _positions(statements.positions, path)
         lengths, references = _references(statements.faces, statements.seen)
-        uvs, _ = _rows(statements.uvs, 2)
-        normals, _ = _rows(statements.normals, 3)
+        uvs, _ = _rows(statements.uvs, 2, path)
+        normals, _ = _rows(statements.normals, 3, path)
     except ValueError as error:
         raise InputError(MESH_FILE_DAMAGED, "cannot be parsed: {error}", path, error=error) from None
     corners, source = split_polygons(lengths, references[:, 0], vertices, path)
@@ -101,7 +101,7 @@ def _read(path: Path) -> Mesh:
 
 
 def _positions(text: bytes, path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
-    table, counts = _rows(text, 3)
+    table, counts = _rows(text, 3, path)
     if table.shape[1] in (6, 7):
         colors = table[:, -3:]
         if not np.isfinite(colors).all():
@@ -112,7 +112,7 @@ def _positions(text: bytes, path: Path) -> tuple[NDArray[np.float64], NDArray[np
     return table[:, :3], None
 
 
-def _rows(text: bytes, width: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _rows(text: bytes, width: int, path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Parse lines of numbers; if they differ in length, the first `width` of each.
 
     Beside them, how many numbers stand in each line.
@@ -122,7 +122,13 @@ def _rows(text: bytes, width: int) -> tuple[NDArray[np.float64], NDArray[np.int6
         return np.zeros((0, width)), counts
     if counts.min() < width:
         line = text.split(b"\n")[int(counts.argmin())].strip()
-        raise ValueError(f"{line[:60].decode('latin-1')!r} has fewer than {width} numbers.")
+        raise InputError(
+            MESH_FILE_DAMAGED,
+            "cannot be parsed: {line!r} has fewer than {width} numbers.",
+            path,
+            line=line[:60].decode("latin-1"),
+            width=width,
+        )
     numbers = text
     if counts.min() != counts.max():
         numbers = b"\n".join(b" ".join(line.split()[:width]) for line in text.split(b"\n"))

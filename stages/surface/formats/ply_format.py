@@ -25,6 +25,8 @@ from scanloom.stages.surface.codes import MESH_FILE_DAMAGED
 
 # Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
 _LONGEST_HEADER = 1 << 20
+# Characters of a line of the header in a message.
+_MAX_QUOTED = 80
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -32,7 +34,8 @@ _TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-_DAMAGED = "the file is damaged or cut short; get a whole copy of it."
+_DAMAGED = "the file is damaged or cut short"
+_REMEDY = "get a whole copy of it."
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,7 @@ class Rows:
                 file.seek(self.start + first * self.dtype.itemsize)
                 rows = np.frombuffer(file.read(count * self.dtype.itemsize), self.dtype)
             if len(rows) != count:
-                raise InputError(MESH_FILE_DAMAGED, _DAMAGED, self.path)
+                raise InputError(MESH_FILE_DAMAGED, _DAMAGED, self.path, remedy=_REMEDY)
             yield rows
 
 
@@ -187,6 +190,7 @@ def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
             MESH_FILE_DAMAGED,
             "it is not as long as its header promises of triangles; {damaged}",
             path,
+            remedy=_REMEDY,
             damaged=_DAMAGED,
         )
     return Rows(path, row, header.size, vertices), Rows(path, face, end, faces)
@@ -206,7 +210,12 @@ def parse_header(data: bytes) -> Header:
     line_end = rb"\r?\n" if re.match(rb"[^\r\n]*\r?\n", start) else rb"\r"
     end = re.search(rb"[\r\n]end_header[ \t]*" + line_end, start)
     if end is None:
-        raise _MalformedError(MESH_FILE_DAMAGED, f"its header has no line `end_header`; {_DAMAGED}")
+        raise _MalformedError(
+            MESH_FILE_DAMAGED,
+            "its header has no line `end_header`; {damaged}",
+            remedy=_REMEDY,
+            damaged=_DAMAGED,
+        )
     lines = re.split(r"\r?\n|\r", start[: end.start()].decode("latin-1"))
 
     encoding = ""
@@ -225,12 +234,13 @@ def parse_header(data: bytes) -> Header:
             case []:
                 pass
             case _:
-                raise _MalformedError(
-                    MESH_FILE_DAMAGED, f"its header has the line {line[:80]!r}, which is not understood."
-                )
+                raise _describe_unknown_line(line)
     if encoding not in _BYTE_ORDERS:
         raise _MalformedError(
-            MESH_FILE_DAMAGED, f"its format is {encoding!r}; {', '.join(_BYTE_ORDERS)} are known."
+            MESH_FILE_DAMAGED,
+            "its format is {encoding!r}; {known} are known.",
+            encoding=encoding,
+            known=", ".join(_BYTE_ORDERS),
         )
     return Header(
         encoding,
@@ -242,7 +252,9 @@ def parse_header(data: bytes) -> Header:
 
 def _parse_count(line: str, word: str) -> int:
     if not re.fullmatch(r"[0-9]{1,18}", word):
-        raise _MalformedError(MESH_FILE_DAMAGED, f"its header line {line[:80]!r} has no usable count.")
+        raise _MalformedError(
+            MESH_FILE_DAMAGED, "its header line {line!r} has no usable count.", line=line[:_MAX_QUOTED]
+        )
     return int(word)
 
 
@@ -253,8 +265,14 @@ def _parse_property(line: str, words: list[str], encoding: str) -> Property:
             return Property(name, np.dtype(order + _TYPES[kind]))
         case ["list", length, kind, name] if length in _TYPES and kind in _TYPES:
             return Property(name, np.dtype(order + _TYPES[kind]), np.dtype(order + _TYPES[length]))
-    raise _MalformedError(
-        MESH_FILE_DAMAGED, f"its header has the line {line[:80]!r}, which is not understood."
+    raise _describe_unknown_line(line)
+
+
+def _describe_unknown_line(line: str) -> _MalformedError:
+    return _MalformedError(
+        MESH_FILE_DAMAGED,
+        "its header has the line {line!r}, which is not understood.",
+        line=line[:_MAX_QUOTED],
     )
 
 
@@ -277,7 +295,7 @@ def _numbers(text: bytes) -> NDArray[np.float64]:
     try:
         return parse_numbers(text)
     except ValueError as error:
-        raise _MalformedError(MESH_FILE_DAMAGED, str(error)) from None
+        raise _MalformedError(MESH_FILE_DAMAGED, "{reason}", reason=str(error)) from None
 
 
 def _as_stored(element: Element, encoding: str) -> Element:
@@ -300,9 +318,9 @@ def _require_size(header: Header, size: int) -> None:
         promised = ", ".join(f"{e.count:,} × {e.name}" for e in header.elements)
         raise _MalformedError(
             MESH_FILE_DAMAGED,
-            "its header promises {promised}, at least {needed:,} bytes, but only {size:,} follow; "
-            "the file is damaged or cut short",
-            remedy="get a whole copy of it.",
+            "its header promises {promised}, at least {needed:,} bytes, but only {size:,} follow; {damaged}",
+            remedy=_REMEDY,
+            damaged=_DAMAGED,
             promised=promised,
             needed=needed,
             size=size,
@@ -340,8 +358,12 @@ def _decode_equal_rows(
             return None
         raise _MalformedError(
             MESH_FILE_DAMAGED,
-            f"it ends after {(len(body) - at) // stride:,} of {element.count:,} {element.name} entries; "
-            f"{_DAMAGED}",
+            "it ends after {row_count:,} of {promised_count:,} {element} entries; {damaged}",
+            remedy=_REMEDY,
+            row_count=(len(body) - at) // stride,
+            promised_count=element.count,
+            element=element.name,
+            damaged=_DAMAGED,
         )
 
     decoded: list[NDArray[Any] | Lists] = []
@@ -385,16 +407,16 @@ def _decode_ragged_rows(
         for index, (before, stored, size) in enumerate(steps):
             at += before + stored.size
             if at > limit:
-                raise _short(element, row)
+                raise _describe_end(element, row)
             (length,) = stored.unpack_from(body, at - stored.size)
             if not length >= 0 or length % 1:
-                raise _bad_length(element, row, length)
+                raise _describe_length(element, row, length)
             starts[index].append(at)
             lengths[index].append(int(length))
             at += int(length) * size
         at += skip
         if at > limit:
-            raise _short(element, row)
+            raise _describe_end(element, row)
 
     decoded: list[NDArray[Any] | Lists] = []
     offsets = np.array(row_starts, np.int64)
@@ -424,10 +446,10 @@ def _gather(body: memoryview, dtype: np.dtype[Any], offsets: NDArray[np.int64]) 
 
 def _length_at(element: Element, dtype: np.dtype[Any], body: memoryview, at: int) -> int:
     if at + dtype.itemsize > len(body):
-        raise _short(element, 0)
+        raise _describe_end(element, 0)
     length = np.ndarray(1, dtype, body, at)[0].item()
     if not length >= 0 or length % 1:
-        raise _bad_length(element, 0, length)
+        raise _describe_length(element, 0, length)
     return int(length)
 
 
@@ -436,15 +458,27 @@ def _struct_code(dtype: np.dtype[Any]) -> str:
     return order + dtype.char.replace("l", "i").replace("L", "I")
 
 
-def _short(element: Element, row: int) -> _MalformedError:
+def _describe_end(element: Element, row: int) -> _MalformedError:
     return _MalformedError(
-        MESH_FILE_DAMAGED, f"it ends within {element.name} {row:,} of {element.count:,}; {_DAMAGED}"
+        MESH_FILE_DAMAGED,
+        "it ends within {element} {row:,} of {promised_count:,}; {damaged}",
+        remedy=_REMEDY,
+        element=element.name,
+        row=row,
+        promised_count=element.count,
+        damaged=_DAMAGED,
     )
 
 
-def _bad_length(element: Element, row: int, length: Any) -> _MalformedError:
+def _describe_length(element: Element, row: int, length: Any) -> _MalformedError:
     return _MalformedError(
-        MESH_FILE_DAMAGED, f"{element.name} {row:,} holds a list of length {length:g}; {_DAMAGED}"
+        MESH_FILE_DAMAGED,
+        "{element} {row:,} holds a list of length {length:g}; {damaged}",
+        remedy=_REMEDY,
+        element=element.name,
+        row=row,
+        length=length,
+        damaged=_DAMAGED,
     )
 
 
@@ -461,10 +495,13 @@ def _cast(values: NDArray[Any], declared: Property, element: str) -> NDArray[Any
     limits = np.iinfo(declared.dtype)
     fits = (values >= limits.min) & (values <= limits.max) & (values == np.floor(values))
     if not fits.all():
-        bad = values[np.flatnonzero(~fits)[0]]
         raise _MalformedError(
             MESH_FILE_DAMAGED,
-            f"{declared.name} of a {element} is {bad:g}; the header declares whole numbers "
-            f"from {limits.min} to {limits.max}.",
+            "{property} of a {element} is {value:g}; the header declares whole numbers from {low} to {high}.",
+            property=declared.name,
+            element=element,
+            value=float(values[np.flatnonzero(~fits)[0]]),
+            low=limits.min,
+            high=limits.max,
         )
     return values.astype(declared.dtype)

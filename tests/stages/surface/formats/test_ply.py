@@ -256,6 +256,21 @@ def test_hostile_text(make, header, body, sentence):
     assert "made.ply" in str(caught.value)
 
 
+def test_a_damaged_file_gives_values_and_a_remedy(make):
+    with pytest.raises(InputError) as caught:
+        read_ply(make(f"element vertex 4\n{XYZ}", b"0.25 0.25 0.25 0.25 0.25 0.25 0.25\n"))
+    found = caught.value.diagnostic
+    assert found.remedy == "get a whole copy of it."
+    assert (found.values["element"], found.values["row_count"], found.values["promised_count"]) == (
+        "vertex",
+        2,
+        4,
+    )
+    with pytest.raises(InputError) as caught:
+        read_ply(make("element vertex {x}\n" + XYZ, b""))
+    assert caught.value.diagnostic.values["line"] == "element vertex {x}"
+
+
 def le(fmt: str, *values: float) -> bytes:
     return struct.pack("<" + fmt, *values)
 
