@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -215,6 +216,8 @@ def _as_where(where: Location) -> Where | None:
 
 def _simple(value: Any) -> float | int | str:
     """Return a value that JSON can hold."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
     if isinstance(value, (int, float, str)):
         return value
     if hasattr(value, "item") and getattr(value, "size", 0) == 1:

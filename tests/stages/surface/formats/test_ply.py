@@ -269,6 +269,10 @@ def test_a_damaged_file_gives_values_and_a_remedy(make):
     with pytest.raises(InputError) as caught:
         read_ply(make("element vertex {x}\n" + XYZ, b""))
     assert caught.value.diagnostic.values["line"] == "element vertex {x}"
+    with pytest.raises(InputError) as caught:
+        read_ply(make(f"element vertex 4\n{XYZ}element face 1\n{FACE}", SQUARE + b"nan 0 1 2"))
+    # JSON has no number for it.
+    assert caught.value.diagnostic.values["length"] == "nan"
 
 
 def le(fmt: str, *values: float) -> bytes:
