@@ -1,6 +1,9 @@
-"""The records of a ROS 1 bag (format 2.0), as a RealSense `.bag` has them, too.
+"""Reader of ROS 1 bags (format 2.0), including RealSense `.bag` files.
 
-Each is a header of `name=value`, and data. Messages stand in chunks, and the index of a chunk follows it.
+A record consists of a header of `name=value` fields, and data. Messages are stored in chunks, and each
+chunk is followed by its index.
+
+Reference: https://wiki.ros.org/Bags/Format/2.0
 """
 
 from __future__ import annotations
@@ -19,7 +22,8 @@ from scanloom.stages.scans.recordings.recording import Recording
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x04", b"\x05", b"\x07"
 _INDEX_ENTRY = np.dtype([("seconds", "<u4"), ("nanoseconds", "<u4"), ("offset", "<u4")])
-# A record's header holds a few names and numbers, a connection the text of its message type.
+# Maximum bytes. A header holds a few names and numbers; a connection record also holds the message
+# definition.
 _LONGEST_HEADER, _LONGEST_CONNECTION = 1 << 16, 1 << 20
 
 
@@ -37,12 +41,12 @@ class _Record(NamedTuple):
 
 
 def read_bag(path: Path) -> Recording:
-    """Return the recording in a bag; what follows a damaged record is left out.
+    """Index a ROS 1 bag. Records after a damaged one are ignored.
 
     Raises
     ------
     InputError
-        If the file cannot be read or is no bag of format 2.0, or is encrypted.
+        If the file cannot be read, is not a bag of format 2.0, or is encrypted.
     """
     with opened(path) as file:
         start = file.read(0, min(len(_MAGIC), file.size))
@@ -78,7 +82,7 @@ def _note(found: Found, chunk: int, span: Span, at: int) -> int:
 
 def _find(span: Span, at: int, writers: frozenset[int]) -> tuple[int, int]:
     record = _record(span, at)
-    # An index may name the connection that stands before its first message.
+    # Index entries may point to the connection record that precedes the first message of a connection.
     while record.fields[b"op"] == _CONNECTION:
         record = _record(span, record.end)
     if record.fields[b"op"] != _MESSAGE or record.number(b"conn") not in writers:
