@@ -1,11 +1,11 @@
-"""ARKitScenes, its low resolution: colour and LiDAR depth of 256×192, a camera and a confidence a frame.
+"""ARKitScenes, low resolution: 256×192 colour and LiDAR depth.
 
     lowres_wide/<id>_<seconds>.png   lowres_depth/   confidence/            the same name in each
     lowres_wide_intrinsics/<id>_<seconds>.pincam                            width height fx fy cx cy
     lowres_wide.traj                                                        world-to-camera
 
-Times in names are rounded to a millisecond, not always to the same one. The world has z up, as those who made
-the data set say: it is not ARKit's own.
+Timestamps in names are rounded to milliseconds, not always in the same direction. According to the
+authors of the data set, z is up; ARKit itself uses y.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MILLISECOND = 1_000_000
 _POSE_TOLERANCE = 5 * _MILLISECOND
 _TIME = re.compile(r"(?:.*_)?(\d{1,9})(?:\.(\d{1,9}))?")
 _LARGEST_SIDE = 1 << 16
-# 0, 1 and 2 are low, medium and high.
+# Low, medium and high.
 _LEVELS = (0, 1, 2)
 
 
@@ -107,7 +107,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _by_time(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:
-    """Return the files of a folder by the milliseconds in their names; none where there is no folder."""
+    """Return the files of a folder by their timestamp in milliseconds.
+
+    Empty if the folder does not exist.
+    """
     if not folder.is_dir():
         return {}
     found = {}
@@ -119,12 +122,15 @@ def _by_time(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:
 
 
 def _beside(files: Mapping[int, Path], time: int) -> Path | None:
-    """Return the file of a moment, in milliseconds, that may be rounded to the one before or after."""
+    """Return the file of a timestamp, with a tolerance of 1 ms.
+
+    The same moment may be rounded differently in two names.
+    """
     return next((files[near] for near in (time, time - 1, time + 1) if near in files), None)
 
 
 def _camera(path: Path, size: tuple[int, int]) -> Camera:
-    """Read `width height fx fy cx cy`, and return the camera for images of this size."""
+    """Read `width height fx fy cx cy`, scaled to images of `size`."""
     try:
         width, height, *matrix = (float(word) for word in documents.read_text(path).split())
         fx, fy, cx, cy = matrix

@@ -1,11 +1,11 @@
-"""BOP, the benchmark of object poses: a scene's images by number, and one file of all their cameras.
+"""BOP (benchmark for 6D object pose): numbered images and `scene_camera.json`.
 
     rgb/000000.png (or gray/)     depth/000000.png     scene_camera.json, by number:
-        cam_K 3×3 by rows, depth_scale (millimetres a unit of depth), and where the scene has a world
-        cam_R_w2c 3×3 by rows and cam_t_w2c, millimetres: world-to-camera
+        cam_K 3×3 row-major, depth_scale (millimetres per depth unit), and if the scene has world poses
+        cam_R_w2c 3×3 row-major and cam_t_w2c, millimetres: world-to-camera
 
-Depth maps are seen by the camera of the colour images. scene_gt.json tells where objects are, mask/ and
-mask_visib/ what of each is seen: none of them is where the cameras are, or what the scene is.
+Depth is registered to the colour camera. scene_gt.json, mask/ and mask_visib/ describe objects and not
+cameras, and are ignored.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _tables(path: Path) -> dict[int, Table]:
-    """Return what the file has for each image, by number."""
+    """Read `scene_camera.json` as a table per image number."""
     document = documents.read_json(path)
     if not isinstance(document, dict) or not document:
         raise InputError(
@@ -140,7 +140,10 @@ def _tables(path: Path) -> dict[int, Table]:
 
 
 def _by_number(folder: Path | None, suffixes: Sequence[str] = IMAGES) -> dict[int, Path]:
-    """Return the images of a folder by the number that is their name; none where there is no folder."""
+    """Return the images of a folder by the number in their name.
+
+    Empty if the folder does not exist.
+    """
     if folder is None or not folder.is_dir():
         return {}
     return {int(path.stem): path for path in images(folder, suffixes) if path.stem.isdecimal()}
@@ -169,7 +172,10 @@ def _values(table: Table, key: str, count: int, path: Path) -> NDArray[np.float6
 
 
 def _pose(table: Table, path: Path) -> Pose | None:
-    """Return where the camera stands, metres; None where the scene has no world, or the camera was lost."""
+    """Return the camera-to-world pose in metres, or None without one.
+
+    None if the scene has no world frame or the pose is not finite (lost tracking).
+    """
     if not any(key in table for key in _POSE):
         return None
     rotation = _values(table, _POSE[0], 9, path).reshape(3, 3)

@@ -1,7 +1,7 @@
-"""EuRoC MAV (ASL): an unrectified pair, each camera with its place on the body, poses of the body.
+"""EuRoC MAV (ASL): unrectified stereo, with extrinsics and poses of the body.
 
-TUM-VI packs its sequences alike, but for its fisheye cameras, which stand in dso/camchain.yaml (Kalibr's
-form), and for its images, which have 16 bits.
+TUM-VI uses the same folders, but its fisheye cameras are described in dso/camchain.yaml (Kalibr), and
+its images are 16-bit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from scanloom.stages.scans.model.world import Z_UP
 from scanloom.stages.scans.streams.clocked_streams import Accelerometer
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
-# Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
+# Nanoseconds. Ground truth runs at 20 to 200 Hz: half of the longest interval, and a margin.
 _TOLERANCE = 30_000_000
 _CAMCHAIN = "dso/camchain.yaml"
 _IMU = "imu0"
@@ -113,7 +113,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _stream(camera: Path) -> dict[int, Path]:
-    """Return the images of a camera by their time in nanoseconds, from data.csv."""
+    """Read the images of a camera by timestamp (ns) from data.csv."""
     path = camera / "data.csv"
     found: dict[int, Path] = {}
     for number, text in documents.lines(path):
@@ -129,7 +129,10 @@ def _stream(camera: Path) -> dict[int, Path]:
 
 
 def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
-    """Return the readings of imu0, where the folder has them: at rest they point up."""
+    """Read the accelerometer of imu0, or return None if there is none.
+
+    At rest, its readings point up.
+    """
     path, sensor = mav / _IMU / "data.csv", mav / _IMU / "sensor.yaml"
     if not path.exists():
         return None
@@ -158,7 +161,7 @@ def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
 
 
 def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
-    """Return the rig, and where its left camera sits on the body."""
+    """Read the rig and body_from_left, the extrinsics of the left camera."""
     cameras, body_from_camera = [], []
     for name in ("cam0", "cam1"):
         path = mav / name / "sensor.yaml"
@@ -172,7 +175,10 @@ def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[Ster
 
 
 def _is_wide(files: Sequence[Path]) -> bool:
-    """Say whether the images have 16 bits, by the first that is there."""
+    """Return True if the images are 16-bit.
+
+    The first existing file decides.
+    """
     first = next((path for path in files if path.exists()), None)
     try:
         return first is not None and read_stored(first).dtype == np.uint16
@@ -192,7 +198,7 @@ def _high_bytes(path: Path) -> NDArray[np.uint8]:
 
 
 def _chained(path: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
-    """Return the rig of Kalibr's file, and the pose of its left camera on the body."""
+    """Read the rig and body_from_left from a Kalibr camchain file."""
     document = documents.read_document(path)
     rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     stated = options.camera(*size)
@@ -227,7 +233,7 @@ def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
 
 
 def _mounting(document: dict[str, Any], path: Path) -> Pose:
-    """Return T_BS: camera to body, row-major."""
+    """Return T_BS (camera to body) as a (4, 4) pose."""
     matrix = document.get("T_BS")
     data = matrix.get("data") if isinstance(matrix, dict) else matrix
     pose = rigid(matrix_of(data, path, "T_BS"), path, "T_BS")

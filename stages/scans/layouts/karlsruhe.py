@@ -1,9 +1,9 @@
-"""Karlsruhe's street sequences, as libviso2 reads them: rectified pairs in one folder, and calib.txt.
+"""Karlsruhe street sequences (libviso2): rectified pairs in one folder, and calib.txt.
 
     I1_000000.png  I2_000000.png  …
-    calib.txt                        P1_roi and P2_roi, 3x4 projections of the region that was cut out
+    calib.txt                        P1_roi and P2_roi, 3x4 projections of the cropped region
 
-insdata.txt, the car's own position, stands for another place than the cameras and is left aside.
+insdata.txt, the trajectory of the car, is ignored: its offset to the cameras is unknown.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:
-    """Return the projection of each side's region, by the side's number."""
+    """Read the projection matrices (3, 4), by camera number."""
     found = {}
     for side, text in _PROJECTION.findall(documents.read_text(calib)):
         try:

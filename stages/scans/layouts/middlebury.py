@@ -52,7 +52,7 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRi
             calib,
             error=error,
         ) from error
-    # Smaller images of a pair often lie beside the calibration of the large ones.
+    # Downscaled images are often stored with the calibration of the original size.
     left, smaller = for_images(left, *size, calib), size[0] / stated[0]
     doffs *= smaller
     disparities = None if disparities is None else math.ceil(disparities * smaller)
@@ -76,7 +76,8 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRi
     given = options.camera(*size)
     if given is not None:
         left = given
-    # One focal length for both, and the disparity offset as a shifted centre: z = f b / (d + doffs).
+    # Middlebury defines z = f b / (d + doffs): one focal length for both cameras, and doffs as a shift of the
+    # principal point.
     right = Camera(*size, left.fx, left.fy, left.cx + doffs, left.cy)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -(options.baseline or baseline / 1000)
@@ -91,7 +92,7 @@ def _camera(text: str, size: tuple[int, int], calib: Path) -> Camera:
 
 
 def _pose(folder: Path, options: ReadingParams) -> Pose | None:
-    """Return the pose of the one frame, or None without a file of it."""
+    """Return the pose of the single frame, or None."""
     path = options.file("poses", folder) or first_existing(folder, "pose.txt")
     return None if path is None else trajectories.match(trajectories.read_trajectory(path), ["im0"], path)[0]
 

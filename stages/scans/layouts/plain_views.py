@@ -1,10 +1,11 @@
-"""Photos with their camera and their poses in files beside them, under any name: views without depth.
+"""Photos with camera and pose files of any name, without depth.
 
-    images/frame_000319.png  …            or rgb/, color/ and so on, or beside the files
-    poses.json | poses.txt | …            a pose for each, camera-to-world, by name, number, time or order
-    intrinsic.json | K.txt | …            the camera of all
+    images/frame_000319.png  …            or rgb/, color/ and so on, or in the scan folder itself
+    poses.json | poses.txt | …            one camera-to-world pose per photo, by name, number, time or order
+    intrinsic.json | K.txt | …            the camera of all photos
 
-What a file is tells its content. Poses are taken to be in metres, of a camera with x right and y down.
+Files are recognised by their content. Poses are assumed to be in metres, for a camera with x right and
+y down.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedF
 from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
-# The last are what a rig of one camera keeps of its names.
+# The last four names are from stereo layouts with only one camera present.
 _FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs", "image_0", "image_2", "image_l", "image_left", "left")
-# Fewer show no depth.
+# Two views are the minimum for depth estimation.
 _LEAST_VIEWS = 2
-# Names that are moments: seconds, or nanoseconds since 1970.
+# Names that are timestamps: seconds, or nanoseconds since 1970.
 _SECONDS, _NANOSECONDS = re.compile(r"\d+\.\d+"), re.compile(r"\d{16,19}")
 _TOLERANCE = 20_000_000
-# A file is the trajectory where it has a pose for so many of the images.
+# Minimum ratio of photos that need a pose in a file for it to be the trajectory.
 _POSED = 0.5
 
 
@@ -52,13 +53,13 @@ def _matches(folder: Path) -> str | None:
 
 
 def place_of_photos(folder: Path) -> Path | None:
-    """Return the folder that the photos lie in."""
+    """Return the folder that contains the photos, or None."""
     places = [folder / name for name in _FOLDERS if (folder / name).is_dir()]
     return next((place for place in (*places, folder) if len(images(place)) >= _LEAST_VIEWS), None)
 
 
 def _trajectories(folder: Path, colors: Sequence[Path], options: ReadingParams) -> list[Path]:
-    """Return the files of a folder that have poses for most of the images."""
+    """Return the files of a folder that have poses for most photos."""
     found = []
     for path in texts_of_poses(folder):
         try:
@@ -81,7 +82,7 @@ def _poses_of(path: Path, colors: Sequence[Path], options: ReadingParams) -> lis
 
 
 def _moments(names: Sequence[str], path: Path) -> list[int] | None:
-    """Return the moments that images are named by, nanoseconds; None where they have other names."""
+    """Return the timestamps (ns) that images are named by, or None."""
     if all(_SECONDS.fullmatch(name) for name in names):
         return [trajectories.stamp(name, path, 0) for name in names]
     return [int(name) for name in names] if all(_NANOSECONDS.fullmatch(name) for name in names) else None
@@ -125,14 +126,17 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tuple[Camera, bool]:
-    """Return the camera of the images, and whether it is known rather than guessed."""
+    """Return the camera of the images, and True if it is known.
+
+    False means that the camera is only a guess.
+    """
     size = common_size(colors)
     stated = stated_camera(options, folder, *size)
     if stated is not None:
         return stated, True
     with collecting(forward=False) as diagnostics:
         camera, path = found_camera(folder, *size)
-    # A guess is not used: the calibration is missing then.
+    # A guessed camera is not used; the calibration is reported as missing instead.
     if path is not None:
         emit(*diagnostics)
     return camera, path is not None
@@ -141,7 +145,7 @@ def _camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tup
 def _poses(
     folder: Path, options: ReadingParams, colors: Sequence[Path]
 ) -> tuple[Path | None, list[Pose | None]]:
-    """Return the file with the poses, and the pose of each image."""
+    """Return the trajectory file (or None), and the pose of each image."""
     given = options.file("poses", folder)
     if given is not None:
         return given, _poses_of(given, colors, options)

@@ -1,7 +1,7 @@
-"""Record3D: `metadata.json`, `rgb/` and `depth/`, or all of it packed in one `.r3d`, which is a zip archive.
+"""Record3D: `metadata.json`, `rgb/` and `depth/`, or all in one `.r3d` zip archive.
 
-Poses are camera-to-world, with OpenGL's camera axes (y up, z back), quaternions with the scalar last. `K` is
-column-major, for the colour images of `w` × `h`.
+Poses are camera-to-world with OpenGL camera axes (y up, z back); quaternions have the scalar last. `K`
+is column-major, for colour images of `w` × `h`.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ from scanloom.stages.scans.recordings.choice import one_recording
 from scanloom.stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 1, 2)
-# LiDAR and TrueDepth, for archives that do not say.
+# Sizes of LiDAR and TrueDepth depth maps, for archives that do not state one.
 _DEPTH_SIZES = ((256, 192), (192, 256), (640, 480), (480, 640))
-# More than an image or the metadata of hours takes.
+# Maximum size of an image or of the metadata of hours of recording.
 _MAX_ENTRY_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
 class _Moment:
-    """What the metadata says of a frame."""
+    """Pose, timestamp and camera of a frame from the metadata."""
 
     pose: Pose | None
     timestamp: int | None
@@ -113,13 +113,19 @@ def _confidence_folder(folder: Path) -> str:
 
 
 def _units_a_metre(depths: Sequence[Path]) -> float:
-    """Return how many units are one metre: floats are metres, whole numbers millimetres."""
+    """Return the depth units per metre, by the type of the values.
+
+    Float depth is in metres, integer depth in millimetres.
+    """
     kinds = (_kind(depth) for depth in depths)
     return 1.0 if next((kind for kind in kinds if kind is not None), "u") == "f" else 1000.0
 
 
 def _kind(depth: Path) -> str | None:
-    """Return NumPy's letter for the numbers of a depth file; None where it is damaged."""
+    """Return the NumPy dtype kind of a depth file, or None.
+
+    None if the file is unreadable.
+    """
     try:
         return read_raw_depth(depth).dtype.kind
     except InputError:
@@ -182,7 +188,13 @@ def _color(archive: zipfile.ZipFile, name: str, path: Path, camera: Camera) -> C
 def _values(
     archive: zipfile.ZipFile, name: str, path: Path, size: tuple[int, int], kind: type[np.generic]
 ) -> NDArray[Any]:
-    """Return an LZFSE entry as an image of (width, height) pixels."""
+    """Decompress an LZFSE entry into an image (h, w).
+
+    Parameters
+    ----------
+    size : (width, height) in pixels.
+    kind : dtype of the pixels.
+    """
     width, height = size
     data = lzfse_blocks.decompress(
         _entry(archive, name, path), width * height * np.dtype(kind).itemsize, f"{path}: {name}"
@@ -202,14 +214,17 @@ def _text(data: bytes, path: Path) -> str:
 
 
 def _depth_size(table: object, archive: zipfile.ZipFile, names: Sequence[str], path: Path) -> tuple[int, int]:
-    """Return (width, height) of the depth maps: as the metadata says, or the usual one of so many numbers."""
+    """Return the size (width, height) of the depth maps.
+
+    Taken from the metadata, or else the usual size that has the same number of pixels.
+    """
     stated = tuple(table.get(key) for key in ("dw", "dh")) if isinstance(table, dict) else (None, None)
     if stated != (None, None):
         return _pixels(stated[0], "dw", path), _pixels(stated[1], "dh", path)
     width, height = (
         (_pixels(table.get(key), key, path) for key in "wh") if isinstance(table, dict) else (1, 1)
     )
-    # A few, since the first may be damaged.
+    # Several entries, because the first may be damaged.
     counts = {lzfse_blocks.raw_size(_entry(archive, name, path)) for name in names[:8]}
     for size in _DEPTH_SIZES:
         if 4 * size[0] * size[1] in counts and (size[0] > size[1]) == (width > height):
@@ -222,7 +237,7 @@ def _depth_size(table: object, archive: zipfile.ZipFile, names: Sequence[str], p
 def _moments(
     table: object, names: Sequence[str], path: Path, options: ReadingParams, folder: Path
 ) -> list[_Moment]:
-    """Return pose, time and camera of each frame."""
+    """Return pose, timestamp and camera of each frame."""
     if not isinstance(table, dict):
         raise InputError(SCAN_TABLE_DAMAGED, "names with values are expected in its metadata.", path)
     shared = _camera(table, path, options, folder)
@@ -252,7 +267,10 @@ def _moments(
 
 
 def _at(values: object, position: int, count: int) -> object:
-    """Return the value of a frame from a list that has one for each, else None."""
+    """Return the value of a frame from a per-frame list, or None.
+
+    None if the list does not have one value per frame.
+    """
     return values[position] if isinstance(values, list) and len(values) == count else None
 
 

@@ -1,6 +1,6 @@
-"""A recording whose streams have clocks of their own: RealSense's, or one of ROS 1 or 2.
+"""RealSense, ROS 1 and ROS 2 recordings: streams with independent clocks.
 
-Depth and colour, or the two sides of a pair, are paired by when each image was taken.
+Depth and colour images, or the two views of a stereo pair, are matched by capture time.
 """
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ from scanloom.stages.scans.streams.clocked_streams import Images, Pair, Streams
 from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
-# Of the shorter interval between images: the nearest image of that stream is never more than half of it away.
+# Matching tolerance as a ratio of the shorter frame interval: the nearest image of that stream is at most
+# half an interval away.
 _TOLERANCE = 0.6
-# Nanoseconds; for a stream of one image, and for a trajectory from elsewhere.
+# Nanoseconds; for a stream with a single image, and for external trajectories.
 _FALLBACK_TOLERANCE = 20_000_000
 
 
@@ -93,7 +94,10 @@ def _read(place: Path, options: ReadingParams) -> Scan:
 
 
 def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str | None]:
-    """Return the streams of a recording, and why a part of it could not be read, if so."""
+    """Return the streams of a recording, and a fault or None.
+
+    The fault is the reason why part of the recording is unreadable.
+    """
     recording, camera = _recording(recording_files(place), place)
     if camera is not None:
         return realsense_streams(camera, options), recording.fault
@@ -104,7 +108,10 @@ def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str |
 
 
 def _recording(files: Sequence[Path], place: Path) -> tuple[Recording, RealSense | None]:
-    """Return what a recording holds, and what it says as one of the maker's library of RealSense cameras."""
+    """Read the files of a recording.
+
+    The second result interprets it as a RealSense recording; None if it is not one.
+    """
     parts = [_READERS.get(file.suffix.lower(), read_bag)(file) for file in files]
     recording = parts[0] if len(parts) == 1 else joined(place, parts)
     suffix = files[0].suffix.lower()
@@ -114,7 +121,7 @@ def _recording(files: Sequence[Path], place: Path) -> tuple[Recording, RealSense
 
 
 def _without_images(recording: Recording) -> str:
-    """Say what a recording without depth and without a pair holds."""
+    """Describe a recording that has neither depth nor a stereo pair."""
     if not recording.topics:
         why = f" ({recording.fault})" if recording.fault else ""
         return f"not one message in it can be read{why}; copy it again, or record it anew."
@@ -128,11 +135,18 @@ def _without_images(recording: Recording) -> str:
 def _couples(
     first: Images, second: Images | None, called: tuple[str, str]
 ) -> tuple[list[tuple[int, int, int | None]], list[SkippedFrame]]:
-    """Return number, time and partner of the images that are of one moment, and the frames left out.
+    """Match the images of two streams by time.
 
     Parameters
     ----------
-    called : what messages call the images of both streams.
+    called : names of the images of both streams in messages.
+
+    Returns
+    -------
+    list of (index, time, partner)
+        Sorted by time (ns). `partner` is an index into the second stream, or None without such a stream.
+    list of SkippedFrame
+        Images whose timestamp is unreadable.
     """
     times, skipped = _stamps(first)
     if second is None:
@@ -195,7 +209,10 @@ def _pair_frame(pair: Pair, number: int, time: int, partner: int | None, pose: P
 
 
 def _stamps(images: Images) -> tuple[dict[int, int], list[SkippedFrame]]:
-    """Return when each image was taken, nanoseconds by its number in the stream, and which are damaged."""
+    """Return the capture times (ns) of readable images, and damaged images.
+
+    The times are by number of the image in the stream.
+    """
     times: dict[int, int] = {}
     damaged = []
     for number in range(len(images.recorded)):
@@ -215,7 +232,10 @@ def _stamp_or_fault(images: Images, number: int) -> int | InputError:
 
 
 def _have_other_clocks(first: Mapping[int, int], second: Mapping[int, int]) -> bool:
-    """Say whether two streams that were recorded together claim to be of times that do not overlap at all."""
+    """Return True if the time ranges of two streams are disjoint.
+
+    Streams that were recorded together then have different clocks.
+    """
     if not first or not second:
         return False
     apart = max(min(first.values()), min(second.values())) - min(max(first.values()), max(second.values()))
@@ -228,7 +248,10 @@ def _tolerance(*streams: Mapping[int, int]) -> int:
 
 
 def _of_one_moment(first: Mapping[int, int], second: Mapping[int, int]) -> list[tuple[int, int]]:
-    """Return the numbers of the images of two streams that are of one moment."""
+    """Match the images of two streams by time.
+
+    Returns pairs of image numbers.
+    """
     numbers, others = list(first), list(second)
     times, other_times = (np.fromiter(one.values(), np.int64, len(one)) for one in (first, second))
     partners = nearest_in_time(other_times, times, _tolerance(first, second))
@@ -238,7 +261,12 @@ def _of_one_moment(first: Mapping[int, int], second: Mapping[int, int]) -> list[
 def _poses(
     options: ReadingParams, place: Path, moments: Sequence[tuple[int, int]]
 ) -> tuple[Sequence[Pose | None], tuple[Diagnostic, ...]]:
-    """Return the pose of each frame, given by its number and time, and the diagnostics of missing poses."""
+    """Return the pose of each frame, and the diagnostics of missing poses.
+
+    Parameters
+    ----------
+    moments : number and time (ns) of each frame.
+    """
     given = options.file("poses", place.parent if place.is_file() else place)
     if given is None:
         return [None] * len(moments), (poses_missing("a recording has none"),)

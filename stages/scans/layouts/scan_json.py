@@ -1,37 +1,38 @@
-"""Our own plain RGB-D layout: `scan.json` beside images, everything a reader must know stated in it.
+"""scanloom's own RGB-D layout: `scan.json`, which describes a folder of images completely.
 
     {
       "version": 1,
       "camera": {"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240, "distortion": []},
-      "depth_scale": 1000,            units of a depth file a metre
-      "depth_missing": [65535],       raw values that mark a missing depth, beside 0
-      "up": [0, 0, 1],                what is up in the world of the poses; optional, and then
-      "up_source": "a level",         how it is known; optional
-      "metric": true,                 false: lengths, and depth with them, have a unit nobody knows; optional
+      "depth_scale": 1000,            depth units per metre
+      "depth_missing": [65535],       raw values that mark missing depth, in addition to 0
+      "up": [0, 0, 1],                up direction in the world of the poses; optional
+      "up_source": "a level",         origin of the up direction; optional
+      "metric": true,                 false: lengths and depth have an unknown unit; optional
       "frames": [
         {
           "name": "000000",
-          "color": "color/000000.png",   8 bits a channel; optional
+          "color": "color/000000.png",   8-bit per channel; optional
           "depth": "depth/000000.png",   16-bit, or .npy float; optional
           "world_from_camera": [[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]],   metres; null: lost
           "timestamp": 33000000,         nanoseconds; optional
-          "camera": {…},                 optional: this frame's own camera
-          "color_camera": {…},           of the colour image, where it has one of its own; optional
-          "color_from_depth": [[…], …],  4x4, metres: from the depth camera to that of the colour; optional
-          "confidence": "confidence/000000.png",   8-bit, of the depth map; optional, and then
-          "least_confidence": 1,         depth of less is missing
-          "mask": "mask/000000.png",     8-bit; 0 where the image shows nothing of the scene; optional
-          "up": [0, -1, 0],              what is up in the camera's axes, by an accelerometer; optional
-          "depth_range": [0.5, 4.0],     metres, where to look for depth that is not there; optional
-          "shutter_turn": [0.01, 0, 0]   rotation vector, radians: how the camera turns from the first row of
-                                         its images to the last one; optional
+          "camera": {…},                 camera of this frame, instead of the shared one; optional
+          "color_camera": {…},           separate camera of the colour image; optional
+          "color_from_depth": [[…], …],  4x4, metres: from the depth camera to the colour camera; optional
+          "confidence": "confidence/000000.png",   8-bit confidence of the depth map; optional
+          "least_confidence": 1,         depth with a lower confidence is missing
+          "mask": "mask/000000.png",     8-bit; 0 marks background; optional
+          "up": [0, -1, 0],              up direction in camera axes, from an accelerometer; optional
+          "depth_range": [0.5, 4.0],     metres, search range for depth estimation; optional
+          "shutter_turn": [0.01, 0, 0]   rotation vector, radians, of the camera from the first
+                                         to the last image row (rolling shutter); optional
         }
       ]
     }
 
-A camera of `"distortion_model": "equidistant"` is a fisheye (OpenCV's model, four coefficients).
-Paths are relative to the file. Axes are OpenCV's (x right, y down, z forward); the pixel centre of the top
-left pixel is (0, 0); depth is along the optical axis. The depth stage leaves its result in this form too.
+A camera with `"distortion_model": "equidistant"` is a fisheye (OpenCV's model, four coefficients).
+Paths are relative to the file. Axes are OpenCV's (x right, y down, z forward); the centre of the top
+left pixel is (0, 0); depth is along the optical axis. The depth stage writes its result in this format,
+too.
 """
 
 from __future__ import annotations
@@ -63,25 +64,32 @@ FORMAT_VERSION = 1
 FILE = "scan.json"
 _IMAGES = ("color", "depth", "confidence", "mask")
 _FARTHEST_M = 1e9
-# Of a direction's numbers; their squares are numbers, too.
+# Maximum absolute value of a direction component, so that its square stays finite.
 _LARGEST = 1e9
 
 
 def write_scan_json(
     folder: Path, frames: Sequence[Frame], *, up: WorldUp | None = None, is_metric: bool = True
 ) -> Path:
-    """Write `folder/scan.json` for frames whose images are files inside the folder; return its path.
+    """Write `scan.json` for frames whose images are files inside the folder.
 
     Parameters
     ----------
     folder : an existing folder.
-    frames : with all images as paths under `folder` (or None), sharing one depth scale and markers.
-    up, is_metric : of the scan.
+    frames : frames with images as paths inside `folder` (or None), and a common depth scale and missing
+        values.
+    up : up direction of the scan, or None.
+    is_metric : False if lengths have an unknown unit.
+
+    Returns
+    -------
+    Path
+        The file written.
 
     Raises
     ------
     ValueError
-        If there are no frames, an image is not a file under the folder, or the depth scales differ.
+        If there are no frames, an image is not a file inside the folder, or the depth scales differ.
     """
     if not frames:
         raise ValueError("no frames to write")
@@ -306,7 +314,7 @@ def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
 
 
 def _camera(table: object, options: ReadingParams | None, path: Path) -> Camera:
-    """Return the camera of a table, or what `options` state in its place."""
+    """Read a camera table, unless `options` give the camera."""
     if not isinstance(table, dict):
         raise InputError(SCAN_TABLE_DAMAGED, "a camera must be a table of names and values.", path)
     width, height = table.get("width"), table.get("height")

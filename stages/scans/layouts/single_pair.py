@@ -1,4 +1,7 @@
-"""One pair: of Middlebury 2001 to 2006, whose calibration was published, or left.png, right.png and K.txt."""
+"""Single stereo pair: Middlebury 2001 to 2006, or left.png, right.png and K.txt.
+
+The calibration of Middlebury 2005 and 2006 is built in.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +27,11 @@ from scanloom.stages.scans.trajectory import files as trajectories
 
 _PAIRS = (("im0", "im1"), ("im2", "im6"), ("view1", "view5"), ("left", "right"))
 _SUFFIXES = (".png", ".ppm", ".pgm", ".jpg", ".jpeg")
-# The text is that of stereo networks: the nine numbers of the matrix, and the baseline in metres.
+# K.txt is the format of stereo networks: the nine numbers of the matrix, and the baseline in metres.
 _CALIBRATIONS = ("calibration.json", "calibration.toml", "K.txt")
 
 
-# Of the sets of 2005 and 2006, for views 1 and 5 at full size: pixels and metres.
+# Middlebury 2005 and 2006, views 1 and 5 at full size: pixels, metres, pixels.
 _FOCAL_LENGTH, _BASELINE, _FULL_HEIGHT = 3740.0, 0.16, 1110
 _PUBLISHED = CAMERA_CALIBRATION_ASSUMED.warning(
     "the calibration is the one published for Middlebury 2005 and 2006 (3740 px at full size, 0.16 m, "
@@ -38,9 +41,12 @@ _PUBLISHED = CAMERA_CALIBRATION_ASSUMED.warning(
 
 
 def _published(folder: Path, size: tuple[int, int]) -> StereoRig | None:
-    """Return the data set's rig for images of one of its sizes (full, half, third), or None.
+    """Return the rig of Middlebury 2005 and 2006, or None.
 
-    The images were cropped, so that dmin.txt, in pixels at full size, is to be added to each disparity.
+    It is known for full, half and third size images.
+
+    The published images are cropped: the offset in dmin.txt, in full-size pixels, has to be added to each
+    disparity.
     """
     path = folder / "dmin.txt"
     if not path.exists() or size[1] not in (_FULL_HEIGHT, _FULL_HEIGHT // 2, _FULL_HEIGHT // 3):

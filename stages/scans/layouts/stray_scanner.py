@@ -1,7 +1,10 @@
-"""Stray Scanner: a video, a row of `odometry.csv` for each frame of it, depth and confidence by number.
+"""Stray Scanner: a video, `odometry.csv`, and depth with confidence.
 
-Poses are camera-to-world, with OpenCV's camera axes; the world has y up. The camera matrix is the video's.
-With other poses (`poses=FILE`), the accelerometer of `imu.csv` tells what is up.
+odometry.csv has one row per video frame; depth and confidence files are named by number.
+
+Poses are camera-to-world, with OpenCV camera axes; the world has y up. The camera matrix is for the
+video size. If the user gives other poses (`poses=FILE`), the up direction comes from the accelerometer
+in `imu.csv`.
 """
 
 from __future__ import annotations
@@ -45,7 +48,7 @@ _INTRINSICS = ("fx", "fy", "cx", "cy")
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """A line of odometry.csv; `number` is what depth and confidence are called by."""
+    """Row of odometry.csv; `number` names the depth and confidence files."""
 
     number: int
     pose: Pose | None
@@ -112,7 +115,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                     color_camera=color_camera,
                     confidence=trusts.get(row.number),
                     least_confidence=least,
-                    # The phone's own poses tell it better.
+                    # ARKit's poses are gravity-aligned, which is more accurate than the accelerometer.
                     up=ups[position] if given is not None or pose is None else None,
                 )
             )
@@ -120,7 +123,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _measured_ups(path: Path, rows: Sequence[_Row]) -> list[NDArray[np.float64] | None]:
-    """Return the up direction for the camera at each row, or None."""
+    """Return the up direction of the camera at each row, or None."""
     accelerometer = phone_accelerometer(path)
     times = [row.timestamp for row in rows if row.timestamp is not None]
     if len(times) < len(rows):
@@ -134,7 +137,7 @@ def _by_number(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
 
 
 def _rows(path: Path) -> list[_Row]:
-    """Read odometry.csv by the names in its first line: versions of the app have other columns."""
+    """Read odometry.csv by column name, because app versions have different columns."""
     lines = list(documents.lines(path))
     header = [name.strip().lower() for name in lines[0][1].split(",")] if lines else []
     if lacking := [name for name in _POSE if name not in header]:
@@ -182,7 +185,7 @@ def _row(row: dict[str, float], position: int, line: int, path: Path) -> _Row:
 
 
 def _own_camera(row: _Row, shared: Camera, path: Path) -> Camera:
-    """Return the camera of a frame of the video as its row gives it, or the scan's."""
+    """Return the camera of a video frame, or the shared camera."""
     if row.intrinsics is None:
         return shared
     return calibration.checked(Camera(shared.width, shared.height, *row.intrinsics), path)

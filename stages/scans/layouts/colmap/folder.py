@@ -1,8 +1,8 @@
-"""COLMAP: a sparse model (cameras and images, text or binary), with the depth maps of its dense workspace.
+"""COLMAP: a sparse model, optionally with dense depth maps.
 
-images/                                    the images, undistorted in a dense workspace
-sparse/cameras.bin, images.bin             or .txt; also in sparse/0/, beside images/, in colmap/sparse/0/ …
-sparse/points3D.bin                        or .txt: how far away is what each image shows
+images/                                    the images; undistorted in a dense workspace
+sparse/cameras.bin, images.bin             or .txt; also in sparse/0/, next to images/, in colmap/sparse/0/ …
+sparse/points3D.bin                        or .txt: determines the depth range of each image
 stereo/depth_maps/<name>.geometric.bin     or .photometric.bin; without any, the images are single views
 """
 
@@ -36,14 +36,14 @@ from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
 from scanloom.stages.scans.trajectory import files as trajectories
 
-# nerfstudio keeps the model below colmap/. Models that did not grow together are in folders with numbers.
+# nerfstudio stores the model below colmap/. Numbered subfolders hold disconnected models.
 _MODELS = ("sparse", ".", "colmap/sparse", "colmap")
-# Where COLMAP's own scripts put the dense workspace, beside the folder itself.
+# Dense workspace locations of COLMAP's own scripts, relative to the scan folder.
 _WORKSPACES = (".", "dense", "dense/0")
 _KINDS = ("geometric", "photometric")
-# Sizes are rounded to whole pixels when COLMAP makes images smaller.
+# Relative tolerance of the aspect ratio: COLMAP rounds sizes to whole pixels when it downscales images.
 _LARGEST_STRETCH = 0.02
-# Views that tell whether the images beside a model are those it was made of.
+# Number of views whose images are checked against the cameras of the model.
 _LOOKED_AT = 8
 
 
@@ -57,7 +57,10 @@ def _workspaces(folder: Path) -> list[Path]:
 
 
 def _models(folder: Path) -> list[Path]:
-    """Return the models of the first place that has any; of several, each is of a part of the images."""
+    """Return the models at the first location that has any.
+
+    Several models are disconnected reconstructions of parts of the images.
+    """
     for place in (folder / name for name in _MODELS):
         if colmap.has_model(place):
             return [place]
@@ -69,7 +72,7 @@ def _models(folder: Path) -> list[Path]:
 
 
 def _largest(models: Sequence[Path]) -> Path:
-    """Return the model with the most images, with a warning about the others."""
+    """Return the model with the most images, and warn about the others."""
     if len(models) == 1:
         return models[0]
     counts = [colmap.count_images(model) for model in models]
@@ -127,15 +130,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 remedy="depth.min_depth and depth.max_depth state it",
             )
         )
-    # A trajectory that is given is in metres; depth maps stay in the unit of the model.
+    # Poses given by the user are in metres. Depth maps stay in the unit of the model.
     is_metric = options.depth_scale is not None or (alone and options.poses is not None)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), is_metric=is_metric)
 
 
 def _workspace(folder: Path, places: Sequence[Path]) -> Path:
-    """Return the folder to read of those that have a model.
+    """Choose the folder to read among those with a model.
 
-    One with depth maps is preferred, and one whose images are there and of the shape of its cameras.
+    Folders whose images exist and match the cameras are preferred, then those with depth maps.
     """
     fitting = [one for one in places if _fits(one)] or places
     workspace = next((one for one in fitting if (one / "stereo" / "depth_maps").is_dir()), fitting[0])
@@ -152,7 +155,10 @@ def _workspace(folder: Path, places: Sequence[Path]) -> Path:
 
 
 def _fits(workspace: Path) -> bool:
-    """Say whether the images of some of a model's views are there, and can be of their cameras."""
+    """Return True if the images of a model match its cameras.
+
+    A sample is tested: the first image that exists must have the shape of its camera.
+    """
     try:
         with collecting(forward=False):
             model = _largest(_models(workspace))
@@ -164,7 +170,7 @@ def _fits(workspace: Path) -> bool:
                 camera = view.camera
                 return math.isclose(width / camera.width, height / camera.height, rel_tol=_LARGEST_STRETCH)
     except InputError:
-        pass  # It is told when it is read.
+        pass  # Reported when the model is read.
     return False
 
 
@@ -173,7 +179,10 @@ def _images(workspace: Path) -> Path:
 
 
 def _stated(camera: Camera, options: ReadingParams) -> Camera:
-    """Return the camera with the numbers that the person states: a lens that is a fisheye's stays one."""
+    """Return the camera with the intrinsics given by the user.
+
+    A fisheye camera keeps its lens model and distortion coefficients.
+    """
     stated = options.camera(camera.width, camera.height)
     if stated is None or not camera.fisheye:
         return stated or camera
@@ -183,7 +192,10 @@ def _stated(camera: Camera, options: ReadingParams) -> Camera:
 def _own_points(
     points: Mapping[int, NDArray[np.float64]], view: View, options: ReadingParams
 ) -> NDArray[np.float64] | None:
-    """Return the points that were found in a view, in metres; None where the poses are of another world."""
+    """Return the points (n, 3) observed in a view, metres, or None.
+
+    None if the user gave the poses: their world frame differs from the frame of the points.
+    """
     if options.poses is not None or view.identity not in points:
         return None
     return points[view.identity] / (options.depth_scale or 1.0)
@@ -196,18 +208,27 @@ def _depth_map(workspace: Path, view: View) -> Path | None:
 
 
 def _poses(folder: Path, views: Sequence[View], options: ReadingParams) -> Sequence[Pose | None]:
-    """Return the poses in metres."""
+    """Return the camera-to-world poses of the views.
+
+    In metres if the scale is known.
+    """
     given = options.file("poses", folder)
     if given is not None:
         return trajectories.match(trajectories.read_trajectory(given), [view.name for view in views], given)
-    # Lengths of a model have the unit of its depth maps.
+    # Model lengths and depth maps have the same unit, so `depth_scale` applies to both.
     return [in_metres(view.world_from_camera, options.depth_scale) for view in views]
 
 
 def _frame(
     name: str, view: View, full: Camera, pose: Pose | None, color: Path, depth: Path, options: ReadingParams
 ) -> Frame:
-    """Return a frame with depth; InputError where its depth map cannot be one of its camera."""
+    """Create a frame with depth.
+
+    Raises
+    ------
+    InputError
+        If the depth map is unreadable or its shape differs from the shape of its camera.
+    """
     width, height = colmap.depth_map_size(depth)
     if not math.isclose(width / full.width, height / full.height, rel_tol=_LARGEST_STRETCH):
         raise InputError(
@@ -233,7 +254,7 @@ def _frame(
 
 
 def _check_depths(frames: Sequence[Frame]) -> None:
-    """Warn of depth maps that may be of another model, and of unconfirmed ones."""
+    """Warn about depth maps of another model, and about photometric ones."""
     if any(frame.camera.distortion and frame.depth is not None for frame in frames):
         emit(
             SCAN_ASSUMED.warning(

@@ -1,7 +1,7 @@
-"""Read COLMAP's sparse models (text and binary), their points, and its depth maps.
+"""Reader of COLMAP's sparse models, their points, and depth maps.
 
-A model's own conventions stay in here: world-to-camera poses with the scalar of the quaternion first, and
-pixels counted from the corner of the top left one.
+Converts COLMAP's conventions: world-to-camera poses, quaternions with the scalar first, and pixel
+coordinates relative to the corner of the top left pixel.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from scanloom.stages.scans.model.scan import Camera, Pose
 
 @dataclass(frozen=True)
 class _Model:
-    """A camera model: its name, how many parameters it has, and which of them become OpenCV's.
+    """COLMAP camera model: name, parameter count, and mapping to OpenCV parameters.
 
-    `matrix` are the positions of fx, fy, cx, cy; `distortion` those of k1, k2, p1, p2 …, None for 0; a
-    fisheye's are k1 to k4 of OpenCV's fisheye model.
+    `matrix` holds the parameter indices of fx, fy, cx, cy; `distortion` those for k1, k2, p1, p2 …, with
+    None for a coefficient of 0. For a fisheye, they are k1 to k4 of OpenCV's fisheye model.
     """
 
     name: str
@@ -45,7 +45,7 @@ class _Model:
     fisheye: bool = False
 
 
-# In the order of COLMAP's numbers. Those without a matrix are neither pinhole cameras nor OpenCV's fisheye.
+# In the order of COLMAP's model IDs. Models without `matrix` have no OpenCV equivalent.
 _MODELS = (
     _Model("SIMPLE_PINHOLE", 3, (0, 0, 1, 2)),
     _Model("PINHOLE", 4, (0, 1, 2, 3)),
@@ -63,26 +63,26 @@ _MODELS = (
 _STEMS = ("cameras", "images")
 _ENDS = (".bin", ".txt")
 _LONGEST_NAME = 4096
-# Points beyond this many units are none.
+# Points beyond this many units are outliers and ignored.
 _FARTHEST = 1e9
 _POINT_BYTES = 24
-# A point of a binary model: number, place, colour, error, and how many images see it; then each of these.
+# Binary point record: ID, position, colour, error, track length; then 8 bytes per track element.
 _POINT, _SEEN_BYTES = "<Q3d3BdQ", 8
-# The three numbers of a depth map's header; no more than this is looked at for them.
+# Header of a depth map: width, height, channels. Only the first 64 bytes are searched.
 _DEPTH_HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
 _DEPTH_HEADER_BYTES = 64
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """An image of a model.
+    """Registered image of a model.
 
     Attributes
     ----------
-    identity : its number in the model.
-    name : its path below the folder of images, with `/`.
-    camera : with pixel centres at whole numbers.
-    world_from_camera : (4, 4) float64, in the model's own unit of length; None where it is not finite.
+    identity : image ID in the model.
+    name : path relative to the image folder, with `/`.
+    camera : pixel centres at integer coordinates.
+    world_from_camera : (4, 4) float64, in the unit of the model; None if it is not finite.
     """
 
     identity: int
@@ -92,18 +92,19 @@ class View:
 
 
 def has_model(folder: Path) -> bool:
-    """Say whether a folder holds the cameras and images of a model, as text or binary."""
+    """Return True if a folder holds a model: cameras and images."""
     return any(all((folder / f"{stem}{end}").is_file() for stem in _STEMS) for end in _ENDS)
 
 
 def read_model(folder: Path) -> list[View]:
-    """Read the images of a model with their cameras, in the order of the file; binary files go first.
+    """Read the images of a model with their cameras, in file order.
+
+    Binary files are preferred to text files.
 
     Raises
     ------
     InputError
-        If a file cannot be read, is cut short or damaged, or a camera is neither a pinhole camera with
-        OpenCV's distortion nor its fisheye.
+        If a file cannot be read, is truncated or damaged, or a camera model has no OpenCV equivalent.
     """
     end = next((end for end in _ENDS if all((folder / f"{stem}{end}").is_file() for stem in _STEMS)), None)
     if end is None:
@@ -117,7 +118,13 @@ def read_model(folder: Path) -> list[View]:
 
 
 def count_images(folder: Path) -> int:
-    """Return how many images a model holds. Raises InputError as `read_model` does."""
+    """Return the number of images in a model.
+
+    Raises
+    ------
+    InputError
+        As for `read_model`.
+    """
     path = folder / "images.bin"
     if not (path.is_file() and (folder / "cameras.bin").is_file()):
         return len(read_model(folder))
@@ -126,15 +133,18 @@ def count_images(folder: Path) -> int:
 
 
 def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
-    """Read the points of a model: for the number of each image, those (n, 3) that were found in it.
+    """Read the observed points of each image of a model.
 
-    Their unit is the model's own. Without points3D.bin or .txt, or where the file holds none, nothing is in
-    the result.
+    Returns
+    -------
+    dict
+        By image ID, (n, 3) float64 points in the unit of the model. Empty if there is no points3D.bin or
+        .txt, or it contains no points.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is cut short or damaged.
+        If the file cannot be read, is truncated or damaged.
     """
     path = next((folder / f"points3D{end}" for end in _ENDS if (folder / f"points3D{end}").is_file()), None)
     if path is None:
@@ -166,7 +176,7 @@ def depth_map_size(path: Path) -> tuple[int, int]:
     Raises
     ------
     InputError
-        If the file cannot be read, or is not as long as its header says.
+        If the file cannot be read, or its length does not match its header.
     """
     try:
         with opened(path) as file:
@@ -190,12 +200,14 @@ def depth_map_size(path: Path) -> tuple[int, int]:
 
 
 def read_depth_map(path: Path) -> NDArray[np.float32]:
-    """Return a depth map, (h, w) float32 in the model's unit of length, 0 where missing.
+    """Read a depth map, (h, w) float32 in model units.
+
+    Missing depth is 0.
 
     Raises
     ------
     InputError
-        As `depth_map_size` does.
+        As for `depth_map_size`.
     """
     width, height = depth_map_size(path)
     try:
@@ -211,7 +223,7 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
 
 
 def _depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
-    """Return width, height and where the values begin."""
+    """Parse a depth map header: width, height, and offset of the values."""
     header = _DEPTH_HEADER.match(start)
     if header is None:
         raise InputError(
@@ -269,7 +281,10 @@ def _view(
     cameras: Mapping[int, Camera],
     path: Path,
 ) -> View:
-    """Return an image of its quaternion w x y z and translation, both world-to-camera."""
+    """Create a view from a world-to-camera quaternion and translation.
+
+    `numbers` are qw qx qy qz tx ty tz.
+    """
     w, *rest = numbers
     if camera not in cameras:
         raise InputError(
@@ -281,7 +296,7 @@ def _view(
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
-    """Yield cameras by their numbers from lines `id model width height parameters…`."""
+    """Yield cameras by ID from lines `id model width height parameters…`."""
     for number, text in documents.lines(path):
         words = text.split()
         model = next((one for one in _MODELS if one.name in words[1:2]), None)
@@ -315,11 +330,16 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
 
 
 def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
-    """Yield images from lines `id qw qx qy qz tx ty tz camera name`, each followed by a line of points."""
+    """Yield the images of images.txt.
+
+    Lines are `id qw qx qy qz tx ty tz camera name`.
+
+    Each line is followed by a line of points, which is skipped.
+    """
     after_image = False
     for number, line in enumerate(documents.read_text(path).splitlines(), 1):
         text = line.strip()
-        # The line of points may be empty; some tools leave it out.
+        # The line of points may be empty; some tools omit it.
         if after_image and (not text or _are_points(text)):
             after_image = False
             continue
@@ -341,7 +361,7 @@ def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
 
 
 def _are_points(text: str) -> bool:
-    """Say whether a line is `x y point` again and again."""
+    """Return True if a line repeats `x y point_id`."""
     words = text.split()
     return len(words) % 3 == 0 and all(re.fullmatch(r"[-+\d.eE]+|-?nan|-?inf", word) for word in words[-3:])
 
@@ -390,7 +410,10 @@ def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
 
 
 def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
-    """Yield points, and the numbers of their images, from lines `id x y z r g b error (image place)…`."""
+    """Yield the points of points3D.txt, and the IDs of their images.
+
+    Lines are `id x y z r g b error (image index)…`.
+    """
     for number, text in documents.lines(path):
         words = text.split()
         try:
@@ -421,7 +444,10 @@ def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.i
 
 
 def _mapped(path: Path) -> mmap.mmap | bytes:
-    """Return a file's bytes; the points of large models are gigabytes that nobody reads."""
+    """Return the bytes of a file, memory-mapped.
+
+    The point lists of large models are gigabytes, most of which are not read.
+    """
     try:
         with opened(path) as file:
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if path.stat().st_size else b""
@@ -432,7 +458,7 @@ def _mapped(path: Path) -> mmap.mmap | bytes:
 
 
 def _unpacked(form: str, data: mmap.mmap | bytes, at: int, path: Path) -> tuple[tuple[Any, ...], int]:
-    """Return the values at an offset and the offset after them."""
+    """Unpack values at an offset; returns the values and the next offset."""
     end = at + struct.calcsize(form)
     if end > len(data):
         raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")

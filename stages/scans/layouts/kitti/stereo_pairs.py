@@ -1,4 +1,4 @@
-"""KITTI stereo 2012 and 2015: many scenes of two moments each, every scene with its own calibration.
+"""KITTI stereo 2012 and 2015: calibrated scenes of two frames each.
 
 2015: image_2/000000_10.png  image_3/  calib_cam_to_cam/000000.txt
 2012: image_0/000000_10.png  image_1/  (or colored_0/, colored_1/)  calib/000000.txt
@@ -75,7 +75,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             remedy="name one with scan.calibration=FILE.",
             scene=scene,
         )
-    # Those of scenes that are not chosen are no files that nobody knew of.
+    # Mark the calibrations of the other scenes as known, so that they are not reported as unused files.
     for one, _ in pairs:
         note(calib.with_name(f"{one.stem[:6]}.txt"))
     projections = read_projections(calib)
@@ -90,7 +90,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     size = image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))
     stated = rectified_size(calib, size)
     rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib, stated)
-    # Those of other scenes fall away when the person's choice is applied.
+    # Poses of the other scenes are dropped when the frame selection of the user is applied.
     given = options.file("poses", folder)
     names = [one.stem for one, _ in pairs]
     poses: list[Pose | None] = [None] * len(pairs)

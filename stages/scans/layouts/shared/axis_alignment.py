@@ -1,4 +1,7 @@
-"""What ScanNet's own worlds are: z is up, and axisAlignment turns them until walls run along the axes."""
+"""World axes of ScanNet, and its alignment of walls with the axes.
+
+z is up. axisAlignment rotates the world so that walls run along x and y.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +24,14 @@ _LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)
 
 
 def aligned(scan: Scan, folder: Path) -> Scan:
-    """Return a scan whose world is turned as scene*.txt beside it says, and that says so.
+    """Apply the axisAlignment of scene*.txt to the poses of a scan.
+
+    Without poses, the scan is returned unchanged, with a warning.
 
     Raises
     ------
     InputError
-        If no such file is there, or its matrix is not rigid.
+        If no such file exists, or its matrix is not rigid.
     """
     if not scan.has_poses:
         emit(
@@ -51,12 +56,14 @@ def aligned(scan: Scan, folder: Path) -> Scan:
 
 
 def up_of_scannet(place: Path, layout: str) -> WorldUp | None:
-    """Return what is up in a scan of the data set; None where others packed theirs like it.
+    """Return the up direction of an original ScanNet scan, or None.
+
+    Other data packed in ScanNet's layout has an unknown up direction.
 
     Parameters
     ----------
-    place : a folder, or a file.
-    layout : its name.
+    place : scan folder or file.
+    layout : name of the layout.
     """
     beside = place.parent if place.is_file() else place
     is_own = any(_NAME.search(name) for name in (place.name, beside.resolve().name)) or any(

@@ -1,4 +1,4 @@
-"""Maps of confidence in a folder of their own, beside those of depth; their levels are what they hold."""
+"""Confidence maps in a separate folder next to the depth maps."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from scanloom.stages.scans.model.reading_params import ReadingParams
 
 _FOLDERS = ("confidence", "conf", "confidences")
 _LOOKED_AT = 4
-# Apps write low, medium and high, as 0, 1, 2 or otherwise; more values are a measure without levels.
+# Apps write low, medium and high as 0, 1, 2 or other values. More distinct values are a continuous measure.
 _MOST_LEVELS = 8
 
 
 def confidence_of(
     folder: Path, depths: Sequence[Path], options: ReadingParams
 ) -> tuple[Mapping[Path, Path], int]:
-    """Return each depth map's map of confidence, and the confidence that depth must have.
+    """Return the confidence map of each depth map, and the minimum confidence.
 
-    Only the lowest level is left out where the user says nothing; where there are no levels, nothing is.
+    By default, only the lowest level is discarded; without discrete levels, nothing is.
     """
     place = first_existing(folder, *_FOLDERS)
     if place is None or not place.is_dir():
@@ -68,7 +68,10 @@ def confidence_of(
 
 
 def _levels(files: Sequence[Path]) -> list[int]:
-    """Return the values of a few maps, rising; none if they are no maps of 8 bits."""
+    """Return the sorted values of a sample of 8-bit maps.
+
+    Empty if the maps are not 8-bit.
+    """
     found: set[int] = set()
     with only_looking():
         for path in files[:: max(1, len(files) // _LOOKED_AT)][:_LOOKED_AT]:

@@ -1,4 +1,4 @@
-"""What phones share: a small depth map and a large image of one optical centre, and depth's confidence."""
+"""Phone scans: low-resolution depth registered to colour, with confidence levels."""
 
 from __future__ import annotations
 
@@ -11,17 +11,24 @@ from scanloom.stages.scans.codes import SCAN_CONFIDENCE, SCAN_PHONE_IMAGES
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, scaled
 
-# 1920×1440 and 256×192 agree exactly; 4032×3024 cropped to 16:9 does not.
+# Relative tolerance of the aspect ratio: 1920×1440 and 256×192 agree exactly; 4032×3024 cropped to 16:9
+# differs more.
 _SAME_SHAPE = 0.02
 
 
 def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Camera:
-    """Return the camera of the same view in another size, (width, height) in pixels.
+    """Scale a camera to another image size, same field of view.
+
+    Parameters
+    ----------
+    size : (width, height) in pixels.
+    what : name of the images in the error message.
+    path : file in the error message.
 
     Raises
     ------
     InputError
-        If the size has another shape: the images are then cropped or turned, and their camera is another.
+        If the aspect ratio differs: the images are then cropped or rotated, and have another camera.
     """
     width, height = size
     if abs(width * camera.height / (height * camera.width) - 1) > _SAME_SHAPE:
@@ -48,16 +55,16 @@ def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Cam
 
 
 def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path) -> int:
-    """Return the confidence that depth must have, with a warning about its range.
+    """Return the minimum confidence of valid depth, and report the choice.
 
     Parameters
     ----------
-    levels : that the layout knows: low, medium and high.
+    levels : confidence levels of the layout, ascending (low, medium, high).
 
     Raises
     ------
     InputError
-        If more than the highest is asked for, which would leave nothing.
+        If the user asks for more than the highest level, which would discard all depth.
     """
     least = levels[1] if options.least_confidence is None else options.least_confidence
     if least > levels[-1]:

@@ -1,4 +1,4 @@
-"""TUM RGB-D: colour and depth as two streams with their own clocks, motion capture as the trajectory."""
+"""TUM RGB-D: colour and depth streams with separate clocks, motion capture trajectory."""
 
 from __future__ import annotations
 
@@ -49,18 +49,18 @@ from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
 from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
-# The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
+# Nanoseconds; the tolerance of the data set's tools, less than a frame at 30 Hz.
 _TOLERANCE = 20_000_000
 _SECOND = 1_000_000_000
 _UNITS_PER_METRE = 5000.0
 _ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
-# How images are named when their lists are lost.
+# Names of images (seconds) if the lists are lost.
 _STAMPED = re.compile(r"\d+\.\d+")
 
 
 @dataclass(frozen=True)
 class _Stream:
-    """The images of a stream, in the order they are listed: times in nanoseconds, and files."""
+    """Timestamps (n,) in nanoseconds and files of a stream, in list order."""
 
     times: NDArray[np.int64]
     files: list[Path]
@@ -82,7 +82,7 @@ def _matches(folder: Path) -> str | None:
 
 
 def _is_without_depth(folder: Path) -> bool:
-    """Say whether a folder has the list of colour alone: what has depth in any form is no folder of views."""
+    """Return True if a folder lists colour but has no depth."""
     return has(folder, "rgb.txt") and first_existing(folder, "depth.txt", *DEPTH_FOLDERS) is None
 
 
@@ -102,7 +102,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         if partner < 0
     ]
     paired = [number for number, partner in enumerate(partners) if partner >= 0]
-    # The surface is where the depth camera saw it from, so its moment decides.
+    # Poses are interpolated at the depth timestamps, because depth defines the surface.
     moments = [int(depth_stream.times[partners[number]]) for number in paired]
     names = [colors[number].stem for number in paired]
     path, poses = _poses(folder, moments, names, options)
@@ -128,7 +128,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _read_views(folder: Path, options: ReadingParams) -> Scan:
-    """Read a recording whose depth is not there: its photos are single views."""
+    """Read a recording without depth as single views."""
     stream = _listed(folder / "rgb.txt")
     colors = _where_they_are(stream.files, folder)
     camera, _ = camera_of(folder, options, *common_size(colors))
@@ -152,7 +152,7 @@ def _read_views(folder: Path, options: ReadingParams) -> Scan:
 def _poses(
     folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
 ) -> tuple[Path | None, list[Pose | None]]:
-    """Return the trajectory's file, and the pose at each moment."""
+    """Return the trajectory file (or None), and the pose at each timestamp."""
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
     if path is not None:
         return path, poses_at(path, moments, names, _TOLERANCE, options)
@@ -166,9 +166,10 @@ def _missing(poses: Path | None) -> tuple[Diagnostic, ...]:
 def _poses_beside(
     folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
 ) -> tuple[Path, list[Pose | None]] | None:
-    """Return the only file that holds as many poses as frames, and the poses, with a warning.
+    """Find poses in the only file with one pose per frame.
 
-    None without one, and where its times are others than those of the frames, unless these only count them.
+    Returns None if there is no such file, or its times do not match the frames. Frame times that merely
+    count the frames (1 s steps) are ignored, and poses are assigned by order.
     """
     path = trajectory_beside(folder, len(names))
     if path is None:
@@ -192,13 +193,16 @@ def _poses_beside(
 
 
 def _up(folder: Path, trajectory: Path) -> WorldUp | None:
-    """Return what is up in the worlds of the data set's motion capture; None where others use its form."""
+    """Return the up direction of the data set's motion capture, or None.
+
+    None for other recordings in TUM format.
+    """
     is_own = data_set_camera(folder)[0] is not None or is_named_in(trajectory)
     return up_of_layout(LAYOUT.name, Z_UP) if is_own else None
 
 
 def _streams(folder: Path) -> tuple[_Stream, _Stream]:
-    """Return colour and depth."""
+    """Return the colour and the depth stream."""
     if has(folder, "rgb.txt", "depth.txt"):
         color, depth = (_listed(folder / name) for name in ("rgb.txt", "depth.txt"))
     elif (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
@@ -221,7 +225,7 @@ def _streams(folder: Path) -> tuple[_Stream, _Stream]:
 
 
 def _listed(path: Path) -> _Stream:
-    """Return a stream from lines `seconds file`."""
+    """Read a stream from lines `seconds file`."""
     times, files = [], []
     for number, text in documents.lines(path):
         words = re.split(r"[\s;]+|,(?=\s*[^\d\s])", text, maxsplit=1)
@@ -235,14 +239,17 @@ def _listed(path: Path) -> _Stream:
 
 
 def _listed_file(name: str, path: Path, number: int) -> Path:
-    """Return the file that a line names; where its path is one of another computer, by the path's end."""
+    """Resolve a listed file; an absolute path is matched by its end.
+
+    Absolute paths come from another computer.
+    """
     if PurePosixPath(name).is_absolute() or PureWindowsPath(name).is_absolute():
         return found_file(path.parent, name, f"line {number}: {name[:100]!r}", path)
     return path.parent / documents.require_inside(name, path, f"line {number}")
 
 
 def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:
-    """Return the streams of two folders whose images are named by their times in seconds."""
+    """Return colour and depth streams of images named by timestamp, or None."""
     streams = []
     for names, suffixes in ((COLOR_FOLDERS, IMAGES), (DEPTH_FOLDERS, DEPTHS)):
         place = first_existing(folder, *names)
@@ -255,7 +262,7 @@ def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:
 
 
 def _where_they_are(files: list[Path], folder: Path) -> list[Path]:
-    """Return the files of a stream, whose folder may have another name than listed."""
+    """Return the files of a stream, remapped if their folder was renamed."""
     listed = files[0].parent
     if listed.exists():
         return files
@@ -274,7 +281,10 @@ def _where_they_are(files: list[Path], folder: Path) -> list[Path]:
 
 
 def _depth_scale(folder: Path, options: ReadingParams, depths: Sequence[Path], calib: Path | None) -> float:
-    """Return the units a metre of depth, which the file of the camera may state."""
+    """Return the depth units per metre.
+
+    They are stated, known for the data set, or inferred from the values.
+    """
     stated = None if calib is None else calibration.read_depth_scale(calib)
     scale = options.depth_scale or stated
     if scale is None and data_set_camera(folder)[0] is not None:
@@ -283,7 +293,7 @@ def _depth_scale(folder: Path, options: ReadingParams, depths: Sequence[Path], c
 
 
 def _scale(depths: Sequence[Path]) -> float:
-    """Return the units a metre of depth that nothing states."""
+    """Infer the depth units per metre from the values, with a warning."""
     units = told_units(depths)
     if units == MILLIMETRES:
         emit(
