@@ -129,7 +129,7 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
         else:
             sizes[with_size] += 1
     if not sizes:
-        raise fault or InputError(SCAN_FILES_MISSING, "there are no images.")
+        raise fault or InputError(SCAN_FILES_MISSING, "no image files found.")
     return sizes.most_common(1)[0][0]
 
 
@@ -175,7 +175,7 @@ def pair(
         pairs = [(path, right[at]) for at, path in left.items() if at in right]
         alone = [
             SkippedFrame(
-                path.stem, FRAME_IMAGE_MISSING.warning("{place} has no image of this number", place=name)
+                path.stem, FRAME_IMAGE_MISSING.warning("{place} has no image with this number", place=name)
             )
             for side, other, name in ((left, right, second_name), (right, left, first_name))
             for at, path in side.items()
@@ -186,11 +186,11 @@ def pair(
         raise InputError(
             SCAN_IMAGES_UNPAIRED,
             (
-                "{first_name} holds {first_count} images and {second_name} {second_count}, "
-                "and their names share too few numbers to pair them by."
+                "{first_name} has {first_count} images and {second_name} has {second_count}, and their "
+                "names share too few numbers to pair them."
             ),
             folder,
-            remedy="Name the two images of a moment alike.",
+            remedy="Give the two images of a frame the same number.",
             first_name=first_name,
             first_count=len(first),
             second_name=second_name,
@@ -206,8 +206,8 @@ def check_order(pairs: Sequence[tuple[Path, Path]], first_name: str, second_name
         return
     emit(
         SCAN_IMAGES_UNPAIRED.warning(
-            "the names in {first} and {second} share no numbers: they are paired in their order",
-            remedy="name the two images of a moment alike if that is wrong",
+            "the names in {first} and {second} share no numbers: the images are paired by position",
+            remedy="if that is wrong, give the two images of a frame the same number",
             first=first_name,
             second=second_name,
         )

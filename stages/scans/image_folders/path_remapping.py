@@ -44,8 +44,8 @@ def found_images(folder: Path, names: Sequence[str], labels: Sequence[str], path
         name, file = moved[0]
         emit(
             SCAN_ASSUMED.warning(
-                "the paths of {count} images in {list} lead elsewhere (such as {name!r}): they are found by "
-                "their names ({file})",
+                "{count} image paths in {list} point outside the scan or do not exist (such as {name!r}): "
+                "the images are found by name instead ({file})",
                 count=len(moved),
                 list=path.name,
                 name=name[:100],

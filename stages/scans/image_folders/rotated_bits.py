@@ -58,7 +58,7 @@ def read_turned_back(path: Path) -> NDArray[np.uint16]:
     """
     raw = read_raw_depth(path)
     if raw.dtype != np.uint16:
-        raise InputError(FILE_DEPTH_FORMAT, "depth of 16 bits is expected.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "a 16-bit depth map is expected.", path)
     return turned_back(raw)
 
 
@@ -106,11 +106,9 @@ def with_bits_turned_back(scan: Scan, stated: float | None, *, is_own: bool) -> 
     is_millimetres = frames[0].depth_scale == _MILLIMETRES
     emit(
         SCAN_ASSUMED.warning(
-            "the bits of the depth maps are rotated by three, as SUN3D stores them: they are turned back, "
-            "and {scale:g} units are then a metre",
-            remedy="set scan.depth_scale=10000 where they are tenths of millimetres"
-            if is_millimetres
-            else "",
+            "the depth values are stored with their bits rotated by three (as in SUN3D); they are "
+            "decoded, with {scale:g} units per metre",
+            remedy="if they are in units of 0.1 mm, set scan.depth_scale=10000" if is_millimetres else "",
             scale=frames[0].depth_scale,
         )
     )

@@ -59,7 +59,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     depths = _by_time(folder / "lowres_depth", IMAGES)
     if not depths:
         raise InputError(
-            SCAN_FILES_MISSING, "no images named like 41069021_305.377.png in lowres_depth/.", folder
+            SCAN_FILES_MISSING, "lowres_depth/ has no images named like 41069021_305.377.png.", folder
         )
     colors = _by_time(folder / "lowres_wide", IMAGES)
     cameras = _by_time(folder / "lowres_wide_intrinsics", (".pincam",))
@@ -82,7 +82,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         color, pincam = _beside(colors, time), _beside(cameras, time)
         camera = stated or (None if pincam is None else _camera(pincam, size))
         if pose is None and is_posed:
-            skipped.append(SkippedFrame(depth.stem, FRAME_POSE_MISSING.warning("no pose within 0.005 s")))
+            skipped.append(
+                SkippedFrame(
+                    depth.stem, FRAME_POSE_MISSING.warning("the trajectory has no pose within 0.005 s")
+                )
+            )
             continue
         if camera is None or (color is None and colors):
             lacking = ".pincam" if camera is None else "colour image"
@@ -135,11 +139,13 @@ def _camera(path: Path, size: tuple[int, int]) -> Camera:
         width, height, *matrix = (float(word) for word in documents.read_text(path).split())
         fx, fy, cx, cy = matrix
     except ValueError as error:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "it is not `width height fx fy cx cy`.", path) from error
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "the file must contain `width height fx fy cx cy`.", path
+        ) from error
     if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it is for images of {width:g}×{height:g} pixels, which cannot be right.",
+            "the file states an invalid image size of {width:g}×{height:g} pixels.",
             path,
             width=width,
             height=height,

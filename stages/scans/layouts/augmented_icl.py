@@ -59,7 +59,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if streams is None:
         raise InputError(
             SCAN_FILES_MISSING,
-            "images named like 00000.jpg (colour) and 00000.png (depth) are needed.",
+            "images named like 00000.jpg (colour) and 00000.png (depth) are required.",
             folder,
         )
     depths, colors = images(streams[0], (".png",)), images(streams[1], (".jpg",))
@@ -69,7 +69,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     poses: list[Pose | None] = [None] * len(names)
     missing: tuple[Diagnostic, ...] = ()
     if path is None:
-        missing = (poses_missing("there is no one .log or *-traj.txt"),)
+        missing = (poses_missing("exactly one .log or *-traj.txt is required"),)
     else:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     size = common_size([depth for depth, _ in pairs])

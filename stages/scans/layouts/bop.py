@@ -65,11 +65,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     streams = depths or colors
     if not streams:
         raise InputError(
-            SCAN_FILES_MISSING, "no images named like 000010.png in rgb/, gray/ or depth/.", folder
+            SCAN_FILES_MISSING, "rgb/, gray/ and depth/ have no images named like 000010.png.", folder
         )
     used = sorted(number for number in streams if number in tables)
     if not used:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "it has no entry for any of the images.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "the file has no entry for any of the images.", path)
     size = common_size([streams[number] for number in used])
     stated = stated_camera(options, folder, *size)
     given = options.file("poses", folder)
@@ -82,7 +82,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     frames: list[Frame] = []
     skipped = [
         SkippedFrame(
-            streams[number].stem, SCAN_FRAMES_SKIPPED.warning("{file} has no entry for it", file=_CAMERAS)
+            streams[number].stem,
+            SCAN_FRAMES_SKIPPED.warning("{file} has no entry for this image", file=_CAMERAS),
         )
         for number in sorted(streams.keys() - tables.keys())
     ]
@@ -92,7 +93,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         try:
             pose = _pose(table, path) if matched is None else matched[number]
             if pose is None and has_world:
-                skipped.append(SkippedFrame(name, FRAME_POSE_MISSING.warning("it has no pose")))
+                skipped.append(SkippedFrame(name, FRAME_POSE_MISSING.warning("the frame has no pose")))
                 continue
             if color is None and colors:
                 skipped.append(SkippedFrame(name, FRAME_IMAGE_MISSING.warning("its colour image is missing")))
@@ -112,7 +113,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if alone:
         emit(
             SCAN_FRAMES_SKIPPED.warning(
-                "{file} has entries for {count} images that are not there", file=_CAMERAS, count=alone
+                "{file} has entries for {count} images that do not exist; they are ignored",
+                file=_CAMERAS,
+                count=alone,
             )
         )
     missing = () if has_world else (poses_missing("{file} has no cam_R_w2c", file=_CAMERAS),)
@@ -124,14 +127,14 @@ def _tables(path: Path) -> dict[int, Table]:
     document = documents.read_json(path)
     if not isinstance(document, dict) or not document:
         raise InputError(
-            CAMERA_CALIBRATION_INVALID, "it is no table of cameras by the numbers of images.", path
+            CAMERA_CALIBRATION_INVALID, "the file must be a JSON object with a camera per image number.", path
         )
     tables: dict[int, Table] = {}
     for key, table in document.items():
         if not (key.isascii() and key.isdigit() and len(key) < 10 and isinstance(table, dict)):
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "{key!r} is not the number of an image with its camera.",
+                "{key!r} is not an image number with a camera object.",
                 path,
                 key=str(key)[:40],
             )
@@ -166,7 +169,7 @@ def _values(table: Table, key: str, count: int, path: Path) -> NDArray[np.float6
     values = number_row(table.get(key), key, path)
     if len(values) != count:
         raise InputError(
-            CAMERA_CALIBRATION_INVALID, "{key} is not a list of {count} numbers.", path, key=key, count=count
+            CAMERA_CALIBRATION_INVALID, "{key} must be a list of {count} numbers.", path, key=key, count=count
         )
     return np.array(values)
 

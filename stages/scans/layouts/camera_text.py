@@ -64,7 +64,7 @@ def _matches(folder: Path) -> str | None:
     # A damaged file is still recognised by its name, if there are depth images next to it.
     if not is_headed and not any("depth" in one.name.lower() for one in folder.iterdir()):
         return None
-    return f"{found.name}, camera poses of frames below headings"
+    return f"{found.name}, a text with camera poses under headings"
 
 
 def _text_file(folder: Path) -> Path | None:
@@ -92,21 +92,23 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     path = _text_file(folder)
     if path is None:
         raise InputError(
-            SCAN_FILES_MISSING, "a text of cameras and poses below headings (cam.info.txt) is needed.", folder
+            SCAN_FILES_MISSING,
+            "a text file with cameras and poses under headings (cam.info.txt) is required.",
+            folder,
         )
     text = headed_text.read_headed_text(path)
     if not text.poses:
-        raise InputError(SCAN_TABLE_DAMAGED, "it has no heading with the pose of a frame.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file has no heading for the pose of a frame.", path)
     found = _frames(folder, text)
     if not found:
         raise InputError(
             SCAN_FILES_MISSING,
-            "there is no depth map of any of its {poses_count} frames, such as {next}.depth.png.",
+            "none of the {poses_count} listed frames has a depth map, such as {next}.depth.png.",
             path,
             poses_count=len(text.poses),
             next=next(iter(text.poses), "frame-000000"),
         )
-    without_depth = FRAME_IMAGE_MISSING.warning("it has no depth map")
+    without_depth = FRAME_IMAGE_MISSING.warning("its depth map is missing")
     lacking = [SkippedFrame(name, without_depth) for name in text.poses if name not in found]
     given = options.file("poses", folder)
     poses = text.poses
@@ -120,9 +122,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not rotated:
         emit(
             SCAN_ASSUMED.warning(
-                "the bits of the depth maps are not rotated, as the APC toolbox has them: they are read as "
-                "millimetres",
-                remedy="set scan.depth_scale={tenths:g} where they are tenths",
+                "unlike in files of the APC toolbox, the bits of the depth values are not rotated: they "
+                "are read as millimetres",
+                remedy="if they are in units of 0.1 mm, set scan.depth_scale={tenths:g}",
                 tenths=_TENTHS_OF_MILLIMETRES,
             )
         )
@@ -143,7 +145,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if text.others:
         emit(
             SCAN_ASSUMED.warning(
-                "it states more, which is left aside: {others}", path, others="; ".join(text.others[:3])
+                "some entries of the file are ignored: {others}", path, others="; ".join(text.others[:3])
             )
         )
     return Scan(LAYOUT.name, frames, None, folder, tuple(lacking))
@@ -224,8 +226,8 @@ def _cameras(
 
 LAYOUT = Layout(
     name="camera-text",
-    text="frame-000000.color.png, frame-000000.depth.png, and a text of cameras and poses below headings "
-    "(cam.info.txt of the APC vision toolbox)",
+    text="frame-000000.color.png, frame-000000.depth.png, and a text with cameras and poses under "
+    "headings (cam.info.txt of the APC vision toolbox)",
     matches=_matches,
     read=_read,
 )

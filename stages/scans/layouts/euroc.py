@@ -76,7 +76,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     frames: list[Frame] = []
     skipped = [
         SkippedFrame(
-            str(time), FRAME_IMAGE_MISSING.warning("cam{side} has no image of this moment", side=1 - side)
+            str(time),
+            FRAME_IMAGE_MISSING.warning("cam{side} has no image with this timestamp", side=1 - side),
         )
         for side in (0, 1)
         for time in sorted(streams[side].keys() - streams[1 - side].keys())
@@ -88,7 +89,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = poses_at(path, times, [str(time) for time in times], _TOLERANCE, options)
     for time, pose in zip(times, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(str(time), FRAME_POSE_MISSING.warning("no pose within 0.03 s")))
+            skipped.append(
+                SkippedFrame(
+                    str(time), FRAME_POSE_MISSING.warning("the trajectory has no pose within 0.03 s")
+                )
+            )
             continue
         frames.append(
             Frame(
@@ -105,7 +110,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     frames = [replace(frame, up=up) for frame, up in zip(frames, ups, strict=True)]
     lacking = poses_missing(
         "{file} is missing",
-        remedy="name a trajectory of the body with scan.poses=FILE",
+        remedy="name a trajectory of the body frame with scan.poses=FILE",
         file=_GROUND_TRUTH[0],
     )
     missing = (lacking,) if path is None else ()
@@ -124,7 +129,7 @@ def _stream(camera: Path) -> dict[int, Path]:
             )
         found[int(time)] = camera / "data" / documents.require_inside(name.strip(), path, f"line {number}")
     if not found:
-        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", path)
     return found
 
 
@@ -146,7 +151,7 @@ def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
         if len(values) < 6 or not 0 <= time < 1 << 62:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "line {number} is not nanoseconds, three rates and three accelerations.",
+                "line {number} is not a timestamp (ns), three angular rates and three accelerations.",
                 path,
                 number=number,
             )
@@ -193,7 +198,9 @@ def _narrowed(path: Path) -> Packed:
 def _high_bytes(path: Path) -> NDArray[np.uint8]:
     image = read_stored(path)
     if image.ndim != 2 or image.dtype != np.uint16:
-        raise InputError(FILE_IMAGE_FORMAT, "a grey image of 16 bits is expected, as the others are.", path)
+        raise InputError(
+            FILE_IMAGE_FORMAT, "a 16-bit greyscale image is expected, like the other images.", path
+        )
     return (image >> 8).astype(np.uint8)
 
 
@@ -211,7 +218,7 @@ def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingPar
     if document.get("camera_model", "pinhole") != "pinhole":
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "camera_model {document} is not supported; pinhole is.",
+            "camera_model {document} is not supported; only pinhole is.",
             path,
             document=document["camera_model"],
         )
@@ -238,7 +245,7 @@ def _mounting(document: dict[str, Any], path: Path) -> Pose:
     data = matrix.get("data") if isinstance(matrix, dict) else matrix
     pose = rigid(matrix_of(data, path, "T_BS"), path, "T_BS")
     if pose is None:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "T_BS is not finite.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "T_BS contains NaN or infinity.", path)
     return pose
 
 

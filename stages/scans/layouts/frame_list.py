@@ -88,7 +88,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if found is None and (damaged := _named_in(folder)) is not None:
         documents.read_json(damaged)
     if found is None:
-        raise InputError(SCAN_FILES_MISSING, "a JSON list of frames with kcam and rt_cam is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "a JSON list of frames with kcam and rt_cam is required.", folder
+        )
     path, entries = found
     images = [_images(folder, entry, number, path) for number, entry in enumerate(entries)]
     size = common_size([depth for _, depth in images])
@@ -145,7 +147,7 @@ def _images(folder: Path, entry: dict[str, Any], number: int, path: Path) -> tup
     if depth is None:
         raise InputError(
             SCAN_FILES_MISSING,
-            "frame {number} names no depth map, and there is none of its number.",
+            "frame {number} names no depth map, and the folder has none with this number.",
             path,
             number=number,
         )
@@ -184,7 +186,7 @@ def _meaning(info: dict[str, Any], options: ReadingParams, path: Path) -> _Meani
     if not _is_number(bias) or abs(bias) > _FARTHEST_BIAS_M:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "depth_bias is {bias}; metres that are added to depth are expected.",
+            "depth_bias is {bias}; it must be an offset in metres, at most ±10.",
             path,
             bias=str(bias)[:40],
         )
@@ -217,8 +219,7 @@ def _checked(meanings: Sequence[_Meaning], depths: Sequence[Path], path: Path) -
     if beyond <= _MOST_BEYOND:
         emit(
             SCAN_ASSUMED.warning(
-                "{beyond:.1%} of the depth looked at lies beyond the depth_max of {file}, {far:.3g} m: it is "
-                "left out",
+                "{beyond:.1%} of the sampled depth exceeds depth_max in {file} ({far:.3g} m) and is ignored",
                 beyond=beyond,
                 file=path.name,
                 far=far,
@@ -227,9 +228,9 @@ def _checked(meanings: Sequence[_Meaning], depths: Sequence[Path], path: Path) -
         return list(meanings)
     emit(
         SCAN_ASSUMED.warning(
-            "{beyond:.0%} of the depth looked at lies beyond the depth_max of {file}, which would be "
-            "{far:.3g} m: it is not applied",
-            remedy="fuse.max_depth=METRES leaves out what is farther",
+            "{beyond:.0%} of the sampled depth exceeds depth_max in {file} ({far:.3g} m), so its unit "
+            "seems wrong: depth_max is not applied",
+            remedy="set fuse.max_depth=METRES to ignore distant depth",
             beyond=beyond,
             file=path.name,
             far=far,

@@ -52,7 +52,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = poses_at(path, moments, names, _TOLERANCE, options, _trajectory)
     for one, pose in zip(listed, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(one.depth.stem, FRAME_POSE_MISSING.warning("no pose of its number")))
+            skipped.append(
+                SkippedFrame(
+                    one.depth.stem, FRAME_POSE_MISSING.warning("the trajectory has no pose with its number")
+                )
+            )
             continue
         frames.append(
             Frame(
@@ -74,9 +78,9 @@ def _pose_file(folder: Path) -> Path | None:
         names = ", ".join(path.name for path in found)
         raise InputError(
             SCAN_FILES_MISSING,
-            "there are several trajectories ({names})",
+            "the folder has several trajectories ({names})",
             folder,
-            remedy="name one with scan.poses=FILE.",
+            remedy="choose one with scan.poses=FILE.",
             names=names,
         )
     return found[0] if found else None
@@ -96,7 +100,7 @@ def _trajectory(path: Path) -> Trajectory:
 
 LAYOUT = Layout(
     name="icl-nuim",
-    text="associations.txt, rgb/, depth/, *.gt.freiburg (ICL-NUIM in TUM packing)",
+    text="associations.txt, rgb/, depth/, *.gt.freiburg (ICL-NUIM in TUM format)",
     matches=_matches,
     read=_read,
     up=Y_DOWN,

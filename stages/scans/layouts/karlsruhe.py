@@ -62,7 +62,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     else:
         car = (
-            f" ({_CAR} has the places of the car, but nothing says how the cameras stand to it)"
+            f" ({_CAR} has positions of the car, but their offset to the cameras is unknown)"
             if (folder / _CAR).is_file()
             else ""
         )
@@ -83,14 +83,16 @@ def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:
         except ValueError:
             row = np.empty(0)
         if row.size != 12 or not np.isfinite(row).all():
-            raise InputError(CAMERA_CALIBRATION_INVALID, "P{side}_roi is not 12 numbers.", calib, side=side)
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID, "P{side}_roi must be 12 finite numbers.", calib, side=side
+            )
         found[side] = row.reshape(3, 4)
     return found
 
 
 LAYOUT = Layout(
     name="karlsruhe",
-    text="I1_000000.png and I2_000000.png side by side, calib.txt with P1_roi (Karlsruhe, libviso2)",
+    text="I1_000000.png and I2_000000.png in one folder, calib.txt with P1_roi (Karlsruhe, libviso2)",
     matches=_matches,
     read=_read,
 )

@@ -56,7 +56,7 @@ def _image_folder(folder: Path) -> Path | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     place = _image_folder(folder)
     if place is None:
-        raise InputError(SCAN_FILES_MISSING, "a folder images/ with the photos is needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "a folder images/ with the photos is required.", folder)
     path = folder / _FILE
     rows = _rows(path)
     # Rows follow the lexicographic order of the names.
@@ -90,7 +90,8 @@ def _rows(path: Path) -> list[NDArray[np.float64]]:
     if table.ndim != 2 or table.shape[1] != _COLUMNS or len(table) > _MOST_VIEWS or table.dtype.kind != "f":
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "rows of {columns} numbers are expected; this is {table_shape} of type {table_dtype}.",
+            "rows of {columns} numbers are expected, but the array has shape {table_shape} and type "
+            "{table_dtype}.",
             path,
             columns=_COLUMNS,
             table_shape=table.shape,
@@ -109,7 +110,7 @@ def _camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path
     if not all(1 <= side < 1 << 16 and side == int(side) for side in (width, height)):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it is for images of {width:g}×{height:g} pixels, which cannot be right.",
+            "the file states an invalid image size of {width:g}×{height:g} pixels.",
             path,
             width=width,
             height=height,
@@ -136,14 +137,14 @@ def _mask(folder: Path, color: Path) -> Packed | None:
 def _shown(path: Path) -> NDArray[np.uint8]:
     mask = read_stored(path)
     if mask.dtype != np.uint8:
-        raise InputError(FILE_IMAGE_FORMAT, "a mask of 8 bits a channel is expected.", path)
+        raise InputError(FILE_IMAGE_FORMAT, "an 8-bit mask is expected.", path)
     grey = mask if mask.ndim == 2 else mask[:, :, :3].max(axis=2)
     return np.asarray(np.where(grey >= _SHOWN, 255, 0), np.uint8)
 
 
 LAYOUT = Layout(
     name="llff",
-    text="poses_bounds.npy, images/, perhaps masks/ (LLFF)",
+    text="poses_bounds.npy, images/, optionally masks/ (LLFF)",
     matches=_matches,
     read=_read,
 )

@@ -32,7 +32,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     rig = _rig(calib, image_size(left), options)
     pose = _pose(folder, options)
     frame = Frame(name="im0", camera=rig.left, color=left, right=right, world_from_camera=pose)
-    lacking = poses_missing("pose.txt is missing", remedy="name one with scan.poses=FILE")
+    lacking = poses_missing("pose.txt is missing", remedy="name a pose file with scan.poses=FILE")
     missing = () if pose is not None else (lacking,)
     return Scan(LAYOUT.name, [frame], rig, folder, missing=missing)
 
@@ -48,7 +48,7 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRi
     except (KeyError, ValueError) as error:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "cam0, cam1 and baseline are needed; {error} is missing or no number.",
+            "cam0, cam1 and baseline are required; {error} is missing or not a number.",
             calib,
             error=error,
         ) from error
@@ -59,7 +59,7 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRi
     if not (0 < baseline < 1e5 and abs(doffs) < size[0]):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "baseline={baseline:g} mm or doffs={doffs:g} px cannot be right.",
+            "invalid baseline={baseline:g} mm or doffs={doffs:g} px.",
             calib,
             baseline=baseline,
             doffs=doffs,
@@ -67,7 +67,8 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRi
     if baseline < 5:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "it states a baseline of {baseline:g}, taken as metres (Middlebury's are mm)",
+                "the baseline of {baseline:g} is assumed to be in metres, because it is too small for "
+                "millimetres",
                 calib,
                 baseline=baseline,
             )

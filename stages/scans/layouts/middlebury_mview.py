@@ -54,7 +54,7 @@ def _par_file(folder: Path) -> Path:
     if len(found) != 1:
         raise InputError(
             SCAN_FILES_MISSING,
-            "one camera file NAME_par.txt is needed; there are {found_count}.",
+            "exactly one camera file NAME_par.txt is required; the folder has {found_count}.",
             folder,
             found_count=len(found),
         )
@@ -76,7 +76,7 @@ def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
         if Path(name).name != name:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "line {number}: {name!r} is not the name of an image beside the file.",
+                "line {number}: {name!r} is not the name of an image in the same folder.",
                 par,
                 number=number,
                 name=name,
@@ -88,7 +88,7 @@ def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
         if values.size != _NUMBERS:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "line {number} ({name}) is not a name and {numbers} numbers (K, R and t).",
+                "line {number} ({name}) must be a name and {numbers} numbers (K, R and t).",
                 par,
                 number=number,
                 name=name,
@@ -96,13 +96,13 @@ def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
             )
         rows.append((name, values))
     if not rows:
-        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", par)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", par)
     if stated is not None and stated != len(rows):
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "it promises {stated} images and lists {rows_count}",
+            "the file states {stated} images but lists {rows_count}",
             par,
-            remedy="copy it again.",
+            remedy="copy the file again.",
             stated=stated,
             rows_count=len(rows),
         )
@@ -113,7 +113,7 @@ def _camera(matrix: NDArray[np.float64], size: tuple[int, int], par: Path, name:
     if np.isfinite(matrix).all() and abs(matrix[0, 1]) > _SKEW_TOLERANCE:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "the camera of {name} is sheared (k12 is not 0), which no camera here can be.",
+            "the camera of {name} has skew (K[0,1] is not 0), which is not supported.",
             par,
             name=name,
         )
@@ -147,7 +147,7 @@ def _box(folder: Path) -> NDArray[np.float64] | None:
 
 LAYOUT = Layout(
     name="middlebury-mview",
-    text="NAME_par.txt with K, R and t of each image beside it (Middlebury multi-view)",
+    text="NAME_par.txt with K, R and t of each image in the folder (Middlebury multi-view)",
     matches=_matches,
     read=_read,
 )

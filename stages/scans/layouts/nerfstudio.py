@@ -76,11 +76,11 @@ def _list_of_views(folder: Path) -> Path | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     path = _list_of_views(folder)
     if path is None:
-        raise InputError(SCAN_FILES_MISSING, "there is no transforms.json.", folder)
+        raise InputError(SCAN_FILES_MISSING, "transforms.json is missing.", folder)
     document = documents.read_json(path)
     entries = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(document, dict) or not isinstance(entries, list) or not entries:
-        raise InputError(SCAN_TABLE_DAMAGED, "it holds no list of frames.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file has no list of frames.", path)
     entries = _in_order(entries, path)
     _require_unmixed(document, entries, path)
     used = [entry for entry in entries if _depth_path(entry) is not None] or entries
@@ -116,7 +116,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         is_metric = options.depth_scale is not None or not is_rendered
         frames = _frames(used, cameras, colors, masks, depths, poses, scale, path)
         skipped = [
-            SkippedFrame(_name(entry), FRAME_IMAGE_MISSING.warning("it has no depth_file_path"))
+            SkippedFrame(_name(entry), FRAME_IMAGE_MISSING.warning("it has no depth_file_path or depth_path"))
             for entry in entries
             if _depth_path(entry) is None
         ]
@@ -187,7 +187,7 @@ def _check_others(folder: Path, path: Path) -> None:
     if others:
         emit(
             SCAN_ASSUMED.warning(
-                "only {file} is read, not {others}", file=path.name, others=", ".join(others)
+                "only {file} is read; {others} are ignored", file=path.name, others=", ".join(others)
             )
         )
 
@@ -205,7 +205,7 @@ def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
         ):
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "frame {position} is not a table with a file_path.",
+                "frame {position} is not an object with a file_path.",
                 path,
                 position=position,
             )
@@ -234,13 +234,13 @@ def _require_unmixed(document: dict[str, Any], entries: Sequence[dict[str, Any]]
     for key in _CAMERA_KEYS:
         having = [entry for entry in entries if key in entry]
         if having and (key in document or len(having) < len(entries)):
-            where = "for the whole file" if key in document else "by other frames"
-            lacking = "and also" if key in document else "but not"
+            where = "the whole file" if key in document else "other frames"
+            lacking = " as well as" if key in document else ", unlike"
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "{key} is given by frame {name} {lacking} {place}.",
+                "frame {name} states {key}{lacking} {place}.",
                 path,
-                remedy="Give it once for the whole file, or in every frame.",
+                remedy="State it once for the whole file, or in every frame.",
                 key=key,
                 name=_name(having[0]),
                 lacking=lacking,
@@ -295,9 +295,8 @@ def _is_fisheye(table: dict[str, Any], path: Path) -> bool:
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
-                "camera_model {model!r} is neither a pinhole camera's with OpenCV's "
-                "distortion nor OpenCV's fisheye, which can be read. Rectify the images and "
-                "depth maps to PINHOLE first."
+                "unsupported camera_model {model!r}: pinhole cameras with OpenCV distortion and OpenCV "
+                "fisheyes are supported. Undistort the images and depth maps to PINHOLE first."
             ),
             path,
             model=str(model)[:40],
@@ -314,7 +313,7 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
     if not is_fisheye and _number(table, "k4", path, 0.0):
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "k4 is not 0, and OpenCV's model of the lens has no such term. Undistort the images first.",
+            "k4 is not 0, but OpenCV's pinhole model has no such term. Undistort the images first.",
             path,
         )
     fx = _focal_length(table, "x", width, path)
@@ -322,7 +321,7 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
     fx = fx or fy
     if fx is None or fy is None:
         raise InputError(
-            CAMERA_CALIBRATION_INVALID, "no focal length: neither fl_x nor camera_angle_x is there.", path
+            CAMERA_CALIBRATION_INVALID, "no focal length: fl_x and camera_angle_x are missing.", path
         )
     # Convert from COLMAP's convention (pixel corner at 0), which most files use.
     cx = _number(table, "cx", path, width / 2) - 0.5
@@ -350,7 +349,7 @@ def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> 
     if not 0 < angle < math.pi:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "{key} is {angle:g}; it must be an angle in radians between 0 and π.",
+            "{key} is {angle:g}; it must be an angle between 0 and π radians.",
             path,
             key=key,
             angle=angle,
@@ -359,8 +358,8 @@ def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> 
     if stated is not None and abs(by_angle - stated) > _SAME_FOCAL_LENGTH * abs(stated):
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it states a focal length of {stated:.4g} px (fl_{axis}) and one of {by_angle:.4g} px "
-                "({key}, for {pixels} px): the first is taken",
+                "the focal length {stated:.4g} px (fl_{axis}) contradicts {by_angle:.4g} px ({key}, for "
+                "{pixels} px): fl_{axis} is used",
                 path,
                 stated=stated,
                 axis=axis,
@@ -392,7 +391,7 @@ def _pixels(value: object, key: str, path: Path) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1 << 16:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "{key} is {value!r}; a number of pixels is expected.",
+            "{key} is {value!r}; an image size in pixels is expected.",
             path,
             key=key,
             value=str(value)[:40],
@@ -436,7 +435,7 @@ def _poses(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Pa
     if applied is None or scale <= 0:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "applied_transform and applied_scale must be finite, the scale positive.",
+            "applied_transform and applied_scale must be finite, and the scale positive.",
             path,
         )
     original = inverted(applied)
@@ -466,7 +465,7 @@ def _depth_scale(document: dict[str, Any], path: Path) -> float | None:
 
 LAYOUT = Layout(
     name="nerfstudio",
-    text="transforms.json, with depth_file_path or of single views (nerfstudio, instant-ngp, Blender)",
+    text="transforms.json, with or without depth_file_path (nerfstudio, instant-ngp, Blender)",
     matches=_matches,
     read=_read,
 )

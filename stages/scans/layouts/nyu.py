@@ -79,7 +79,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not depths or not colors:
         raise InputError(
             SCAN_FILES_MISSING,
-            "files named like d-1294886362.79-313.pgm and r-1294886363.01-311.ppm are needed.",
+            "files named like d-1294886362.79-313.pgm and r-1294886363.01-311.ppm are required.",
             folder,
         )
     size = common_size([path for _, path in depths])
@@ -114,7 +114,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 color_from_depth=_COLOR_FROM_DEPTH,
             )
         )
-    missing = (poses_missing("the data set has none"),) if given is None else ()
+    missing = (poses_missing("the data set contains no poses"),) if given is None else ()
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
@@ -132,7 +132,7 @@ def _metres(path: Path) -> NDArray[np.float32]:
     """Convert a disparity file to depth in metres, 0 where invalid."""
     raw = read_raw_depth(path)
     if raw.dtype != np.uint16:
-        raise InputError(FILE_DEPTH_FORMAT, "disparities of 16 bits are expected.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "a 16-bit disparity image is expected.", path)
     disparity = raw.byteswap().astype(np.float32)
     gap = 1092.5 - disparity
     known = (disparity >= _LEAST_DISPARITY) & (gap > 351.3 / _LARGEST_DEPTH)

@@ -104,7 +104,7 @@ def _matches(folder: Path) -> str | None:
     if left and right:
         return f"files named like {left[0].name} and {right[0].name}"
     whole = _whole(folder)
-    return f"images like {whole[0].name}, two halves of a pair" if whole else None
+    return f"side-by-side images like {whole[0].name}" if whole else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
@@ -115,7 +115,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
         emit(
             POSE_ASSUMED.warning(
-                "the poses are read from {file}, which lies beside the images", file=path.name
+                "the poses are read from {file}, which was found in the scan folder", file=path.name
             )
         )
     poses: list[Pose | None]
@@ -123,7 +123,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = _poses(path, names, times, options)
     else:
         poses = [None] * len(pairs)
-        missing = (*missing, poses_missing("none of {files} is there", files=", ".join(_TRAJECTORIES)))
+        missing = (*missing, poses_missing("the folder has none of {files}", files=", ".join(_TRAJECTORIES)))
     frames = [
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
         for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
@@ -149,7 +149,7 @@ def _pairs(
             return [path.stem for path in whole], halves, (width // 2, height), []
         raise InputError(
             SCAN_FILES_MISSING,
-            "two folders left/ and right/, or images left01.png and right01.png, are needed.",
+            "two folders left/ and right/, or images left01.png and right01.png, are required.",
             folder,
         )
     pairs, skipped = pair(left, right, *named, folder)
@@ -179,8 +179,8 @@ def _poses(
 
 LAYOUT = Layout(
     name="plain-stereo",
-    text="left/, right/ (or left01.png and right01.png side by side), calibration.json|toml|yaml, "
-    "poses.txt|tum|log|json (our own)",
+    text="left/, right/ (or left01.png and right01.png in one folder), calibration.json|toml|yaml, "
+    "poses.txt|tum|log|json (scanloom's own)",
     matches=_matches,
     read=_read,
 )

@@ -49,7 +49,7 @@ def _matches(folder: Path) -> str | None:
     if not found:
         return None
     shown = f"{place.name}/" if place != folder else "images"
-    return f"{shown} and {found[0].name}, a pose for each"
+    return f"{shown} and {found[0].name}, one pose per image"
 
 
 def place_of_photos(folder: Path) -> Path | None:
@@ -91,7 +91,7 @@ def _moments(names: Sequence[str], path: Path) -> list[int] | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     place = place_of_photos(folder)
     if place is None:
-        raise InputError(SCAN_FILES_MISSING, "a folder images/ with two photos or more is needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "a folder images/ with at least two photos is required.", folder)
     colors = images(place)
     camera, is_known = _camera(folder, options, colors)
     path, poses = _poses(folder, options, colors)
@@ -99,23 +99,23 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not is_known:
         missing.append(
             calibration_missing(
-                "no file beside the images states their camera",
-                remedy="name one with scan.calibration=FILE, or say scan.intrinsics=fx,fy,cx,cy",
+                "no file in the scan folder states the camera",
+                remedy="name a calibration with scan.calibration=FILE, or set scan.intrinsics=fx,fy,cx,cy",
             )
         )
     if path is None:
         missing.append(
             poses_missing(
-                "no file beside the images has one for each",
-                remedy="name one with scan.poses=FILE. Photos alone get theirs from COLMAP, whose folder is "
-                "read as it is",
+                "no file in the scan folder has a pose for each photo",
+                remedy="name a trajectory with scan.poses=FILE. Photos without poses need COLMAP; its "
+                "workspace folder can be read directly",
             )
         )
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for color, pose in zip(colors, poses, strict=True):
         if path is not None and pose is None:
-            reason = FRAME_POSE_MISSING.warning("it has no pose in {file}", file=path.name)
+            reason = FRAME_POSE_MISSING.warning("{file} has no pose for it", file=path.name)
             skipped.append(SkippedFrame(color.stem, reason))
             continue
         try:
@@ -157,7 +157,7 @@ def _poses(
     if len(found) > 1:
         emit(
             POSE_ASSUMED.warning(
-                "{files} all have poses for the images: none is taken",
+                "several files have poses for the images: {files}. None is used",
                 files=", ".join(path.name for path in found[:5]),
             )
         )
@@ -166,7 +166,8 @@ def _poses(
     note(path)
     emit(
         POSE_ASSUMED.warning(
-            "the poses are read from {file}, which lies beside the images: camera-to-world, in metres",
+            "the poses are read from {file}, which was found in the scan folder; they are assumed to "
+            "be camera-to-world in metres",
             file=path.name,
         )
     )
@@ -175,8 +176,8 @@ def _poses(
 
 LAYOUT = Layout(
     name="plain-views",
-    text="images/ (or rgb/, photos/ and so on), a file with a pose for each and one with their camera, under "
-    "any name: single views, without depth",
+    text="images/ (or rgb/, photos/ and so on), a file with a pose per photo and a camera file, "
+    "under any name: views without depth",
     matches=_matches,
     read=_read,
 )

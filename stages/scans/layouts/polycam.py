@@ -114,14 +114,14 @@ def _chosen(folder: Path) -> tuple[list[Path], dict[str, Path]]:
             if cameras != _SETS[0][0]:
                 emit(
                     SCAN_PHONE_IMAGES.warning(
-                        "keyframes/corrected_cameras/ and corrected_images/ are missing or empty: the poses "
-                        "are as they were tracked, they drift, and the images are slightly distorted"
+                        "keyframes/corrected_cameras/ or corrected_images/ is missing or empty: unoptimised "
+                        "poses, which drift, and slightly distorted images are used"
                     )
                 )
             return files, colors
     raise InputError(
         SCAN_FILES_MISSING,
-        "keyframes/ holds neither corrected_cameras/ with corrected_images/ nor cameras/ with images/.",
+        "keyframes/ has neither corrected_cameras/ with corrected_images/ nor cameras/ with images/.",
         folder,
     )
 
@@ -168,11 +168,11 @@ def _camera(
     """
     width, height = table.get("width"), table.get("height")
     if not isinstance(width, (int, float)) or not isinstance(height, (int, float)):
-        raise InputError(SCAN_TABLE_DAMAGED, "the camera needs its width and height in pixels.", file)
+        raise InputError(SCAN_TABLE_DAMAGED, "width and height of the camera in pixels are missing.", file)
     if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "the camera's size of {width}×{height} pixels cannot be right.",
+            "invalid camera size of {width}×{height} pixels.",
             file,
             width=width,
             height=height,
@@ -188,7 +188,9 @@ def _camera(
 def _pose(table: dict[str, Any], file: Path) -> Pose | None:
     rows = [[table.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
     if any(value is None for row in rows for value in row):
-        raise InputError(SCAN_TABLE_DAMAGED, "it lacks some of t_00 to t_23, the rows of the pose.", file)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "the pose is incomplete: t_00 to t_23 (three rows) are required.", file
+        )
     pose = rigid(matrix_of(rows, file, "t_00 to t_23"), file)
     return None if pose is None else from_opengl(pose)
 
@@ -200,7 +202,7 @@ def _nanoseconds(stem: str) -> int | None:
 
 LAYOUT = Layout(
     name="polycam",
-    text="keyframes/ with corrected_cameras/ or cameras/, images and perhaps depth/ (Polycam's raw data)",
+    text="keyframes/ with corrected_cameras/ or cameras/, images and optionally depth/ (Polycam's raw data)",
     matches=_matches,
     read=_read,
     up=Y_UP,

@@ -79,7 +79,7 @@ def _read_folder(folder: Path, options: ReadingParams) -> Scan:
         for name, suffixes in (("depth", DEPTHS), ("rgb", IMAGES), (_confidence_folder(folder), IMAGES))
     )
     if not depths:
-        raise without_depth(folder, "Record3D writes it to depth/ when it exports with EXR files.")
+        raise without_depth(folder, "Record3D writes depth/ if the export includes EXR files.")
     pairs, skipped = pair(depths, colors, "depth/", "rgb/", folder)
     names = [depth.stem for depth, _ in pairs]
     moments = _moments(documents.read_json(path), names, path, options, folder)
@@ -138,10 +138,10 @@ def _read_archive(folder: Path, path: Path, options: ReadingParams) -> Scan:
     table = documents.parse_json(_text(_entry(archive, "metadata", path), path), path)
     found = sorted((n[0], name[5:-4]) for name in entries if (n := _number_of(name, ".jpg")))
     if not found:
-        raise InputError(SCAN_FILES_MISSING, "the archive holds no images named like rgbd/0.jpg.", path)
+        raise InputError(SCAN_FILES_MISSING, "the archive has no images named like rgbd/0.jpg.", path)
     stems = [stem for _, stem in found if f"rgbd/{stem}.depth" in entries]
     if not stems:
-        raise without_depth(path, "Record3D packs it as rgbd/0.depth and so on.")
+        raise without_depth(path, "In .r3d archives, Record3D stores depth as rgbd/0.depth and so on.")
     lacking = FRAME_IMAGE_MISSING.warning("its depth map is missing")
     skipped = [SkippedFrame(stem, lacking) for _, stem in found if stem not in set(stems)]
     moments = _moments(table, stems, path, options, folder)
@@ -210,7 +210,7 @@ def _text(data: bytes, path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(SCAN_TABLE_DAMAGED, "its metadata is not text.", path) from error
+        raise InputError(SCAN_TABLE_DAMAGED, "metadata.json is not valid UTF-8.", path) from error
 
 
 def _depth_size(table: object, archive: zipfile.ZipFile, names: Sequence[str], path: Path) -> tuple[int, int]:
@@ -229,9 +229,7 @@ def _depth_size(table: object, archive: zipfile.ZipFile, names: Sequence[str], p
     for size in _DEPTH_SIZES:
         if 4 * size[0] * size[1] in counts and (size[0] > size[1]) == (width > height):
             return size
-    raise InputError(
-        SCAN_TABLE_DAMAGED, "its metadata does not say the size of the depth maps (dw, dh).", path
-    )
+    raise InputError(SCAN_TABLE_DAMAGED, "the metadata lacks the size of the depth maps (dw, dh).", path)
 
 
 def _moments(
@@ -239,12 +237,12 @@ def _moments(
 ) -> list[_Moment]:
     """Return pose, timestamp and camera of each frame."""
     if not isinstance(table, dict):
-        raise InputError(SCAN_TABLE_DAMAGED, "names with values are expected in its metadata.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the metadata must be a JSON object.", path)
     shared = _camera(table, path, options, folder)
     times, own = table.get("frameTimestamps"), table.get("perFrameIntrinsicCoeffs")
     entries = table.get("poses")
     if not isinstance(entries, list) or not entries:
-        raise InputError(SCAN_TABLE_DAMAGED, "its metadata holds no list of poses.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the metadata has no list of poses.", path)
     given = options.file("poses", folder)
     said: list[tuple[object, object, object]] = [
         (entry, _at(times, i, len(entries)), _at(own, i, len(entries))) for i, entry in enumerate(entries)
@@ -281,12 +279,10 @@ def _camera(table: dict[str, Any], path: Path, options: ReadingParams, folder: P
         return stated
     row = number_row(table.get("K"), "K", path)
     if len(row) != 9:
-        raise InputError(SCAN_TABLE_DAMAGED, "its metadata holds no camera K of 9 numbers.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "K in the metadata must be 9 numbers.", path)
     matrix = np.reshape(row, (3, 3)).T
     if not np.allclose(matrix[2], (0, 0, 1)):
-        raise InputError(
-            SCAN_TABLE_DAMAGED, "K does not end with 0 0 1 in its third row when read column by column.", path
-        )
+        raise InputError(SCAN_TABLE_DAMAGED, "the third row of K must be 0 0 1 (K is column-major).", path)
     return calibration.matrix_camera(matrix, (), width, height, path)
 
 
@@ -322,7 +318,7 @@ def _nanoseconds(seconds: object, path: Path, name: str) -> int | None:
     if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not abs(seconds) < 1 << 32:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: the time {seconds!r} cannot be right.",
+            "frame {name}: invalid timestamp {seconds!r} (seconds).",
             path,
             name=name,
             seconds=str(seconds)[:40],
@@ -334,7 +330,7 @@ def _pixels(value: object, key: str, path: Path) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1 <= value < 1 << 14:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "{key} in its metadata is {value!r}; a number of pixels is expected.",
+            "{key} in the metadata is {value!r}; an image size in pixels is expected.",
             path,
             key=key,
             value=str(value)[:40],

@@ -56,7 +56,8 @@ def _read(place: Path, options: ReadingParams) -> Scan:
     if fault is not None:
         emit(
             RECORDING_DAMAGED.warning(
-                "the recording was not closed or is damaged ({fault}): what comes before is used", fault=fault
+                "the recording is incomplete or damaged ({fault}); the data before this point is used",
+                fault=fault,
             )
         )
     first: Images
@@ -71,7 +72,7 @@ def _read(place: Path, options: ReadingParams) -> Scan:
         why = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
         raise InputError(
             RECORDING_CLOCKS_DIFFER,
-            "no {called} and {called_2} in it are of one moment{why}.",
+            "no {called} and {called_2} were captured at the same time{why}.",
             place,
             called=called[0][:-1],
             called_2=called[1][:-1],
@@ -124,11 +125,12 @@ def _without_images(recording: Recording) -> str:
     """Describe a recording that has neither depth nor a stereo pair."""
     if not recording.topics:
         why = f" ({recording.fault})" if recording.fault else ""
-        return f"not one message in it can be read{why}; copy it again, or record it anew."
+        return f"no message in the recording is readable{why}; copy the file again, or repeat the recording."
     shown = ", ".join(sorted(recording.topics)[:8]) + (", …" if len(recording.topics) > 8 else "")
     return (
-        "there are no depth images in it (sensor_msgs/Image of 16UC1 or 32FC1, `depth` in the topic's name), "
-        f"and no left/ and right/, only {shown}. Record the depth topic too."
+        "the recording has neither depth images (sensor_msgs/Image with 16UC1 or 32FC1, `depth` "
+        f"in the topic name) nor a left and a right image topic, only {shown}. Record the depth "
+        "topic as well."
     )
 
 
@@ -159,8 +161,7 @@ def _couples(
         others = {number: int(second.recorded[number]) for number in others}
         emit(
             RECORDING_CLOCKS_DIFFER.warning(
-                "the clocks of {first} and {second} do not agree at all: images are paired by when they were "
-                "recorded",
+                "the clocks of {first} and {second} do not overlap: images are matched by recording time",
                 first=called[0],
                 second=called[1],
             )
@@ -169,8 +170,8 @@ def _couples(
     if len(couples) < max(len(times), len(others)):
         emit(
             RECORDING_CLOCKS_DIFFER.warning(
-                "{count} of {first_count} {first} and of {second_count} {second} are of one moment: the "
-                "others are left out",
+                "only {count} of {first_count} {first} and {second_count} {second} match in time: the "
+                "others are skipped",
                 count=len(couples),
                 first_count=len(times),
                 first=called[0],
@@ -269,7 +270,7 @@ def _poses(
     """
     given = options.file("poses", place.parent if place.is_file() else place)
     if given is None:
-        return [None] * len(moments), (poses_missing("a recording has none"),)
+        return [None] * len(moments), (poses_missing("recordings contain no poses"),)
     names = [_name(number) for number, _ in moments]
     trajectory = trajectories.read_trajectory(given)
     if trajectory.timestamps is None:
@@ -291,8 +292,8 @@ def _depth(images: Images, number: int) -> Packed:
 
 LAYOUT = Layout(
     name="ros-bag",
-    text="one .bag, .db3 or .mcap file, or a folder with one (RealSense; ROS 1 or 2 with camera_info and "
-    "depth, or left and right)",
+    text="one .bag, .db3 or .mcap file, or a folder with one (RealSense; ROS 1 or 2 with "
+    "camera_info and depth, or with a stereo pair)",
     matches=_matches,
     read=_read,
     suffixes=SUFFIXES,

@@ -111,7 +111,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         named = f"{folders[0].name}/", f"{folders[1].name}/"
     if not depths or not colors:
         raise InputError(
-            SCAN_FILES_MISSING, "a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder
+            SCAN_FILES_MISSING, "a folder color/ (or rgb/, image/) and a folder depth/ are required.", folder
         )
     pairs, skipped = pair(depths, colors, *named, folder)
     names = [depth.stem for depth, _ in pairs]
@@ -119,7 +119,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
         emit(
             POSE_ASSUMED.warning(
-                "the poses are read from {file}, which lies beside the images", file=path.name
+                "the poses are read from {file}, which was found in the scan folder", file=path.name
             )
         )
     poses: list[Pose | None] = [None] * len(pairs)
@@ -184,7 +184,7 @@ def _camera(
             if not path.parent.samefile(folder):
                 emit(
                     CAMERA_CALIBRATION_ASSUMED.warning(
-                        "the intrinsics come from {file} in the folder above", file=path.name
+                        "the intrinsics are read from {file} in the parent folder", file=path.name
                     )
                 )
     scale = options.depth_scale or (None if path is None else calibration.read_depth_scale(path))
@@ -194,8 +194,9 @@ def _camera(
             scale = FIFTHS
             emit(
                 SCALE_DEPTH_UNIT_ASSUMED.warning(
-                    "depth holds multiples of five alone: it is taken as TUM's {fifths:g} units a metre",
-                    remedy="where it is in millimetres set scan.depth_scale={millimetres:g}",
+                    "all depth values are multiples of five, as in TUM's unit: {fifths:g} units per metre "
+                    "are assumed",
+                    remedy="if depth is in millimetres, set scan.depth_scale={millimetres:g}",
                     fifths=FIFTHS,
                     millimetres=_UNITS_PER_METRE,
                 )
@@ -215,8 +216,8 @@ def _color_camera(
 
 LAYOUT = Layout(
     name="redwood",
-    text="color/ (or rgb/, image/), depth/, trajectory.log|json, intrinsic.json (Open3D, Redwood), or "
-    "rgb_0.png and depth_0.png side by side",
+    text="color/ (or rgb/, image/), depth/, trajectory.log|json, intrinsic.json (Open3D, Redwood), "
+    "or rgb_0.png and depth_0.png in one folder",
     matches=_matches,
     read=_read,
 )

@@ -35,7 +35,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not results.is_dir():
         raise InputError(
             SCAN_FILES_MISSING,
-            "a folder results/ with frame000000.jpg and depth000000.png is needed.",
+            "a folder results/ with frame000000.jpg and depth000000.png is required.",
             folder,
         )
     depths = [path for path in images(results, DEPTHS) if path.stem.startswith("depth")]
@@ -73,7 +73,8 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
         if stated is None:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "there is no cam_params.json: the data set's camera and {units} units a metre are used",
+                    "cam_params.json is missing: the camera of the data set and {units} depth units per "
+                    "metre are used",
                     units=_UNITS_PER_METRE,
                 )
             )

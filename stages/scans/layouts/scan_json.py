@@ -95,7 +95,7 @@ def write_scan_json(
         raise ValueError("no frames to write")
     first = frames[0]
     if any((f.depth_scale, f.depth_missing) != (first.depth_scale, first.depth_missing) for f in frames):
-        raise ValueError("all frames of a scan.json share one depth scale and missing values")
+        raise ValueError("all frames of a scan.json must have the same depth scale and missing values")
     document = {
         "version": FORMAT_VERSION,
         "camera": _camera_table(first.camera),
@@ -161,11 +161,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     path = folder / FILE
     document = documents.read_json(path)
     if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
-        raise InputError(SCAN_TABLE_DAMAGED, "it holds no list of frames.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file has no list of frames.", path)
     if document.get("version") != FORMAT_VERSION:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "its version is {document!r}; this program reads {format_version}.",
+            "unsupported version {document!r}; version {format_version} is expected.",
             path,
             document=document.get("version"),
             format_version=FORMAT_VERSION,
@@ -180,7 +180,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not isinstance(is_metric, bool):
         raise InputError(
             FILE_TEXT_INVALID,
-            "metric is {is_metric!r}; true or false is expected.",
+            "metric is {is_metric!r}; it must be true or false.",
             path,
             is_metric=str(is_metric)[:40],
         )
@@ -190,7 +190,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         camera = _camera(entry["camera"], options, path) if entry.get("camera") is not None else shared
         if camera is None:
             raise InputError(
-                SCAN_TABLE_DAMAGED, "frame {name} has no camera, and neither has the scan.", path, name=name
+                SCAN_TABLE_DAMAGED,
+                "frame {name} has no camera, and the file states no shared one.",
+                path,
+                name=name,
             )
         pose = _pose(entry, "world_from_camera", name, path) if poses is None else poses[i]
         own = entry.get("color_camera")
@@ -216,7 +219,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     posed = any(frame.world_from_camera is not None for frame in frames)
-    lacking = () if posed or not frames else (poses_missing("no frame has one"),)
+    lacking = () if posed or not frames else (poses_missing("no frame has a pose"),)
     return Scan(
         LAYOUT.name, frames, None, folder, missing=lacking, up=_up(document, path), is_metric=is_metric
     )
@@ -227,7 +230,7 @@ def _up(document: dict[str, Any], path: Path) -> WorldUp | None:
     if direction is None:
         return None
     if not isinstance(source, str):
-        raise InputError(FILE_TEXT_INVALID, "up_source is no text.", path)
+        raise InputError(FILE_TEXT_INVALID, "up_source must be a string.", path)
     return WorldUp(direction, source)
 
 
@@ -238,9 +241,7 @@ def _direction(table: dict[str, Any], where: str, path: Path) -> Direction | Non
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
     length = math.hypot(*numbers) if len(numbers) == 3 and max(map(abs, numbers)) < _LARGEST else math.nan
     if not length > 1 / _LARGEST:
-        raise InputError(
-            FILE_TEXT_INVALID, "{place} is no direction: three numbers, not all of them 0.", path, place=where
-        )
+        raise InputError(FILE_TEXT_INVALID, "{place} must be three numbers, not all 0.", path, place=where)
     x, y, z = (one / length for one in numbers)
     return x, y, z
 
@@ -249,7 +250,7 @@ def _name(entry: object, position: int, path: Path) -> str:
     name = entry.get("name", f"{position:06d}") if isinstance(entry, dict) else None
     if not isinstance(name, str):
         raise InputError(
-            SCAN_TABLE_DAMAGED, "frame {position} is not a table with a name.", path, position=position
+            SCAN_TABLE_DAMAGED, "frame {position} is not an object with a name.", path, position=position
         )
     return name
 
@@ -274,7 +275,7 @@ def _least_confidence(entry: dict[str, Any], options: ReadingParams, name: str, 
     if not isinstance(value, int) or not 0 <= value <= 255:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: least_confidence is no whole number from 0 to 255.",
+            "frame {name}: least_confidence must be a whole number from 0 to 255.",
             path,
             name=name,
         )
@@ -289,7 +290,7 @@ def _depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, f
     if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < _FARTHEST_M:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: depth_range is not the nearest and the farthest depth, metres.",
+            "frame {name}: depth_range must be two numbers in metres, minimum < maximum.",
             path,
             name=name,
         )
@@ -306,7 +307,7 @@ def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
     if value is not None and (not isinstance(value, int) or abs(value) >= 1 << 62):
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: timestamp is not a whole number of nanoseconds.",
+            "frame {name}: timestamp must be a whole number of nanoseconds.",
             path,
             name=name,
         )
@@ -316,10 +317,12 @@ def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
 def _camera(table: object, options: ReadingParams | None, path: Path) -> Camera:
     """Read a camera table, unless `options` give the camera."""
     if not isinstance(table, dict):
-        raise InputError(SCAN_TABLE_DAMAGED, "a camera must be a table of names and values.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "a camera must be a JSON object.", path)
     width, height = table.get("width"), table.get("height")
     if not isinstance(width, int) or not isinstance(height, int) or not 0 < width * height <= 1 << 27:
-        raise InputError(SCAN_TABLE_DAMAGED, "a camera needs its width and height in pixels.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "width and height of a camera in pixels are missing or invalid.", path
+        )
     stated = None if options is None else options.camera(width, height)
     return stated or calibration.camera_from_table(table, width, height, path)
 
@@ -340,7 +343,7 @@ def _integers(values: object, path: Path) -> tuple[int, ...]:
 
 LAYOUT = Layout(
     name="plain-rgbd",
-    text="scan.json, color/, depth/ (our own; see stages/layouts/scan_json.py)",
+    text="scan.json, color/, depth/ (scanloom's own)",
     matches=_matches,
     read=_read,
 )

@@ -89,7 +89,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         return _read_views(folder, views, options)
     color_folder = _color_folder(folder)
     if color_folder is None:
-        raise InputError(SCAN_FILES_MISSING, "the folders color/, depth/ and pose/ are needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "the folders color/, depth/ and pose/ are required.", folder)
     depths, colors = images(folder / "depth", DEPTHS), images(color_folder)
     pairs, skipped = pair(depths, colors, "depth/", f"{color_folder.name}/", folder)
     camera, color_camera = _cameras(folder, options, pairs)
@@ -204,11 +204,12 @@ def _cameras(
         if (folder / "intrinsic" / name).exists() and not _is_identity(folder / "intrinsic" / name)
     ]
     for name in turned:
-        emit(SCAN_ASSUMED.warning("intrinsic/{name} is not the identity; it is left aside", name=name))
+        emit(SCAN_ASSUMED.warning("intrinsic/{name} is not the identity matrix; it is ignored", name=name))
     if color_path is None:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "there is no intrinsic_color.txt: colour is taken to show what depth shows, in its own size"
+                "intrinsic_color.txt is missing: colour is assumed to have the same view as depth, at its "
+                "own resolution"
             )
         )
         return camera, None
@@ -225,8 +226,8 @@ def _color_camera(path: Path, size: tuple[int, int]) -> Camera:
         return replace(original, width=size[0], height=size[1])
     emit(
         CAMERA_CALIBRATION_SCALED.warning(
-            "it is not for colour images of {width}×{height}; it is taken for the data set's "
-            "{own_width}×{own_height} and scaled",
+            "the intrinsics do not fit colour images of {width}×{height} pixels: they are assumed to "
+            "be for {own_width}×{own_height} (original size) and scaled",
             path,
             width=size[0],
             height=size[1],

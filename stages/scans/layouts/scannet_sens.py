@@ -67,7 +67,7 @@ def _check_header(recording: sens.Sens) -> None:
     if len(recording.frames) < recording.promised:
         emit(
             RECORDING_DAMAGED.warning(
-                "it is cut short or damaged: {count} of the {promised} frames it promises can be read",
+                "the file is truncated or damaged: {count} of {promised} frames are readable",
                 recording.path,
                 count=len(recording.frames),
                 promised=recording.promised,
@@ -77,7 +77,7 @@ def _check_header(recording: sens.Sens) -> None:
     if not all(np.allclose(matrix, np.eye(4), atol=1e-4) for matrix in extrinsics):
         emit(
             SCAN_ASSUMED.warning(
-                "the extrinsics of its cameras are not the identity; they are left aside", recording.path
+                "the extrinsics of the cameras are not the identity matrix; they are ignored", recording.path
             )
         )
 

@@ -58,7 +58,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         (int(match[1]), path) for path in folder.iterdir() if (match := _NAME.fullmatch(path.name))
     )
     if not depths:
-        raise InputError(SCAN_FILES_MISSING, "no depth images named like frame-000000.depth.png.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "the folder has no depth images named like frame-000000.depth.png.", folder
+        )
     camera, scale = _camera(folder, options, *common_size([path for _, path in depths]))
     color_camera = _color_camera(folder, options, camera)
     given = options.file("poses", folder)
@@ -115,8 +117,8 @@ def _without_depth(folder: Path, stems: Sequence[str]) -> list[SkippedFrame]:
 def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float]:
     """Return the depth camera, and the depth scale in units per metre."""
     unregistered = SCAN_ASSUMED.warning(
-        "depth and colour of 7-Scenes come from two cameras and are not registered: colour is off by a few "
-        "pixels where the stage adjust does not put it right"
+        "depth and colour of 7-Scenes are from two cameras and not registered: colour is off by a "
+        "few pixels unless the stage adjust corrects it"
     )
     stated = options.camera(width, height)
     if stated is not None:
@@ -135,8 +137,8 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
         return camera, 1000.0
     emit(
         CAMERA_INTRINSICS_GUESSED.warning(
-            "the folder has no camera-intrinsics.txt: the 7-Scenes default 585,585,320,240 is used",
-            remedy="if another camera made it, set scan.intrinsics=fx,fy,cx,cy",
+            "camera-intrinsics.txt is missing: the 7-Scenes default 585,585,320,240 is used",
+            remedy="for another camera, set scan.intrinsics=fx,fy,cx,cy",
         ),
         unregistered,
     )
@@ -155,7 +157,7 @@ def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it holds no readable m_calibrationDepthIntrinsic and m_depthShift.",
+            "m_calibrationDepthIntrinsic or m_depthShift is missing or invalid.",
             info,
         ) from error
     if not 0 < scale < 1e12:
@@ -182,7 +184,7 @@ def _color_camera(folder: Path, options: ReadingParams, camera: Camera) -> Camer
     except (ValueError, IndexError) as error:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it holds no readable m_colorWidth, m_colorHeight and m_calibrationColorIntrinsic.",
+            "m_colorWidth, m_colorHeight or m_calibrationColorIntrinsic is invalid.",
             info,
         ) from error
     return None if color_camera == camera else color_camera

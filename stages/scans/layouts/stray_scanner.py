@@ -66,11 +66,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     depths = _by_number(folder / "depth", DEPTHS)
     trusts = _by_number(folder / "confidence", IMAGES)
     if not depths:
-        raise without_depth(folder, "Stray Scanner keeps it in depth/ when the phone has a LiDAR.")
+        raise without_depth(folder, "Stray Scanner writes depth/ if the phone has a LiDAR.")
     if not (folder / "rgb.mp4").exists():
         raise InputError(
             SCAN_FILES_MISSING,
-            "rgb.mp4 is missing: camera_matrix.csv is for its size, which must be known.",
+            "rgb.mp4 is missing; its size is needed to interpret camera_matrix.csv.",
             folder,
         )
     video = Video(folder / "rgb.mp4")
@@ -80,8 +80,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if video.frames and video.frames != len(rows):
         emit(
             SCAN_IMAGES_UNPAIRED.warning(
-                "rgb.mp4 has {frame_count} frames and odometry.csv {row_count} rows: paired from the first "
-                "on",
+                "rgb.mp4 has {frame_count} frames but odometry.csv has {row_count} rows: they are paired "
+                "from the beginning",
                 frame_count=video.frames,
                 row_count=len(rows),
             )
@@ -142,7 +142,10 @@ def _rows(path: Path) -> list[_Row]:
     header = [name.strip().lower() for name in lines[0][1].split(",")] if lines else []
     if lacking := [name for name in _POSE if name not in header]:
         raise InputError(
-            SCAN_TABLE_DAMAGED, "its first line names no column {lacking}.", path, lacking=", ".join(lacking)
+            SCAN_TABLE_DAMAGED,
+            "the column {lacking} is missing in the first line.",
+            path,
+            lacking=", ".join(lacking),
         )
     rows: list[_Row] = []
     for number, text in lines[1:]:
@@ -152,14 +155,14 @@ def _rows(path: Path) -> list[_Row]:
         except ValueError as error:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "line {number} does not hold {header_count} numbers.",
+                "line {number} does not have {header_count} numbers.",
                 path,
                 number=number,
                 header_count=len(header),
             ) from error
         rows.append(_row(row, len(rows), number, path))
     if not rows:
-        raise InputError(SCAN_TABLE_DAMAGED, "it holds no poses.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file has no poses.", path)
     return rows
 
 
@@ -169,7 +172,7 @@ def _row(row: dict[str, float], position: int, line: int, path: Path) -> _Row:
     if not 0 <= number < 1 << 31:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "line {line}: the frame number {number:g} cannot be right.",
+            "line {line}: invalid frame number {number:g}.",
             path,
             line=line,
             number=number,

@@ -59,7 +59,7 @@ def _matches(folder: Path) -> str | None:
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     if not all((folder / name).is_dir() for name in ("image", "depth")):
-        raise InputError(SCAN_FILES_MISSING, "the folders image/ and depth/ are needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "the folders image/ and depth/ are required.", folder)
     depths, colors = images(folder / "depth"), images(folder / "image")
     if len(colors) > 1 and all(_STAMPED.fullmatch(path.stem) for path in (*depths, *colors)):
         pairs, skipped = _paired_by_time(depths, colors)
@@ -67,7 +67,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         pairs, skipped = pair(depths, colors, "depth/", "image/", folder)
     if not pairs:
         raise InputError(
-            SCAN_IMAGES_UNPAIRED, "no image in image/ has a depth map of its moment in depth/.", folder
+            SCAN_IMAGES_UNPAIRED, "no image in image/ has a depth map in depth/ within 0.05 s.", folder
         )
     size = common_size([depth for depth, _ in pairs])
     camera = _camera(folder, options, *size)
@@ -76,7 +76,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not rotated:
         emit(
             SCAN_ASSUMED.warning(
-                "the bits of depth/ are not rotated as SUN RGB-D's are: it is read as plain values"
+                "the depth values are not stored with rotated bits, unlike in SUN RGB-D: they are read as "
+                "plain values"
             )
         )
     frames = [
@@ -137,7 +138,7 @@ def _poses(
         path = found[-1]
         trajectory = trajectories.read_stacked(path)
     else:
-        return [None] * len(colors), (poses_missing("a file of them in extrinsics/ is missing"),)
+        return [None] * len(colors), (poses_missing("extrinsics/ has no pose file for a sequence"),)
     names = [color.stem for color in all_colors]
     by_image = dict(zip(names, trajectories.match(trajectory, names, path), strict=True))
     return [by_image[color.stem] for color in colors], ()

@@ -82,7 +82,9 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     view = next((one for one in _VIEWS if (folder / one.left).is_dir()), None)
     if view is None:
-        raise InputError(SCAN_FILES_MISSING, "a folder image_left/ (or image_lcam_front/) is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "a folder image_left/ (or image_lcam_front/) is required.", folder
+        )
     lefts = images(folder / view.left)
     has_depth = (folder / view.depth).is_dir()
     if has_depth:
@@ -92,7 +94,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     else:
         raise InputError(
             SCAN_FILES_MISSING,
-            "it has neither {depth}/ nor {right}/; one of them is needed.",
+            "{depth}/ or {right}/ is required, but both are missing.",
             folder,
             depth=view.depth,
             right=view.right,
@@ -146,9 +148,7 @@ def _unpacked(path: Path) -> NDArray[np.float32]:
     """
     channels = read_stored(path)
     if channels.dtype != np.uint8 or channels.ndim != 3 or channels.shape[2] != 4:
-        raise InputError(
-            FILE_DEPTH_FORMAT, "a depth map packed in four channels of 8 bits is expected.", path
-        )
+        raise InputError(FILE_DEPTH_FORMAT, "a depth map packed into four 8-bit channels is expected.", path)
     return np.ascontiguousarray(channels).view("<f4")[:, :, 0]
 
 

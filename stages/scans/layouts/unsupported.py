@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-_RGBD = "Export it as color/, depth/ and scan.json (our plain RGB-D layout)."
-_PACKED = "Unpack its files with `zstd --decompress`; its metadata.yaml may stay as it is."
-_CONTAINER = "Extract it with the maker's tool into left/ and right/, or into color/ and depth/."
+_RGBD = "Export the recording as color/, depth/ and scan.json (scanloom's own RGB-D layout)."
+_PACKED = "Decompress its files with `zstd --decompress`; metadata.yaml needs no change."
+_CONTAINER = "Extract images with the manufacturer's tool into left/ and right/, or into color/ and depth/."
 
 
 @dataclass(frozen=True)

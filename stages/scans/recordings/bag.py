@@ -51,9 +51,12 @@ def read_bag(path: Path) -> Recording:
     with opened(path) as file:
         start = file.read(0, min(len(_MAGIC), file.size))
         if start != _MAGIC:
-            what = "a ROS bag of another version" if start.startswith(b"#ROSBAG") else "no ROS bag"
+            what = "a ROS bag of another version" if start.startswith(b"#ROSBAG") else "not a ROS bag"
             raise InputError(
-                RECORDING_WRONG_KIND, "this is {what}; it must begin with `#ROSBAG V2.0`.", path, what=what
+                RECORDING_WRONG_KIND,
+                "this is {what}; the file must begin with `#ROSBAG V2.0`.",
+                path,
+                what=what,
             )
         return read_chunked(path, file, len(_MAGIC), _note, _find)
 
@@ -62,7 +65,9 @@ def _note(found: Found, chunk: int, span: Span, at: int) -> int:
     record = _record(span, at)
     kind = record.fields[b"op"]
     if record.fields.get(b"encryptor"):
-        raise InputError(RECORDING_WRONG_KIND, "the bag is encrypted, which cannot be read.", found.path)
+        raise InputError(
+            RECORDING_WRONG_KIND, "the bag is encrypted; encrypted bags are not supported.", found.path
+        )
     if kind == _CONNECTION and record.size <= _LONGEST_CONNECTION:
         described = _fields(span.read(record.start, record.size))
         writer = Writer(record.fields[b"topic"].decode(), described[b"type"].decode(), is_cdr=False)
@@ -86,7 +91,7 @@ def _find(span: Span, at: int, writers: frozenset[int]) -> tuple[int, int]:
     while record.fields[b"op"] == _CONNECTION:
         record = _record(span, record.end)
     if record.fields[b"op"] != _MESSAGE or record.number(b"conn") not in writers:
-        raise ValueError("another record is there")
+        raise ValueError("unexpected record type")
     return record.start, record.size
 
 

@@ -22,13 +22,13 @@ def one_recording(place: Path, suffix: str) -> Path:
     if len(files) == 1:
         return files[0]
     if not files:
-        raise InputError(SCAN_LAYOUT_UNKNOWN, "there is no {suffix} file.", place, suffix=suffix)
+        raise InputError(SCAN_LAYOUT_UNKNOWN, "the folder has no {suffix} file.", place, suffix=suffix)
     names = ", ".join(path.name for path in files[:5]) + (" …" if len(files) > 5 else "")
     raise InputError(
         RECORDING_SEVERAL,
-        "there are {files_count} {suffix} files ({names}), each a scan of its own",
+        "the folder has {files_count} {suffix} files ({names}), and each is a separate scan",
         place,
-        remedy="give the one to read.",
+        remedy="give the file to read.",
         files_count=len(files),
         suffix=suffix,
         names=names,

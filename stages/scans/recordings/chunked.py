@@ -165,7 +165,7 @@ def read_chunked(path: Path, file: Span, start: int, note: Note, find: Find) -> 
     """
     found = Found(path, [Chunk(0, file.size, "", file.size)])
     broken = _walk(note, found, FILE, file, start)
-    fault = None if broken is None else f"its record at byte {broken} of {file.size} is damaged or cut short"
+    fault = None if broken is None else f"the record at byte {broken} of {file.size} is damaged or truncated"
     for number, chunk in enumerate(found.chunks[1:], 1):
         # Unfinished files describe their connections only inside chunks, in the first chunk of each
         # connection.
@@ -175,7 +175,7 @@ def read_chunked(path: Path, file: Span, start: int, note: Note, find: Find) -> 
             except (*_BROKEN, InputError):
                 broken = 0
             if broken is not None:
-                fault = fault or f"its chunk at byte {chunk.start} of {file.size} is damaged"
+                fault = fault or f"the chunk at byte {chunk.start} of {file.size} is damaged"
     return Recording(path, _topics(found, find), fault)
 
 
@@ -233,7 +233,7 @@ def _message(
     except _BROKEN as error:
         raise InputError(
             RECORDING_DAMAGED,
-            "message {number} of its topic, or the chunk it is in, is damaged.",
+            "message {number} of its topic, or its chunk, is damaged.",
             path,
             number=number,
         ) from error
@@ -250,7 +250,7 @@ def _unpacked(file: Span, chunk: Chunk, path: Path, end: int | None) -> Span:
     if claimed > _LARGEST_CHUNK:
         raise InputError(
             RECORDING_DAMAGED,
-            "a chunk claims to hold {claimed} bytes; its header is damaged.",
+            "a chunk states a size of {claimed} bytes, which exceeds any valid chunk; its header is damaged.",
             path,
             claimed=claimed,
         )
@@ -258,7 +258,7 @@ def _unpacked(file: Span, chunk: Chunk, path: Path, end: int | None) -> Span:
         known = ", ".join(_UNPACK)
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "chunks are compressed as {compression!r}; {known} are known.",
+            "unknown chunk compression {compression!r}; {known} are supported.",
             path,
             compression=chunk.compression[:20],
             known=known,

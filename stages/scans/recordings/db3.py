@@ -58,7 +58,7 @@ def read_db3(path: Path) -> Recording:
         ) from error
     if not header.startswith(_SQLITE) or len(header) < _HEADER_BYTES:
         raise InputError(
-            RECORDING_WRONG_KIND, "this is no .db3 recording: it is not an SQLite database.", path
+            RECORDING_WRONG_KIND, "this is not a .db3 recording: the file is not an SQLite database.", path
         )
     # SQLite reads the missing pages of a truncated file as zeros, which would become black images.
     page, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
@@ -66,7 +66,7 @@ def read_db3(path: Path) -> Recording:
     if path.stat().st_size < promised:
         raise InputError(
             RECORDING_DAMAGED,
-            "the file is cut short: it should hold {promised} bytes.",
+            "the file is truncated: {promised} bytes are expected.",
             path,
             remedy="Copy it again.",
             promised=promised,
@@ -77,7 +77,8 @@ def read_db3(path: Path) -> Recording:
         if kinds != [("table",)] or not columns <= found:
             raise InputError(
                 RECORDING_WRONG_KIND,
-                "this database is no recording: it has no table `{table}` as they have.",
+                "this database is not a recording: table `{table}` is missing or lacks columns of a "
+                "recording.",
                 path,
                 table=table,
             )
@@ -101,7 +102,9 @@ def _message(path: Path, rows: NDArray[np.int64], number: int, first: int | None
     row = int(rows[number])
     sizes = _query(path, "SELECT length(data) FROM messages WHERE id = ?", row)
     if not sizes or not isinstance(sizes[0][0], int) or sizes[0][0] > LARGEST_MESSAGE:
-        raise InputError(RECORDING_DAMAGED, "message {row} is missing or too large.", path, row=row)
+        raise InputError(
+            RECORDING_DAMAGED, "message {row} is missing or exceeds the size limit.", path, row=row
+        )
     ((data,),) = _query(path, "SELECT data FROM messages WHERE id = ?", row)
     if not isinstance(data, bytes):
         raise InputError(RECORDING_DAMAGED, "message {row} is damaged.", path, row=row)
@@ -117,5 +120,5 @@ def _query(path: Path, words: str, *values: object) -> list[tuple[Any, ...]]:
             connection.close()
     except (sqlite3.Error, ValueError, OverflowError) as error:
         raise InputError(
-            RECORDING_DAMAGED, "the database is damaged or cut short ({error}).", path, error=error
+            RECORDING_DAMAGED, "the database is damaged or truncated ({error}).", path, error=error
         ) from error

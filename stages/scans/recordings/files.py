@@ -40,9 +40,13 @@ def recording_files(place: Path) -> Sequence[Path]:
     files = recordings(place)
     if len(files) != 1:
         kinds = ", ".join(SUFFIXES)
-        found = f"there is no recording ({kinds})" if not files else f"there are {len(files)} recordings"
+        found = f"no recording ({kinds})" if not files else f"{len(files)} recordings"
         raise InputError(
-            RECORDING_SEVERAL, "{found} in it", place, remedy="give the one to read.", found=found
+            RECORDING_SEVERAL,
+            "the folder has {found}",
+            place,
+            remedy="give the recording to read.",
+            found=found,
         )
     return files
 
@@ -64,10 +68,10 @@ def _listed(listed: Path) -> list[Path]:
         # After manual decompression, the list still names the compressed files.
         unpacked = file.with_suffix("") if file.suffix == ".zstd" else file
         if not unpacked.is_file():
-            advice = "" if unpacked == file else f"; unpack {file.name} with `zstd --decompress`"
+            advice = "" if unpacked == file else f"; decompress {file.name} with `zstd --decompress`"
             raise InputError(
                 RECORDING_SEVERAL,
-                "{unpacked_name}, which it lists, is missing{advice}.",
+                "the listed file {unpacked_name} is missing{advice}.",
                 listed,
                 unpacked_name=unpacked.name,
                 advice=advice,

@@ -46,7 +46,9 @@ def read_mcap(path: Path) -> Recording:
     """
     with opened(path) as file:
         if file.read(0, min(len(_MAGIC), file.size)) != _MAGIC:
-            raise InputError(RECORDING_WRONG_KIND, "this is no MCAP file: it must begin with `MCAP0`.", path)
+            raise InputError(
+                RECORDING_WRONG_KIND, "this is not an MCAP file: the file must begin with `MCAP0`.", path
+            )
         recording = read_chunked(path, file, len(_MAGIC), partial(_note, {0: ""}), _find)
     topics = {
         name: replace(topic, read=partial(_unpacked, path, topic)) if topic.is_cdr else topic
@@ -111,7 +113,7 @@ def _find(span: Span, at: int, writers: frozenset[int]) -> tuple[int, int]:
     operation, start, length = _record(span, at)
     writer = _HEAD.unpack(span.read(start, _HEAD.size))[0]
     if operation != _MESSAGE or writer not in writers or length < _HEAD.size:
-        raise ValueError("another record is there")
+        raise ValueError("unexpected record type")
     return start + _HEAD.size, length - _HEAD.size
 
 

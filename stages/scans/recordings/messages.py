@@ -124,7 +124,7 @@ def _message(
         return message, data[_CDR_HEAD + end :]
     except (SerdeError, struct.error, ValueError) as error:
         raise InputError(
-            RECORDING_DAMAGED, "{called} is cut short or damaged.", source, called=called
+            RECORDING_DAMAGED, "{called} is truncated or damaged.", source, called=called
         ) from error
 
 
@@ -146,7 +146,7 @@ def read_stamp(data: bytes, source: Path | str, *, is_cdr: bool = False) -> int:
     try:
         _, seconds, nanoseconds = struct.unpack_from("<IiI" if is_cdr else "<III", data)
     except struct.error as error:
-        raise InputError(RECORDING_DAMAGED, "the message is cut short.", source) from error
+        raise InputError(RECORDING_DAMAGED, "the message is truncated.", source) from error
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
@@ -257,7 +257,7 @@ def _pose(said: Any, source: Path) -> Pose:
     turn = [getattr(said.rotation, axis) for axis in "xyzw"]
     pose = pose_from_quaternion(place, turn, source, "a transform")
     if pose is None:
-        raise InputError(RECORDING_DAMAGED, "a transform is not finite.", source)
+        raise InputError(RECORDING_DAMAGED, "a transform contains NaN or infinity.", source)
     return pose
 
 
@@ -271,7 +271,7 @@ def read_acceleration(data: bytes, source: Path | str, *, is_cdr: bool = False) 
     InputError
         If the message is truncated.
     """
-    said, _ = _message(data, IMU, source, "a reading", is_cdr=is_cdr)
+    said, _ = _message(data, IMU, source, "an IMU reading", is_cdr=is_cdr)
     # ROS marks a quantity that the sensor does not measure by a covariance of -1.
     if said.linear_acceleration_covariance[0] == -1:
         return np.full(3, np.nan)
@@ -287,6 +287,6 @@ def read_float(data: bytes, source: Path | str) -> float:
         If the message is truncated.
     """
     if len(data) < 4:
-        raise InputError(RECORDING_DAMAGED, "a number is cut short.", source)
+        raise InputError(RECORDING_DAMAGED, "a number is truncated.", source)
     # 0.001 in single precision is 0.0010000000474974513; the shortest decimal is the intended value.
     return float(str(np.frombuffer(data, "<f4", 1)[0]))

@@ -55,7 +55,9 @@ def topic_pair(recording: Recording, options: ReadingParams) -> Pair | None:
     if len(couples) > 1:
         emit(
             RECORDING_TOPIC_CHOSEN.warning(
-                "of {count} pairs of topics, {name} is used", count=len(couples), name=left.name
+                "{count} pairs of topics could be stereo pairs; {name} is used",
+                count=len(couples),
+                name=left.name,
             )
         )
     first, second = (topic_images(one.name, one.topic) for one in (left, right))
@@ -93,8 +95,8 @@ def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: Rea
                 raise InputError(
                     CAMERA_PAIR_UNCALIBRATED,
                     (
-                        "how far apart {left_name} and {right_name} are is neither in the right "
-                        "one's camera_info (P[0,3]) nor in /tf_static"
+                        "the baseline between {left_name} and {right_name} is neither in the right "
+                        "camera_info (P[0,3]) nor in /tf_static"
                     ),
                     recording.path,
                     remedy="set scan.baseline=METRES.",

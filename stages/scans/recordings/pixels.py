@@ -88,9 +88,9 @@ def _color(image: ImageMessage, source: Path | str) -> ColorImage:
     if known is None:
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "colour is encoded as {encoding!r}, which is not known",
+            "unknown colour encoding {encoding!r}",
             source,
-            remedy="record it as rgb8.",
+            remedy="record colour as rgb8.",
             encoding=image.encoding[:20],
         )
     size, conversion = known
@@ -100,7 +100,7 @@ def _color(image: ImageMessage, source: Path | str) -> ColorImage:
     if size == 2 and image.width % 2:
         raise InputError(
             RECORDING_DAMAGED,
-            "a {encoding} image cannot be {image_width} pixels wide.",
+            "the width of a {encoding} image must be even, but it is {image_width} pixels.",
             source,
             encoding=image.encoding,
             image_width=image.width,
@@ -113,7 +113,7 @@ def _depth(image: ImageMessage, source: Path | str) -> NDArray[Any]:
     if kind is None:
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "depth is encoded as {encoding!r}; 16-bit (16UC1, mono16) or float (32FC1) is expected.",
+            "unknown depth encoding {encoding!r}; 16-bit (16UC1, mono16) or float (32FC1) is expected.",
             source,
             encoding=image.encoding[:20],
         )
@@ -129,16 +129,20 @@ def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any
     if start < 0:
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "depth is compressed as {form!r}; `compressedDepth png` is known.",
+            "unknown depth compression {form!r}; only `compressedDepth png` is supported.",
             source,
-            remedy="Record it uncompressed.",
+            remedy="Record depth uncompressed.",
             form=form[:40],
         )
     stored = decode_depth(data[start:], source)
     if "32fc1" not in form.lower():
         return stored
     if start != _QUANTIZATION.size or stored.dtype != np.uint16:
-        raise InputError(RECORDING_DAMAGED, "the depth's quantization is missing before its image.", source)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the quantisation parameters before the compressed depth are missing or damaged.",
+            source,
+        )
     _, factor, offset = _QUANTIZATION.unpack_from(data)
     # The encoder stores factor / depth + offset, and 0 for missing depth.
     with np.errstate(all="ignore"):
@@ -154,7 +158,7 @@ def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint
     if not 0 < width * height <= MAX_PIXELS:
         raise InputError(
             RECORDING_DAMAGED,
-            "the image claims to be {width}×{height} pixels; it is damaged.",
+            "the stated image size {width}×{height} pixels is invalid; the message is damaged.",
             source,
             width=width,
             height=height,
@@ -162,7 +166,7 @@ def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint
     if image.step < used or len(image.data) < image.step * height:
         raise InputError(
             RECORDING_DAMAGED,
-            "the image does not hold the {width}×{height} pixels of {size} bytes that it claims.",
+            "the message is too short for the stated {width}×{height} pixels of {size} bytes.",
             source,
             width=width,
             height=height,

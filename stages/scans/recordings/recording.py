@@ -81,7 +81,7 @@ def unpacked(message: bytes, called: str, path: Path) -> bytes:
         return zstd_blocks.unpacked(message, LARGEST_MESSAGE)
     except ValueError as error:
         raise InputError(
-            RECORDING_DAMAGED, "{called} does not decompress; it is damaged.", path, called=called
+            RECORDING_DAMAGED, "{called} does not decompress: the message is damaged.", path, called=called
         ) from error
 
 

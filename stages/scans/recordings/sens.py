@@ -128,7 +128,7 @@ def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
     if len(data) != 3 * width * height:
         raise InputError(
             RECORDING_DAMAGED,
-            "the image does not hold {width}×{height} pixels.",
+            "the data does not match the image size {width}×{height} pixels.",
             f"{sens.path}: {name}",
             width=width,
             height=height,
@@ -158,12 +158,14 @@ def read_depth(sens: Sens, blob: Blob, name: str) -> NDArray[np.uint16]:
             data = zlib.decompressobj().decompress(data, size + 1)
         except zlib.error as error:
             raise InputError(
-                RECORDING_DAMAGED, "the depth map does not decompress; it is damaged.", f"{sens.path}: {name}"
+                RECORDING_DAMAGED,
+                "the depth map does not decompress: the data is damaged.",
+                f"{sens.path}: {name}",
             ) from error
     if len(data) != size:
         raise InputError(
             RECORDING_DAMAGED,
-            "the depth map does not hold {width}×{height} pixels.",
+            "the data does not match the depth map size {width}×{height} pixels.",
             f"{sens.path}: {name}",
             width=width,
             height=height,
@@ -176,7 +178,7 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     if version != _FORMAT_VERSION:
         raise InputError(
             RECORDING_WRONG_KIND,
-            "version {format_version} of the format is expected, and this states {version}.",
+            "unsupported format version {version}; version {format_version} is expected.",
             path,
             format_version=_FORMAT_VERSION,
             version=version,
@@ -184,7 +186,7 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     if name_size > _LONGEST_NAME:
         raise InputError(
             RECORDING_DAMAGED,
-            "its header is damaged: a sensor name of {name_size} bytes.",
+            "the header is damaged: the sensor name has {name_size} bytes.",
             path,
             name_size=name_size,
         )
@@ -197,14 +199,14 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     if color_coder not in (_RAW_COLOR, _PNG_COLOR, _JPEG_COLOR):
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "colour is compressed in way {color_coder}; raw, PNG and JPEG are known.",
+            "unknown colour compression {color_coder}; raw (0), PNG (1) and JPEG (2) are supported.",
             path,
             color_coder=color_coder,
         )
     if depth_coder not in (_RAW_DEPTH, _ZLIB_DEPTH):
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "depth is compressed in way {depth_coder}; raw and zlib are known.",
+            "unknown depth compression {depth_coder}; raw (0) and zlib (1) are supported.",
             path,
             depth_coder=depth_coder,
         )
@@ -212,8 +214,8 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
         raise InputError(
             RECORDING_DAMAGED,
             (
-                "its header is damaged: colour of {color_width}×{color_height} and depth of "
-                "{width}×{height} pixels."
+                "the header is damaged: invalid image sizes, colour {color_width}×{color_height} and "
+                "depth {width}×{height} pixels."
             ),
             path,
             color_width=color_width,
@@ -223,7 +225,7 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
         )
     if not _SCALES[0] <= scale <= _SCALES[1]:
         raise InputError(
-            RECORDING_DAMAGED, "its header is damaged: {scale:g} depth units a metre.", path, scale=scale
+            RECORDING_DAMAGED, "the header is damaged: {scale:g} depth units per metre.", path, scale=scale
         )
     limits = [
         _LARGEST_PIXEL * pixels + _LARGEST_OVERHEAD for pixels in (color_width * color_height, width * height)
@@ -232,9 +234,9 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     if not frames:
         raise InputError(
             RECORDING_DAMAGED,
-            "of {promised} frames it promises, not one is whole",
+            "none of the {promised} frames stated in the header is complete",
             path,
-            remedy="copy it again.",
+            remedy="copy the file again.",
             promised=promised,
         )
     return Sens(
@@ -281,7 +283,9 @@ def _matrix(data: bytes) -> NDArray[np.float64]:
 def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
     data = file.read(size)
     if len(data) < size:
-        raise InputError(RECORDING_DAMAGED, "the file ends within its header", path, remedy="copy it again.")
+        raise InputError(
+            RECORDING_DAMAGED, "the file is truncated within its header", path, remedy="copy the file again."
+        )
     return data
 
 
@@ -298,5 +302,5 @@ def _bytes(path: Path, blob: Blob, name: str) -> bytes:
             strerror=error.strerror,
         ) from error
     if len(data) < blob.size:
-        raise InputError(MACHINE_BUSY, "the file was cut short since it was opened.", f"{path}: {name}")
+        raise InputError(MACHINE_BUSY, "the file was truncated while it was being read.", f"{path}: {name}")
     return data

@@ -74,7 +74,7 @@ def topic_streams(recording: Recording, options: ReadingParams) -> Streams | Non
     if len(depths) > 1:
         emit(
             RECORDING_TOPIC_CHOSEN.warning(
-                "of {count} topics of depth, {name} is used", count=len(depths), name=depth.name
+                "{count} topics contain depth; {name} is used", count=len(depths), name=depth.name
             )
         )
     scale = options.depth_scale or (1.0 if depth.encoding.lower() == "32fc1" else 1000.0)
@@ -157,8 +157,8 @@ def _recorded_camera(recording: Recording, images: ImageTopic) -> Camera:
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
-                "the lens of {images_name} is described as {model!r}; plumb_bob, "
-                "rational_polynomial and equidistant are known."
+                "unknown lens model {model!r} of {images_name}; plumb_bob, rational_polynomial and "
+                "equidistant are supported."
             ),
             recording.path,
             images_name=images.name,
@@ -169,7 +169,8 @@ def _recorded_camera(recording: Recording, images: ImageTopic) -> Camera:
     if len(distortion) not in ((len(_UNBENT),) if is_fisheye else _COEFFICIENTS):
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "the lens of {images_name} has {distortion_count} coefficients, not 4, 5, 8, 12 or 14.",
+            "the lens model of {images_name} has {distortion_count} coefficients; 4, 5, 8, 12 or 14 "
+            "are supported.",
             recording.path,
             images_name=images.name,
             distortion_count=len(distortion),

@@ -102,7 +102,7 @@ def camera_message(recording: Recording, images: ImageTopic) -> CameraMessage:
     if info is None:
         raise InputError(
             CAMERA_INTRINSICS_GUESSED,
-            "there is no {place}/camera_info, which would say what camera {images_name} is of",
+            "the topic {place}/camera_info with the intrinsics of {images_name} is missing",
             recording.path,
             remedy="set scan.intrinsics=fx,fy,cx,cy.",
             place=images.place,

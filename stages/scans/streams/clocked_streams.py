@@ -127,8 +127,8 @@ def extrinsics_unknown(depth: str, color: str) -> Diagnostic:
     depth, color : names of the streams.
     """
     return SCAN_ASSUMED.warning(
-        "how the camera of {color} stands to that of {depth} is not in the file: both are taken to stand in "
-        "one place, so that colours may be displaced",
+        "the recording does not contain the extrinsics between {color} and {depth}: the cameras "
+        "are assumed to coincide, so colours may be displaced",
         color=color,
         depth=depth,
     )

@@ -77,26 +77,26 @@ def rig_of(
         rig, path, diagnostics = found[0]
         if len(found) > 1:
             lacking = calibration_missing(
-                "{files} all state one",
-                remedy="name the right one with scan.calibration=FILE",
+                "several files contain one: {files}",
+                remedy="choose one with scan.calibration=FILE",
                 files=", ".join(one.name for _, one, _ in found[:5]),
             )
             return uncalibrated(size), (lacking,)
         note(path)
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the calibration is read from {file}, which lies beside the images",
+                "the calibration is read from {file}, which was found in the scan folder",
                 file=path.relative_to(folder).as_posix(),
             ),
             *diagnostics,
         )
     else:
         warn_of_rejected(folder, *size, rig_calibration.read_rig)
-        half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
+        half = "; intrinsics.yml exists, but extrinsics.yml does not" if has(folder, "intrinsics.yml") else ""
         lacking = calibration_missing(
             "{file} is missing{half}",
-            remedy="name one with scan.calibration=FILE, or set scan.intrinsics=fx,fy,cx,cy and "
-            "scan.baseline=METRES for a rectified pair",
+            remedy="name a calibration with scan.calibration=FILE, or for rectified pairs set "
+            "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES",
             file=names[0],
             half=half,
         )
@@ -137,7 +137,7 @@ def _in_parts(folder: Path) -> tuple[dict[str, Any], Path] | None:
                 note(path)
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "the calibration is read from {files}, a matrix each",
+                    "the calibration is read from {files} (one matrix per file)",
                     files=", ".join(path.relative_to(folder).as_posix() for path in files),
                 )
             )

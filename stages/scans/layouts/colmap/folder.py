@@ -79,8 +79,8 @@ def _largest(models: Sequence[Path]) -> Path:
     largest = models[counts.index(max(counts))]
     emit(
         SCAN_ASSUMED.warning(
-            "of {count} models, {largest}/ is read: it has the most images ({sizes}). They have no common "
-            "world",
+            "the folder has {count} models without a common world frame: {largest}/ is read, which "
+            "has the most images ({sizes})",
             count=len(models),
             largest=largest.name,
             sizes=", ".join(f"{one.name}/ ({n})" for one, n in zip(models, counts, strict=True)),
@@ -94,7 +94,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not places:
         raise InputError(
             SCAN_FILES_MISSING,
-            "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.",
+            "a COLMAP model (cameras and images, .bin or .txt) is required in the folder, in sparse/ "
+            "or in sparse/0/.",
             folder,
         )
     workspace = _workspace(folder, places)
@@ -117,7 +118,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 frames.append(single_view(name, camera, images / view.name, pose, points=found))
                 continue
             if depth is None:
-                raise InputError(FRAME_IMAGE_MISSING, "it has no depth map.")
+                raise InputError(FRAME_IMAGE_MISSING, "its depth map is missing.")
             frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
             skipped.append(SkippedFrame(name, error.diagnostic))
@@ -125,9 +126,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if alone and not points:
         emit(
             DEPTH_RANGE_UNKNOWN.warning(
-                "there are no points (points3D.bin or .txt): how far away things are follows from the images "
-                "alone",
-                remedy="depth.min_depth and depth.max_depth state it",
+                "the model has no points (points3D.bin or .txt): the depth range is estimated from the "
+                "images alone",
+                remedy="set depth.min_depth and depth.max_depth if that fails",
             )
         )
     # Poses given by the user are in metres. Depth maps stay in the unit of the model.
@@ -145,8 +146,8 @@ def _workspace(folder: Path, places: Sequence[Path]) -> Path:
     if places[0] not in fitting:
         emit(
             SCAN_ASSUMED.warning(
-                "the images of {model}/ are not there, or of another shape: {other}/ is read, which has its "
-                "own",
+                "the images of {model}/ are missing or have another shape: {other}/, whose images match, "
+                "is read instead",
                 model=_models(places[0])[0].relative_to(folder).as_posix(),
                 other=workspace.relative_to(folder).as_posix(),
             )
@@ -234,7 +235,7 @@ def _frame(
         raise InputError(
             FILE_COLMAP_INVALID,
             (
-                "the depth map is {width}×{height}, which is not the shape of its camera's "
+                "the depth map is {width}×{height} pixels, which differs in shape from its camera with "
                 "{full_width}×{full_height}."
             ),
             depth,
@@ -258,8 +259,8 @@ def _check_depths(frames: Sequence[Frame]) -> None:
     if any(frame.camera.distortion and frame.depth is not None for frame in frames):
         emit(
             SCAN_ASSUMED.warning(
-                "the cameras have lens distortion, which those of COLMAP's own depth maps never have: is "
-                "this the model of the dense workspace?"
+                "the cameras have lens distortion, but COLMAP computes depth maps only for undistorted "
+                "images: the model may not belong to the depth maps"
             )
         )
     unchecked = sum(
@@ -268,7 +269,8 @@ def _check_depths(frames: Sequence[Frame]) -> None:
     if unchecked:
         emit(
             SCAN_ASSUMED.warning(
-                "{count} depth maps are photometric: no other view confirms them, and they are noisier",
+                "{count} depth maps are photometric, without a geometric consistency check: expect more "
+                "noise",
                 count=unchecked,
             )
         )
@@ -276,7 +278,7 @@ def _check_depths(frames: Sequence[Frame]) -> None:
 
 LAYOUT = Layout(
     name="colmap",
-    text="cameras and images .bin|txt (also in sparse/ …), images/, perhaps stereo/depth_maps/ (COLMAP)",
+    text="cameras and images .bin|txt (also in sparse/ …), images/, optionally stereo/depth_maps/ (COLMAP)",
     matches=_matches,
     read=_read,
 )

@@ -109,7 +109,9 @@ def read_model(folder: Path) -> list[View]:
     end = next((end for end in _ENDS if all((folder / f"{stem}{end}").is_file() for stem in _STEMS)), None)
     if end is None:
         raise InputError(
-            FILE_COLMAP_INVALID, "a model's cameras and images (both .txt or both .bin) are needed.", folder
+            FILE_COLMAP_INVALID,
+            "the cameras and images of a model (both .txt or both .bin) are required.",
+            folder,
         )
     cameras_path, images_path = (folder / f"{stem}{end}" for stem in _STEMS)
     if end == ".bin":
@@ -190,9 +192,9 @@ def depth_map_size(path: Path) -> tuple[int, int]:
     if size != offset + 4 * width * height:
         raise InputError(
             FILE_DAMAGED,
-            "the depth map is not as long as its {width}×{height} pixels",
+            "the file length does not match the stated {width}×{height} pixels",
             path,
-            remedy="copy it again.",
+            remedy="copy the file again.",
             width=width,
             height=height,
         )
@@ -218,7 +220,7 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
         ) from error
     values = data[-4 * width * height :]
     if len(values) != 4 * width * height:
-        raise InputError(MACHINE_BUSY, "the depth map was cut short since it was opened.", path)
+        raise InputError(MACHINE_BUSY, "the depth map was truncated while it was being read.", path)
     return np.frombuffer(values, "<f4").reshape(height, width).astype(np.float32)
 
 
@@ -233,7 +235,7 @@ def _depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
     if channels != 1 or not 0 < width * height <= MAX_PIXELS:
         raise InputError(
             FILE_DAMAGED,
-            "its header is damaged: {width}×{height} pixels with {channels} values each.",
+            "the header is damaged: {width}×{height} pixels with {channels} channels.",
             path,
             width=width,
             height=height,
@@ -249,9 +251,8 @@ def _camera(
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
-                "camera {identity} is of the model {model_name}, which is not known here; "
-                "undistort the images with COLMAP's image_undistorter and give the folder it "
-                "writes."
+                "camera {identity} has the unsupported model {model_name}; undistort the images with "
+                "COLMAP's image_undistorter and give its output folder."
             ),
             path,
             identity=identity,
@@ -260,7 +261,7 @@ def _camera(
     if not 0 < width * height <= MAX_PIXELS:
         raise InputError(
             FILE_COLMAP_INVALID,
-            "camera {identity} claims to have {width}×{height} pixels.",
+            "camera {identity} states an invalid size of {width}×{height} pixels.",
             path,
             identity=identity,
             width=width,
@@ -288,7 +289,11 @@ def _view(
     w, *rest = numbers
     if camera not in cameras:
         raise InputError(
-            FILE_COLMAP_INVALID, "image {name}: there is no camera {camera}.", path, name=name, camera=camera
+            FILE_COLMAP_INVALID,
+            "image {name} refers to camera {camera}, which does not exist.",
+            path,
+            name=name,
+            camera=camera,
         )
     documents.require_inside(name, path, "an image")
     pose = pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
@@ -303,7 +308,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
         if model is None:
             raise InputError(
                 FILE_TEXT_INVALID,
-                "line {number} names no camera model of COLMAP (as `id MODEL width height …`).",
+                "line {number} does not name a camera model of COLMAP (as in `id MODEL width height …`).",
                 path,
                 number=number,
             )
@@ -320,7 +325,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
         if len(values) != model.count:
             raise InputError(
                 FILE_TEXT_INVALID,
-                "line {number}: {model_name} has {model_count} parameters.",
+                "line {number}: {model_name} requires {model_count} parameters.",
                 path,
                 number=number,
                 model_name=model.name,
@@ -374,7 +379,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
         if not 0 <= number < len(_MODELS):
             raise InputError(
                 CAMERA_LENS_UNKNOWN,
-                "camera {identity} is of model {number}, which is not known.",
+                "camera {identity} has the unknown model {number}.",
                 path,
                 identity=identity,
                 number=number,
@@ -392,19 +397,22 @@ def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
         end = data.find(b"\0", at, at + _LONGEST_NAME)
         if end < 0:
             raise InputError(
-                FILE_DAMAGED, "the file is cut short or damaged: the name of an image has no end.", path
+                FILE_DAMAGED, "the file is truncated or damaged: an image name is not terminated.", path
             )
         try:
             name = data[at:end].decode()
         except UnicodeDecodeError as error:
             raise InputError(
-                FILE_DAMAGED, "the file is damaged: the name of an image is no text.", path
+                FILE_DAMAGED, "the file is damaged: an image name is not valid UTF-8.", path
             ) from error
         (points,), at = _unpacked("<Q", data, end + 1, path)
         at += _POINT_BYTES * points
         if at > len(data):
             raise InputError(
-                FILE_DAMAGED, "the file is cut short or damaged: image {name} lacks points.", path, name=name
+                FILE_DAMAGED,
+                "the file is truncated or damaged: points of image {name} are missing.",
+                path,
+                name=name,
             )
         yield _view(identity, name, numbers, camera, cameras, path)
 
@@ -424,7 +432,7 @@ def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int
         if len(words) < 8 or len(words) % 2 or not point:
             raise InputError(
                 FILE_TEXT_INVALID,
-                "line {number} is not `id x y z r g b error (image place)…`.",
+                "line {number} is not `id x y z r g b error (image index)…`.",
                 path,
                 number=number,
             )
@@ -438,7 +446,9 @@ def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.i
         (_, x, y, z, *_, seen), at = _unpacked(_POINT, data, at, path)
         end = at + _SEEN_BYTES * seen
         if end > len(data):
-            raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")
+            raise InputError(
+                FILE_DAMAGED, "the file is truncated or damaged", path, remedy="copy the file again."
+            )
         yield (x, y, z), np.frombuffer(data[at:end], "<u4")[::2].astype(np.int64)
         at = end
 
@@ -461,5 +471,7 @@ def _unpacked(form: str, data: mmap.mmap | bytes, at: int, path: Path) -> tuple[
     """Unpack values at an offset; returns the values and the next offset."""
     end = at + struct.calcsize(form)
     if end > len(data):
-        raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")
+        raise InputError(
+            FILE_DAMAGED, "the file is truncated or damaged", path, remedy="copy the file again."
+        )
     return struct.unpack_from(form, data, at), end

@@ -63,11 +63,11 @@ def unit_poses(folder: Path, names: Sequence[str], cameras: Path) -> tuple[list[
     for name in ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt"):
         path = first_existing(folder, name, f"../{name}")
         if path is None:
-            return None, f"{_DATA}/ is there, but {name}, which says how the camera stands to it, is missing"
+            return None, f"{_DATA}/ exists, but {name}, which relates it to the cameras, is missing"
         found[name] = _place(path)
     turn = _numbers(cameras, "R_rect_00", 9)
     if turn is None:
-        return None, f"{_DATA}/ is there, but {cameras.name} has no R_rect_00"
+        return None, f"{_DATA}/ exists, but {cameras.name} has no R_rect_00"
     rectified = _rigid(turn.reshape(3, 3), np.zeros(3), cameras)
     cam0_from_unit = rectified @ found["calib_velo_to_cam.txt"] @ found["calib_imu_to_velo.txt"]
     files = sorted(data.glob("*.txt"), key=lambda path: (numbers(path.stem), path.name))
@@ -112,13 +112,13 @@ def _measured(file: Path) -> list[float]:
     if len(values) != _READ or not all(math.isfinite(value) for value in values):
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "it does not begin with six numbers: latitude, longitude, … yaw.",
+            "the file must begin with six numbers: latitude, longitude, altitude, roll, pitch, yaw.",
             file,
         )
     if abs(values[0]) > _FARTHEST_LATITUDE:
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "a latitude of {values:g} degrees cannot be right.",
+            "the latitude of {values:g}° is invalid; ±85° are supported.",
             file,
             values=values[0],
         )
@@ -130,7 +130,7 @@ def _place(path: Path) -> Pose:
     turn, shift = _numbers(path, "R", 9), _numbers(path, "T", 3)
     if turn is None or shift is None:
         raise InputError(
-            POSE_TRAJECTORY_UNREADABLE, "rows `R: …` of 9 numbers and `T: …` of 3 are expected.", path
+            POSE_TRAJECTORY_UNREADABLE, "rows `R: …` with 9 numbers and `T: …` with 3 are required.", path
         )
     return _rigid(turn.reshape(3, 3), shift, path)
 
@@ -138,7 +138,7 @@ def _place(path: Path) -> Pose:
 def _rigid(turn: NDArray[np.float64], shift: NDArray[np.float64], path: Path) -> Pose:
     pose = rigid(np.column_stack([turn, shift]), path)
     if pose is None:
-        raise InputError(POSE_TRAJECTORY_UNREADABLE, "its numbers are not finite.", path)
+        raise InputError(POSE_TRAJECTORY_UNREADABLE, "the transform contains NaN or infinity.", path)
     return pose
 
 
@@ -153,7 +153,7 @@ def _numbers(path: Path, key: str, count: int) -> NDArray[np.float64] | None:
                 values = np.empty(0)
             if values.size != count:
                 raise InputError(
-                    POSE_TRAJECTORY_UNREADABLE, "{key} is not {count} numbers.", path, key=key, count=count
+                    POSE_TRAJECTORY_UNREADABLE, "{key} must be {count} numbers.", path, key=key, count=count
                 )
             return values
     return None

@@ -50,7 +50,7 @@ def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
         if row.size != 12 or not np.isfinite(row).all():
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "line {number} ({key}) is not 12 numbers.",
+                "line {number} ({key}) must be 12 finite numbers.",
                 calib,
                 number=number,
                 key=key,
@@ -81,9 +81,9 @@ def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
     try:
         sizes = [(round(float(width)), round(float(height))) for width, height in stated]
     except (ValueError, OverflowError) as error:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is not two numbers.", calib) from error
+        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect must be two numbers.", calib) from error
     if any(not 1 <= side <= LARGEST_SIDE for one in sizes for side in one):
-        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is no size of images.", calib)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is not a valid image size.", calib)
     if not sizes or size in sizes:
         return size
     width, height = sizes[0]
@@ -91,11 +91,11 @@ def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "it is for rectified images of {width}×{height}, but these are "
-                "{size}×{size_2}: they are not rectified."
+                "the calibration is for rectified images of {width}×{height} pixels, but the images have "
+                "{size}×{size_2}, so they are not rectified."
             ),
             calib,
-            remedy="Give the synchronised and rectified ones.",
+            remedy="Use the synchronised and rectified images.",
             width=width,
             height=height,
             size=size[0],
@@ -162,10 +162,7 @@ def projected_rig(
     if right_from_left[0, 3] >= 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            (
-                "the second camera is not right of the first (its P[0,3] must be smaller); "
-                "are the rows swapped?"
-            ),
+            ("the second camera is not right of the first (P[0,3] must be smaller); are the rows swapped?"),
             calib,
         )
     if options.baseline is not None:

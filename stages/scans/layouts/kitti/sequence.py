@@ -94,7 +94,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if left is None or right is None:
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            "it states no two projection matrices for a pair of image folders.",
+            "the calibration has no two projection matrices for a pair of image folders.",
             calib or folder,
         )
     pairs, skipped = pair(images(folder / left), images(folder / right), f"{left}/", f"{right}/", folder)
@@ -134,7 +134,7 @@ def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
     alone = _alone(folder, projections)
     if alone is None:
         raise InputError(
-            CAMERA_PAIR_UNCALIBRATED, "it states no projection matrix for a folder of images.", calib
+            CAMERA_PAIR_UNCALIBRATED, "the calibration has no projection matrix for an image folder.", calib
         )
     place, number = alone
     colors = images(folder / place)
@@ -174,7 +174,7 @@ def _poses(
         return poses, None, (poses_missing("{reason}", remedy=remedy, reason=reason),)
     lacking = poses_missing(
         "poses.txt (or ../../poses/{name}.txt) is missing",
-        remedy="name one with scan.poses=FILE",
+        remedy="name a trajectory with scan.poses=FILE",
         name=folder.resolve().name,
     )
     return poses, None, (lacking,)
@@ -200,7 +200,7 @@ def _nanoseconds(text: str, number: int, path: Path) -> int:
         return int(moment.timestamp()) * 10**9 + int(fraction[:9].ljust(9, "0"))
     except ValueError as error:
         raise InputError(
-            SCAN_TABLE_DAMAGED, "line {number} is no date and time.", path, number=number
+            SCAN_TABLE_DAMAGED, "line {number} is not a date and time.", path, number=number
         ) from error
 
 

@@ -44,7 +44,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if found is None:
         raise InputError(
             SCAN_FILES_MISSING,
-            "two folders image_2/ and image_3/ (or image_0/, image_1/) are needed.",
+            "two folders image_2/ and image_3/ (or image_0/, image_1/) are required.",
             folder,
         )
     left, right, at = found
@@ -57,9 +57,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if len(scenes) != 1:
         raise InputError(
             RECORDING_SEVERAL,
-            "it holds {scenes_count} scenes of one or two pairs each",
+            "the folder has {scenes_count} scenes of one or two pairs each",
             folder,
-            remedy="choose one, such as {pairs_stem} with scan.first=0 and scan.last=0.",
+            remedy="select one: for {pairs_stem}, set scan.first=0 and scan.last=0.",
             scenes_count=len(scenes),
             pairs_stem=pairs[0][0].stem,
         )
@@ -72,7 +72,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             CAMERA_PAIR_UNCALIBRATED,
             "calib_cam_to_cam/{scene}.txt is missing",
             folder,
-            remedy="name one with scan.calibration=FILE.",
+            remedy="name a calibration with scan.calibration=FILE.",
             scene=scene,
         )
     # Mark the calibrations of the other scenes as known, so that they are not reported as unused files.
@@ -82,7 +82,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not {at, at + 1} <= projections.keys():
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            "it states no projection matrices {at} and {at_2}.",
+            "the projection matrices P{at} and P{at_2} are missing.",
             calib,
             at=at,
             at_2=at + 1,
@@ -100,7 +100,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
         for name, (one, other), pose in zip(names, pairs, poses, strict=True)
     ]
-    missing = (poses_missing("the data set has none"),) if given is None else ()
+    missing = (poses_missing("the data set contains no poses"),) if given is None else ()
     return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 

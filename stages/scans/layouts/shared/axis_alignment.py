@@ -36,7 +36,8 @@ def aligned(scan: Scan, folder: Path) -> Scan:
     if not scan.has_poses:
         emit(
             SCAN_ASSUMED.warning(
-                "axisAlignment is left aside: it is for the data set's own poses, and there are none"
+                "axisAlignment is not applied: it requires the poses of the data set, and the scan has no "
+                "poses"
             )
         )
         return scan
@@ -47,7 +48,7 @@ def aligned(scan: Scan, folder: Path) -> Scan:
         else replace(frame, world_from_camera=alignment @ frame.world_from_camera)
         for frame in scan.frames
     ]
-    emit(SCAN_ASSUMED.info("the world is turned by the axisAlignment of {file}", file=path.name))
+    emit(SCAN_ASSUMED.info("the world is rotated by the axisAlignment of {file}", file=path.name))
     up = scan.up
     if up is not None:
         x, y, z = (alignment[:3, :3] @ up.direction).tolist()
@@ -83,14 +84,14 @@ def _alignment(folder: Path) -> tuple[Path, Pose]:
         except ValueError:
             values = []
         if len(values) != 16:
-            raise InputError(SCAN_ALIGNMENT_MISSING, "its axisAlignment is not 16 numbers.", path)
+            raise InputError(SCAN_ALIGNMENT_MISSING, "axisAlignment must be 16 numbers.", path)
         pose = rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
         if pose is None:
-            raise InputError(SCAN_ALIGNMENT_MISSING, "its axisAlignment is not finite.", path)
+            raise InputError(SCAN_ALIGNMENT_MISSING, "axisAlignment contains NaN or infinity.", path)
         return path, pose
     raise InputError(
         SCAN_ALIGNMENT_MISSING,
-        "there is no scene*.txt with an axisAlignment",
+        "the folder has no scene*.txt with an axisAlignment",
         folder,
-        remedy="leave scan.align_axes out.",
+        remedy="leave out scan.align_axes.",
     )

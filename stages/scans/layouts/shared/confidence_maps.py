@@ -39,7 +39,8 @@ def confidence_of(
     if not found:
         emit(
             SCAN_CONFIDENCE.warning(
-                "the images of {folder}/ have none of depth's numbers: they are left aside", folder=place.name
+                "the numbers of the images in {folder}/ match no depth map: the confidence maps are ignored",
+                folder=place.name,
             )
         )
         return {}, 0
@@ -51,8 +52,8 @@ def confidence_of(
     if levels:
         emit(
             SCAN_CONFIDENCE.warning(
-                "{folder}/ holds how far depth is to be trusted, {lowest} to {highest}: "
-                "scan.least_confidence=VALUE leaves out depth of less",
+                "{folder}/ contains continuous depth confidence from {lowest} to {highest}: set "
+                "scan.least_confidence=VALUE to ignore depth below a confidence",
                 folder=place.name,
                 lowest=levels[0],
                 highest=levels[-1],
@@ -61,7 +62,7 @@ def confidence_of(
     else:
         emit(
             SCAN_CONFIDENCE.warning(
-                "{folder}/ holds no maps of 8 bits: they are left aside", folder=place.name
+                "{folder}/ does not contain 8-bit confidence maps: it is ignored", folder=place.name
             )
         )
     return {}, 0

@@ -45,7 +45,8 @@ def ups_of(accelerometer: Accelerometer | None, moments: NDArray[np.int64]) -> l
     if accelerometer.camera_from_it is None:
         emit(
             SCALE_UP_UNCERTAIN.warning(
-                "how {name} stands to the camera is not in the recording: what it says is up is not used",
+                "the recording does not contain the orientation of {name} relative to the camera: {name} "
+                "is not used for the up direction",
                 name=accelerometer.name,
             )
         )

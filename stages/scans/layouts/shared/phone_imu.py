@@ -32,7 +32,9 @@ def phone_accelerometer(path: Path) -> Accelerometer | None:
     if lacking := [name for name in _COLUMNS if name not in header]:
         emit(
             SCALE_UP_UNCERTAIN.warning(
-                "it is not used: its first line names no column {columns}", path, columns=", ".join(lacking)
+                "the column {columns} is missing: the accelerometer is not used",
+                path,
+                columns=", ".join(lacking),
             )
         )
         return None
@@ -49,7 +51,7 @@ def phone_accelerometer(path: Path) -> Accelerometer | None:
     if len(rows) < len(lines) - 1:
         emit(
             SCALE_UP_UNCERTAIN.warning(
-                "{count} of {line_count} lines are no readings",
+                "{count} of {line_count} lines are not valid readings; they are ignored",
                 path,
                 count=len(lines) - 1 - len(rows),
                 line_count=len(lines) - 1,

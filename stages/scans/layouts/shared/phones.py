@@ -33,15 +33,15 @@ def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Cam
     width, height = size
     if abs(width * camera.height / (height * camera.width) - 1) > _SAME_SHAPE:
         turned = (
-            " They are turned by 90°: turn them back."
+            " The images are rotated by 90°: rotate them back."
             if (width < height) != (camera.width < camera.height)
-            else " Export them again without cropping."
+            else " Export the images again without cropping."
         )
         raise InputError(
             SCAN_PHONE_IMAGES,
             (
-                "{what} are {width}×{height}, which is not the shape of the camera's "
-                "{camera_width}×{camera_height}.{turned}"
+                "the size of {what} is {width}×{height} pixels, but the camera has another aspect ratio "
+                "({camera_width}×{camera_height}).{turned}"
             ),
             path,
             what=what,
@@ -71,8 +71,8 @@ def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path
         raise InputError(
             SCAN_CONFIDENCE,
             (
-                "least_confidence is {least}, but this layout knows {map} only; "
-                "scan.least_confidence={levels} keeps the best."
+                "least_confidence is {least}, but this layout has only the levels {map}; set "
+                "scan.least_confidence={levels} to keep only the highest level."
             ),
             folder,
             least=least,
@@ -81,9 +81,10 @@ def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path
         )
     emit(
         SCAN_CONFIDENCE.warning(
-            "depth of confidence {least} and more (of {levels}) is kept: scan.least_confidence={highest} "
-            "keeps the best only, scan.least_confidence={lowest} all; a phone's depth past 5 m is a guess, "
-            "which fuse.max_depth=5 leaves out",
+            "depth of confidence {least} or higher (levels {levels}) is used: "
+            "scan.least_confidence={highest} keeps only the highest level, "
+            "scan.least_confidence={lowest} keeps everything. Depth of phones is unreliable beyond 5 "
+            "m; fuse.max_depth=5 ignores it",
             least=least,
             levels=", ".join(map(str, levels)),
             highest=levels[-1],

@@ -60,8 +60,9 @@ def _check_nearly(camera: Camera, size: tuple[int, int], color: Path) -> None:
     if abs(size[0] / camera.width - 1) < _NEARLY:
         emit(
             CAMERA_CALIBRATION_MISMATCH.warning(
-                "it is {width}×{height} and its camera {camera_width}×{camera_height}: such cameras are of "
-                "images whose lens was straightened, which this may not be; it is scaled",
+                "the image is {width}×{height} but its camera {camera_width}×{camera_height}: such "
+                "cameras usually belong to undistorted images, and this image may not be undistorted. The "
+                "camera is scaled",
                 color,
                 width=size[0],
                 height=size[1],
@@ -93,7 +94,7 @@ def without_depth(place: Path, advice: str) -> InputError:
     """
     return InputError(
         SCAN_DEPTH_MISSING,
-        "its views have no depth, and views of this layout alone cannot be read yet. {advice}",
+        "the views have no depth, and this layout requires depth. {advice}",
         place,
         advice=advice,
     )

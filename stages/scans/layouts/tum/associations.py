@@ -43,7 +43,7 @@ def read_associations(path: Path) -> list[Association]:
         if is_depth[0] == is_depth[1]:
             raise InputError(
                 SCAN_FILES_MISSING,
-                "line {number} names no file in depth/ beside one in rgb/.",
+                "line {number} must name one file in depth/ and one in another folder, such as rgb/.",
                 path,
                 number=number,
             )
@@ -55,5 +55,5 @@ def read_associations(path: Path) -> list[Association]:
         depth_time, color_time = (trajectories.stamp(words[place], path, number) for place in (at, other))
         found.append(Association(color_time, color, depth_time, depth))
     if not found:
-        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", path)
     return found

@@ -51,7 +51,7 @@ def camera_of(folder: Path, options: ReadingParams, width: int, height: int) -> 
         matrix, distortion = _CAMERAS[own]
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the camera is {camera}'s, by {source}", camera=own, source=source
+                "the camera of {camera} is used, according to {source}", camera=own, source=source
             )
         )
         return scaled(Camera(640, 480, *matrix, distortion), width, height), None
@@ -59,8 +59,8 @@ def camera_of(folder: Path, options: ReadingParams, width: int, height: int) -> 
     if path is None and _LIKE_OWN.search(folder.resolve().name):
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the folder's name is like one of the TUM data set, but nothing in it says that it is: its "
-                "lens is not taken from the name"
+                "the folder is named like a recording of TUM RGB-D, but its files do not confirm it: the "
+                "lens distortion of the data set is not applied"
             )
         )
     return camera, path
@@ -80,7 +80,7 @@ def data_set_camera(folder: Path) -> tuple[str | None, str]:
     """
     recorded = _recorded_as(folder)
     named = _OWN.match(folder.resolve().name if recorded is None else recorded)
-    source = "the folder's name" if recorded is None else "the name of the recording in its lists"
+    source = "the folder name" if recorded is None else "the recording name in the file lists"
     return (None if named is None else f"freiburg{named[1]}"), source
 
 

@@ -73,7 +73,7 @@ def _matches(folder: Path) -> str | None:
         found = f"rgb/ and {listed.name}"
     elif (stamped := _stamped(folder)) is not None:
         color, depth = (stream.files[0].parent.name for stream in stamped)
-        found = f"{color}/ and {depth}/ with times for names"
+        found = f"{color}/ and {depth}/ with timestamps as names"
     elif _is_without_depth(folder):
         found = "rgb.txt"
     else:
@@ -97,7 +97,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     frames: list[Frame] = []
     partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE).tolist()
     skipped = [
-        SkippedFrame(color.stem, FRAME_IMAGE_MISSING.warning("no depth frame within 0.02 s"))
+        SkippedFrame(color.stem, FRAME_IMAGE_MISSING.warning("no depth map within 0.02 s"))
         for color, partner in zip(colors, partners, strict=True)
         if partner < 0
     ]
@@ -109,7 +109,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     for number, pose in zip(paired, poses, strict=True):
         color, partner, time = colors[number], partners[number], int(color_stream.times[number])
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(color.stem, FRAME_POSE_MISSING.warning("no pose within 0.02 s")))
+            skipped.append(
+                SkippedFrame(
+                    color.stem, FRAME_POSE_MISSING.warning("the trajectory has no pose within 0.02 s")
+                )
+            )
             continue
         frames.append(
             Frame(
@@ -138,7 +142,11 @@ def _read_views(folder: Path, options: ReadingParams) -> Scan:
     skipped: list[SkippedFrame] = []
     for color, time, pose in zip(colors, moments, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(color.stem, FRAME_POSE_MISSING.warning("no pose within 0.02 s")))
+            skipped.append(
+                SkippedFrame(
+                    color.stem, FRAME_POSE_MISSING.warning("the trajectory has no pose within 0.02 s")
+                )
+            )
             continue
         try:
             frames.append(replace(single_view(color.stem, camera, color, pose), timestamp=time))
@@ -175,12 +183,12 @@ def _poses_beside(
     if path is None:
         return None
     found = POSE_ASSUMED.warning(
-        "the poses are read from {file}, which lies beside the images", file=path.name
+        "the poses are read from {file}, which was found in the scan folder", file=path.name
     )
     if set(np.diff(moments)) == {_SECOND}:
         found = POSE_ASSUMED.warning(
-            "the poses are read from {file}, which lies beside the images; the images' times only count "
-            "them, so poses are taken in their order",
+            "the poses are read from {file}, which was found in the scan folder. The image timestamps "
+            "only count frames, so poses are assigned by order",
             file=path.name,
         )
         options = replace(options, poses_by_order=True)
@@ -212,13 +220,15 @@ def _streams(folder: Path) -> tuple[_Stream, _Stream]:
     elif (stamped := _stamped(folder)) is not None:
         emit(
             SCAN_ASSUMED.warning(
-                "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
+                "rgb.txt and depth.txt are missing: images are matched by the timestamps in their names"
             )
         )
         return stamped
     else:
         raise InputError(
-            SCAN_FILES_MISSING, "rgb.txt and depth.txt, or images named by their times, are needed.", folder
+            SCAN_FILES_MISSING,
+            "rgb.txt and depth.txt, or images with timestamps as names, are required.",
+            folder,
         )
     colors, depths = (_where_they_are(stream.files, folder) for stream in (color, depth))
     return replace(color, files=colors), replace(depth, files=depths)
@@ -234,7 +244,7 @@ def _listed(path: Path) -> _Stream:
         times.append(trajectories.stamp(words[0].rstrip(","), path, number))
         files.append(_listed_file(words[1].strip(" ,;"), path, number))
     if not files:
-        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", path)
     return _Stream(np.array(times, np.int64), files)
 
 
@@ -272,7 +282,7 @@ def _where_they_are(files: list[Path], folder: Path) -> list[Path]:
     found = holders[0]
     emit(
         SCAN_ASSUMED.warning(
-            "there is no folder {listed}/, but {found}/ has the images listed in it: they are used",
+            "the folder {listed}/ does not exist: the listed images are read from {found}/",
             listed=listed.name,
             found=found.name,
         )
@@ -298,17 +308,17 @@ def _scale(depths: Sequence[Path]) -> float:
     if units == MILLIMETRES:
         emit(
             SCALE_DEPTH_UNIT_ASSUMED.warning(
-                "depth is taken as millimetres: in TUM's {units:g} units a metre half of it would be nearer "
-                "than a Kinect sees",
-                remedy="where it is, set scan.depth_scale={units:g}",
+                "depth is assumed to be in millimetres: with TUM's {units:g} units per metre, half of it "
+                "would be below the minimum range of a Kinect",
+                remedy="if it is in TUM's unit, set scan.depth_scale={units:g}",
                 units=_UNITS_PER_METRE,
             )
         )
     if units is None:
         emit(
             SCALE_DEPTH_UNIT_ASSUMED.warning(
-                "depth is taken as TUM's {units:g} units a metre",
-                remedy="where it is in millimetres set scan.depth_scale=1000",
+                "depth is assumed to have TUM's {units:g} units per metre",
+                remedy="if it is in millimetres, set scan.depth_scale=1000",
                 units=_UNITS_PER_METRE,
             )
         )
@@ -318,8 +328,8 @@ def _scale(depths: Sequence[Path]) -> float:
 
 LAYOUT = Layout(
     name="tum",
-    text="rgb.txt and depth.txt (or associations.txt, or images named by their times), groundtruth.txt "
-    "(TUM RGB-D)",
+    text="rgb.txt and depth.txt (or associations.txt, or images with timestamps as names), "
+    "groundtruth.txt (TUM RGB-D)",
     matches=_matches,
     read=_read,
 )

@@ -64,7 +64,7 @@ def _stamp(recording: Recording, name: str, topic: Messages, number: int) -> int
     if texts is None or at >= len(texts.times) or texts.times[at] != topic.times[number]:
         raise InputError(
             RECORDING_DAMAGED,
-            "nothing says when image {number} of {name} was taken.",
+            "image {number} of {name} has no metadata with its capture time.",
             recording.path,
             number=number,
             name=name,
@@ -74,7 +74,7 @@ def _stamp(recording: Recording, name: str, topic: Messages, number: int) -> int
     if not abs(milliseconds) < 1 << 42:
         raise InputError(
             RECORDING_DAMAGED,
-            "image {number} of {name}: the time {milliseconds:g} ms cannot be right.",
+            "image {number} of {name}: invalid capture time {milliseconds:g} ms.",
             recording.path,
             number=number,
             name=name,
@@ -94,7 +94,7 @@ def _camera(recording: Recording, name: str) -> CameraMessage | None:
     if not (width.is_integer() and height.is_integer()):
         raise InputError(
             RECORDING_DAMAGED,
-            "the images of {name} are said to be {width:g}×{height:g} pixels.",
+            "invalid image size {width:g}×{height:g} pixels of {name}.",
             path,
             name=name,
             width=width,
@@ -148,7 +148,7 @@ def _numbers(said: dict[str, str], key: str, count: int, path: Path) -> list[flo
     if len(values) != count or not all(math.isfinite(value) for value in values):
         raise InputError(
             RECORDING_DAMAGED,
-            "{key} is {said!r} where {count} numbers are expected.",
+            "{key} is {said!r}; {count} numbers are expected.",
             path,
             key=key,
             said=said.get(key, "")[:40],

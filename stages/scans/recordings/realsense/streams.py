@@ -133,7 +133,7 @@ def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams |
     if color.kind != "color":
         emit(
             RECORDING_TOPIC_CHOSEN.warning(
-                "there is no colour stream: the infrared camera's images stand for it"
+                "the recording has no colour stream: infrared images are used instead"
             )
         )
     color_from_depth = _between(recording, name, color.images.name)
@@ -153,9 +153,9 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
         names = ", ".join(one.images.name for one in streams)
         raise InputError(
             RECORDING_TOPIC_MISSING,
-            "the recording holds no depth, only {names}.",
+            "the recording has no depth stream, only {names}.",
             recording.path,
-            remedy="Record the depth stream too.",
+            remedy="Record the depth stream as well.",
             names=names,
         )
     left, right = (one.images for one in grey[:2])
@@ -167,7 +167,7 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     if right_from_left is None and options.baseline is None:
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            "how {left_name} and {right_name} stand to each other is not in it",
+            "the recording does not contain the extrinsics between {left_name} and {right_name}",
             recording.path,
             remedy="set scan.baseline=METRES.",
             left_name=left.name,
@@ -189,7 +189,7 @@ def _recorded_camera(recording: RealSense, name: str) -> Camera:
     if said is None:
         raise InputError(
             CAMERA_INTRINSICS_GUESSED,
-            "the recording does not say what camera {name} is of (no camera_info)",
+            "the recording has no intrinsics (camera_info) for {name}",
             recording.path,
             remedy="set scan.intrinsics=fx,fy,cx,cy.",
             name=name,
@@ -198,7 +198,7 @@ def _recorded_camera(recording: RealSense, name: str) -> Camera:
     if distortion and not is_like_opencv(said.model):
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "the lens of {name} is described as {model!r}, which is not known; Brown-Conrady's models are.",
+            "unknown lens model {model!r} of {name}; only Brown-Conrady models are supported.",
             recording.path,
             name=name,
             model=said.model[:40],
@@ -215,25 +215,26 @@ def _depth_scale(recording: RealSense, depth: RealSenseStream, options: ReadingP
         units = [_USUAL_UNITS]
         emit(
             SCALE_DEPTH_UNIT_ASSUMED.warning(
-                "the recording does not say its depth unit: millimetres are assumed",
-                remedy="scan.depth_scale=VALUE states how many units are one metre",
+                "the recording does not state its depth unit: millimetres are assumed",
+                remedy="set scan.depth_scale=UNITS_PER_METRE if that is wrong",
             )
         )
     last = units[-1]
     if len(set(units)) > 1:
         emit(
             SCALE_DEPTH_UNIT_ASSUMED.warning(
-                "the depth unit changes within the recording; the last, {last:g} m, is used for all of it.",
-                remedy="scan.depth_scale=VALUE states another, in units a metre",
+                "the depth unit changes within the recording: the last value, {last:g} m, is used for all "
+                "frames.",
+                remedy="Set scan.depth_scale=UNITS_PER_METRE if that is wrong.",
                 last=last,
             )
         )
     if not _UNITS[0] <= last <= _UNITS[1]:
         raise InputError(
             SCALE_DEPTH_UNIT_ASSUMED,
-            "its depth unit is {last:g} m, which cannot be right",
+            "the depth unit is {last:g} m, outside the valid range (1 nm to 1 km)",
             recording.path,
-            remedy="scan.depth_scale=VALUE states how many units are one metre.",
+            remedy="set scan.depth_scale=UNITS_PER_METRE.",
             last=last,
         )
     return 1 / last
