@@ -19,11 +19,11 @@ _LOOKED_AT = 5
 _ROWS = 60
 # Fewer distinct values (a single wall, a drawn scene) do not determine the unit.
 _LEAST_VALUES = 50
-# Sensors report whole millimetres, so in units of 1/5000 m nearly all values are multiples of five, against a
-# fifth of the values in other units. The remaining 10 % allow for interpolated values.
+# Sensors report whole millimetres. In units of 1/5000 m, nearly all values are then multiples of five,
+# against 20 % in other units. The remaining 10 % allow for interpolated values.
 _WHOLE = 0.9
-# Metres. A Kinect and similar cameras, whose depth is stored in 1/5000 m, measure nothing nearer, so a
-# smaller median depth rules that unit out.
+# Metres. Cameras whose depth is stored in 1/5000 m (Kinect and similar) measure nothing nearer. A smaller
+# median depth rules that unit out.
 _NEAREST = 0.4
 
 

@@ -1,10 +1,10 @@
 """Common reader of chunked recordings: ROS 1 bags and MCAP files.
 
-Both formats are sequences of records; messages are stored in separately compressed chunks. A recorder
-that was interrupted leaves chunks and their indexes, but not the summary at the end of the file that
-other readers require. This reader therefore walks the records from the front and skips over chunk
-contents. Finished and unfinished files are read in the same way, and no value in a file can make the
-walk longer than the file.
+Both formats are sequences of records; messages are stored in separately compressed chunks. An
+interrupted recorder leaves chunks and their indexes, but not the summary at the end, which other
+readers require. This reader therefore walks the records from the front and skips over chunk contents.
+Finished and unfinished files are read in the same way. No value in a file can make the walk longer than
+the file.
 
 Reasons against `rosbags` (0.11.9) and `mcap` (1.6.0), which assume finished files:
 

@@ -1,11 +1,11 @@
 """Reader of `.db3` recordings (SQLite) of ROS 2 and newer RealSense recorders.
 
-Files are untrusted. The database is opened read-only, tables must be tables (a view could compute for
-ever), and the size of a blob is checked before it is read.
+Files are untrusted. The database is opened read-only, and tables must be tables, because a view could
+compute for ever. The size of a blob is checked before it is read.
 
-Reasons against `rosbags` (0.11.9), which also uses SQLite: it finds messages by time only, reads a row
-of 900 MB whole, and detects compressed messages only from a `metadata.yaml` file, which a single `.db3`
-file lacks. Of 12,000 truncated or changed files, 700 fail with foreign errors.
+Reasons against `rosbags` (0.11.9), which also uses SQLite: it finds messages by time only, and reads a
+row of 900 MB whole. It detects compressed messages only from a `metadata.yaml` file, which a single
+`.db3` file lacks. Of 12,000 truncated or changed files, 700 fail with foreign errors.
 """
 
 from __future__ import annotations

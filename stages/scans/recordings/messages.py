@@ -1,9 +1,9 @@
 """Deserialisation of ROS messages: images, cameras, transforms, accelerations.
 
-Uses the message definitions of `rosbags` for ROS 1 and ROS 2. In a test with 120,000 truncated or
-changed messages, no number in a message made it read or allocate more than the message holds. The code
-calls one level below the `deserialize` functions of `rosbags`, which refuse the bytes that RealSense's
-recorder appends to an image.
+Uses the message definitions of `rosbags` for ROS 1 and ROS 2. They never read or allocate more than a
+message holds; this was tested with 120,000 truncated or changed messages. The code calls one level below
+the `deserialize` functions of `rosbags`, which refuse the bytes that RealSense's recorder appends to an
+image.
 """
 
 from __future__ import annotations

@@ -97,8 +97,8 @@ def read_sens(path: Path) -> Sens:
     Raises
     ------
     InputError
-        If the file cannot be read, its header is truncated or damaged, its compression is unknown, or it
-        has no complete frame.
+        If the file cannot be read, its header is truncated or damaged, or its compression is unknown.
+        Also if the file has no complete frame.
     """
     try:
         with opened(path) as file:

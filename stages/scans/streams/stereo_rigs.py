@@ -43,9 +43,12 @@ def rig_of(
 ) -> tuple[StereoRig, tuple[Diagnostic, ...]]:
     """Find and read the stereo calibration of a folder.
 
-    Sources are tried in this order: the file given by the user or one of `names`, intrinsics and baseline
-    given by the user, calibrations split over several files, and any other file in or near the folder that
-    holds a rig.
+    Sources, in this order:
+
+    - the file given by the user, or one of `names`
+    - intrinsics and baseline given by the user
+    - calibrations split over several files
+    - any other file in or near the folder that holds a rig
 
     Parameters
     ----------

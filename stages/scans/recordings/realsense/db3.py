@@ -1,7 +1,7 @@
 """RealSense `.db3` files, which librealsense writes since version 2.58.
 
-Topic names are the same as in its `.bag` files. Cameras are described as text, `name=value;name=value`,
-and the capture time of an image is in such a text message with the same recording time.
+Topic names are the same as in its `.bag` files. Cameras are described as text, `name=value;name=value`.
+The capture time of an image is in a metadata message with the same recording time.
 """
 
 from __future__ import annotations
