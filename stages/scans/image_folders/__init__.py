@@ -1,1 +1,1 @@
-"""Folders of images: names, pairing, units and pictures of depth."""
+"""Folders of images: names, pairing, depth units and depth encodings."""

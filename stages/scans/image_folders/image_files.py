@@ -1,4 +1,4 @@
-"""Find the images of a folder, order them by number and pair two streams."""
+"""Image files of a folder: listing, numeric order, and pairing of streams."""
 
 from __future__ import annotations
 
@@ -21,22 +21,25 @@ from scanloom.stages.scans.model.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
 DEPTHS = (*IMAGES, ".npy", ".pfm", ".exr")
-# The folders of a stream, under the names that data sets and exports use.
+# Folder names of colour and depth streams in data sets and exports.
 COLOR_FOLDERS = ("color", "rgb", "image", "images", "colors", "mono", "gray", "grey")
 DEPTH_FOLDERS = ("depth", "depths", "depth_images")
 _LONGEST_NAME = 255
-# Fewer pairs among the frames of the smaller side are a coincidence of numbers.
+# Minimum ratio of matched frames on the smaller side. Fewer matches are coincidental equal numbers.
 _LEAST_PAIRED = 0.1
 
 
 def numbers(name: str) -> tuple[int, ...]:
-    """Return the whole numbers in a file name, so that 10.png sorts after 2.png."""
-    # No file system takes longer names, and Python no numbers of thousands of digits.
+    """Extract the whole numbers of a file name as a sort key.
+
+    As a sort key, they put 10.png after 2.png.
+    """
+    # File systems allow 255 bytes; Python refuses to convert numbers of several thousand digits.
     return tuple(int(digits) for digits in re.findall(r"\d+", name[:_LONGEST_NAME]))
 
 
-# What two names of one moment share: all numbers (0001-0002), the last (cam0_0001 and cam1_0001), or
-# the first (frame 7 at two times).
+# Candidate keys to pair two file names: all numbers (0001-0002), the last number (cam0_0001 and cam1_0001),
+# or the first number (one frame number, two timestamps).
 _KEYS: tuple[Callable[[Path], object], ...] = (
     lambda path: numbers(path.stem) or path.stem,
     lambda path: (numbers(path.stem) or (path.stem,))[-1],
@@ -45,7 +48,13 @@ _KEYS: tuple[Callable[[Path], object], ...] = (
 
 
 def images(folder: Path, suffixes: Sequence[str] = IMAGES) -> list[Path]:
-    """Return the image files of a folder, ordered by the numbers in their names."""
+    """Return the image files of a folder, ordered by their numbers.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be listed.
+    """
     try:
         found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
     except OSError as error:
@@ -56,22 +65,28 @@ def images(folder: Path, suffixes: Sequence[str] = IMAGES) -> list[Path]:
 
 
 def first_existing(folder: Path, *names: str) -> Path | None:
-    """Return the first of several names that is there, or None."""
+    """Return the first of several names that exists, or None."""
     return next((folder / name for name in names if (folder / name).exists()), None)
 
 
 def has(folder: Path, *names: str) -> bool:
-    """Say whether all of these files or folders are there."""
+    """Return True if all of these files or folders exist."""
     return all((folder / name).exists() for name in names)
 
 
 def inside(folder: Path, value: object, what: str, file: Path) -> Path:
-    """Return the path that a file names by `what`: the file may come from anywhere, so it stays inside.
+    r"""Resolve an untrusted path and keep it inside the folder.
+
+    Parameters
+    ----------
+    value : the path as read from `file`; `\` counts as `/`.
+    what : name of the entry, for the error message.
+    file : the file that contains the path, for the error message.
 
     Raises
     ------
     InputError
-        If it is no relative path, or leaves the folder.
+        If the value is not a relative path inside the folder.
     """
     name = value.replace("\\", "/") if isinstance(value, str) else "/"
     if not leads_inside(name) or not all(is_name(part) for part in PurePosixPath(name).parts):
@@ -80,7 +95,12 @@ def inside(folder: Path, value: object, what: str, file: Path) -> Path:
 
 
 def is_name(part: str) -> bool:
-    """Say whether a file can be called so: JSON can hold half a character, and any length."""
+    """Return True if the text can be a file name.
+
+    File names must be encodable in UTF-8 and have at most 255 bytes.
+
+    JSON strings may hold lone surrogates and have any length.
+    """
     try:
         return len(part.encode()) <= 255
     except UnicodeEncodeError:
@@ -88,14 +108,16 @@ def is_name(part: str) -> bool:
 
 
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:
-    """Return the (width, height) in pixels that most of a few images of a stream have.
+    """Return the most frequent image size (width, height), in pixels.
 
-    A damaged, odd or missing image then costs its own frame and not the scan.
+    A sample of about eight images is read.
+
+    A damaged, missing or differently sized image then invalidates only its own frame, not the scan.
 
     Raises
     ------
     InputError
-        If none of them can be read.
+        If no sampled image can be read.
     """
     sizes: Counter[tuple[int, int]] = Counter()
     fault: InputError | None = None
@@ -107,7 +129,7 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
         else:
             sizes[with_size] += 1
     if not sizes:
-        raise fault or InputError(SCAN_FILES_MISSING, "there are no images.")
+        raise fault or InputError(SCAN_FILES_MISSING, "no image files found.")
     return sizes.most_common(1)[0][0]
 
 
@@ -123,13 +145,18 @@ def pair(
 ) -> tuple[list[tuple[Path, Path]], list[SkippedFrame]]:
     """Pair the files of two streams by the numbers in their names.
 
-    The same numbers on both sides are a pair; a file whose number the other side lacks is left out and
-    reported. Names without such numbers are paired in order, but only when the counts are equal.
+    Files with equal numbers form a pair. Files without a counterpart are skipped and reported. Names
+    without common numbers are paired by position, which requires equal counts.
+
+    Parameters
+    ----------
+    first, second : image files of both streams.
+    first_name, second_name : names of the streams in messages.
 
     Raises
     ------
     InputError
-        If a side is empty, or the counts differ and the names do not tell what belongs together.
+        If a stream is empty, or the names share too few numbers and the counts differ.
     """
     for files, name in ((first, first_name), (second, second_name)):
         if not files:
@@ -148,7 +175,7 @@ def pair(
         pairs = [(path, right[at]) for at, path in left.items() if at in right]
         alone = [
             SkippedFrame(
-                path.stem, FRAME_IMAGE_MISSING.warning("{place} has no image of this number", place=name)
+                path.stem, FRAME_IMAGE_MISSING.warning("{place} has no image with this number", place=name)
             )
             for side, other, name in ((left, right, second_name), (right, left, first_name))
             for at, path in side.items()
@@ -159,11 +186,11 @@ def pair(
         raise InputError(
             SCAN_IMAGES_UNPAIRED,
             (
-                "{first_name} holds {first_count} images and {second_name} {second_count}, "
-                "and their names share too few numbers to pair them by."
+                "{first_name} has {first_count} images and {second_name} has {second_count}, and their "
+                "names share too few numbers to pair them."
             ),
             folder,
-            remedy="Name the two images of a moment alike.",
+            remedy="Give the two images of a frame the same number.",
             first_name=first_name,
             first_count=len(first),
             second_name=second_name,
@@ -173,14 +200,14 @@ def pair(
 
 
 def check_order(pairs: Sequence[tuple[Path, Path]], first_name: str, second_name: str) -> None:
-    """Warn if `pair` had only the order of the names to go by."""
+    """Warn if `pair` paired the files by position, for lack of common numbers."""
     agreeing = max((sum(key(left) == key(right) for left, right in pairs) for key in _KEYS), default=0)
     if len(pairs) < 2 or agreeing > _LEAST_PAIRED * len(pairs):
         return
     emit(
         SCAN_IMAGES_UNPAIRED.warning(
-            "the names in {first} and {second} share no numbers: they are paired in their order",
-            remedy="name the two images of a moment alike if that is wrong",
+            "the names in {first} and {second} share no numbers: the images are paired by position",
+            remedy="if that is wrong, give the two images of a frame the same number",
             first=first_name,
             second=second_name,
         )

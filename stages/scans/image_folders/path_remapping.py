@@ -1,4 +1,4 @@
-"""Files that a list names by a path of another computer, or of a folder that was renamed since."""
+"""Resolution of listed file paths from another computer or a renamed folder."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ _LONGEST = max(IMAGES, key=len)
 
 
 def found_images(folder: Path, names: Sequence[str], labels: Sequence[str], path: Path) -> list[Path]:
-    """Return the image that each name of a list means, with a warning where they lead elsewhere.
+    """Find the images that a list names, even under other paths.
 
-    Only the folder is searched. An image that is not there comes back as a path where it is missing.
+    Only the scan folder is searched. If paths had to be remapped, a warning says so. A missing image is
+    returned as the path where it was expected.
 
     Parameters
     ----------
-    folder, path : the scan, and the list in it.
-    names : paths, whose extension may be left out.
-    labels : how messages call each.
+    folder : the scan folder.
+    names : paths from the list; the file extension may be missing.
+    labels : name of each entry in messages.
+    path : the list.
 
     Raises
     ------
     InputError
-        If none is there, and one is no path inside the folder.
+        If no image is found and a name is not a relative path inside the folder.
     """
     found = [_by_end(folder, name) or _by_stem(folder, name) for name in names]
     if not any(found):
@@ -42,8 +44,8 @@ def found_images(folder: Path, names: Sequence[str], labels: Sequence[str], path
         name, file = moved[0]
         emit(
             SCAN_ASSUMED.warning(
-                "the paths of {count} images in {list} lead elsewhere (such as {name!r}): they are found by "
-                "their names ({file})",
+                "{count} image paths in {list} point outside the scan or do not exist (such as {name!r}): "
+                "the images are found by name instead ({file})",
                 count=len(moved),
                 list=path.name,
                 name=name[:100],
@@ -54,19 +56,26 @@ def found_images(folder: Path, names: Sequence[str], labels: Sequence[str], path
 
 
 def found_file(folder: Path, name: object, what: str, path: Path) -> Path:
-    """Return the file that a name in a list means, found by the end of its path where that leads elsewhere.
+    """Find the file that a list names, even under another path.
+
+    If the path points elsewhere, the file is found by the end of the path.
+
+    Parameters
+    ----------
+    name : path from the list `path`.
+    what : name of the entry in messages.
 
     Raises
     ------
     InputError
-        If there is none, and it is no path inside the folder.
+        If no file is found and the name is not a relative path inside the folder.
     """
     found = _by_end(folder, name) if isinstance(name, str) else None
     return found or inside(folder, name, what, path)
 
 
 def _by_end(folder: Path, name: str) -> Path | None:
-    """Return the file inside the folder that has the longest end of a path, or None."""
+    """Return the file that matches the longest suffix of a path, or None."""
     parts = [part for part in _parts(name) if part != ".."]
     for start in range(len(parts)):
         end = "/".join(parts[start:])
@@ -82,7 +91,10 @@ def _by_end(folder: Path, name: str) -> Path | None:
 
 
 def _by_stem(folder: Path, name: str) -> Path | None:
-    """Return the only image of that name but for its extension, in the folder or in one for colour."""
+    """Return the only image with this stem, or None.
+
+    The folder and its colour folders are searched.
+    """
     stem = PurePosixPath(_last_part(name)).stem
     found = {
         file
@@ -94,7 +106,10 @@ def _by_stem(folder: Path, name: str) -> Path | None:
 
 
 def _is_path_of(folder: Path, name: str, file: Path) -> bool:
-    """Say whether a path, its extension aside, is that of the file."""
+    """Return True if a listed path is the path of the file.
+
+    The extension may be missing.
+    """
     stated = PurePosixPath(name.replace("\\", "/")).as_posix()
     return file.relative_to(folder).as_posix() in (stated, stated + file.suffix)
 

@@ -1,7 +1,9 @@
-"""Depth maps whose bits are rotated left by three, as SUN3D, SUN RGB-D and their relatives store them.
+"""Depth maps with 16-bit values rotated left by three bits.
 
-They are known by what they hold: a depth of less than 8192 is a multiple of eight, and where it grows beyond,
-the stored values start again from 0. Turned back, neighbouring pixels are as near to each other as they were.
+SUN3D, SUN RGB-D and the APC toolbox store depth in this way.
+
+The encoding is detected from the values. Depth below 8192 is stored as a multiple of eight, and larger
+depth wraps around to small values. In correctly decoded depth, neighbouring pixels differ little.
 """
 
 from __future__ import annotations
@@ -24,39 +26,48 @@ from scanloom.stages.scans.model.scan import Packed, Scan
 
 _LOOKED_AT = 2
 _MILLIMETRES = 1000.0
-# The unit of the APC toolbox. Who states it means the values turned back: hardly a sensor has steps of eight.
+# Unit of the APC toolbox, for decoded values. A user who states this scale means rotated bits: hardly any
+# sensor has a resolution of eight units.
 _TENTHS_OF_MILLIMETRES = 10000.0
-# Fewer pixels, or fewer values, are no depth map that says how it is stored.
+# Maps with fewer valid pixels or fewer distinct values are not tested.
 _LEAST_PIXELS = 1000
 _LEAST_VALUES = 64
-# Values between neighbouring pixels that are a jump. Of plain values turned back, nearly all neighbours jump.
+# Minimum difference of neighbouring pixels that counts as a jump. If plain values are decoded as rotated
+# ones, nearly all neighbours jump.
 _JUMP = 1 << 12
 _MOST_JUMPS = 0.05
-# Turned values that are odd, at least: multiples of 16 and more are rounded for another reason.
+# Minimum ratio of odd values after decoding. If there are fewer, the values are multiples of 16 or more, from
+# rounding and not from rotation.
 _LEAST_ODD = 0.2
-# Plain values that happen to be multiples of eight, by noise, at most.
+# Maximum ratio of values that are not multiples of eight in a rotated map (noise).
 _MOST_PLAIN = 0.001
 
 
 def turned_back(raw: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return depth values (h, w) with their bits rotated right by three."""
+    """Decode rotated depth (h, w) uint16: rotate each value right by three bits."""
     return np.asarray((raw >> 3) | (raw << 13), np.uint16)
 
 
 def read_turned_back(path: Path) -> NDArray[np.uint16]:
-    """Return a depth file's values with their bits turned back; raises InputError if it has no 16 bits."""
+    """Read a depth file and decode its rotated bits, (h, w) uint16.
+
+    Raises
+    ------
+    InputError
+        If the file is not a 16-bit image.
+    """
     raw = read_raw_depth(path)
     if raw.dtype != np.uint16:
-        raise InputError(FILE_DEPTH_FORMAT, "depth of 16 bits is expected.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "a 16-bit depth map is expected.", path)
     return turned_back(raw)
 
 
 def is_rotated(raw: NDArray[np.uint16], *, is_scale_stated: bool) -> bool:
-    """Say whether the bits of a depth map (h, w) are rotated.
+    """Detect rotated bits in a depth map (h, w) uint16.
 
     Parameters
     ----------
-    is_scale_stated : the person says what a unit is: multiples of eight may then be what they mean.
+    is_scale_stated : the user states the depth unit, so multiples of eight can be genuine values.
     """
     known = raw > 0
     if np.count_nonzero(known) < _LEAST_PIXELS or len(np.unique(raw[known])) < _LEAST_VALUES:
@@ -71,15 +82,17 @@ def is_rotated(raw: NDArray[np.uint16], *, is_scale_stated: bool) -> bool:
 
 
 def with_bits_turned_back(scan: Scan, stated: float | None, *, is_own: bool) -> Scan:
-    """Return the scan with its depth maps turned back where their bits are rotated, with a warning.
+    """Decode the depth maps of a scan whose bits are rotated.
+
+    Emits a warning if so.
 
     Parameters
     ----------
-    stated : units a metre, as the person states them.
-    is_own : it is in our own form, whose unit is taken at its word.
+    stated : depth units per metre given by the user, or None.
+    is_own : the scan is in scanloom's own layout, whose stated unit is trusted.
     """
     files = [frame.depth for frame in scan.frames if isinstance(frame.depth, Path)]
-    # Rotated values are millimetres or tenths of them: of other units somebody said what they are.
+    # Rotated values are in units of 1 mm or 0.1 mm; any other scale was stated deliberately.
     usual = _MILLIMETRES if stated is None else _TENTHS_OF_MILLIMETRES
     is_scale_stated = is_own or any(frame.depth_scale != usual for frame in scan.frames)
     if not files or not are_rotated(files, is_scale_stated=is_scale_stated):
@@ -93,11 +106,9 @@ def with_bits_turned_back(scan: Scan, stated: float | None, *, is_own: bool) -> 
     is_millimetres = frames[0].depth_scale == _MILLIMETRES
     emit(
         SCAN_ASSUMED.warning(
-            "the bits of the depth maps are rotated by three, as SUN3D stores them: they are turned back, "
-            "and {scale:g} units are then a metre",
-            remedy="set scan.depth_scale=10000 where they are tenths of millimetres"
-            if is_millimetres
-            else "",
+            "the depth values are stored with their bits rotated by three (as in SUN3D); they are "
+            "decoded, with {scale:g} units per metre",
+            remedy="if they are in units of 0.1 mm, set scan.depth_scale=10000" if is_millimetres else "",
             scale=frames[0].depth_scale,
         )
     )
@@ -105,7 +116,10 @@ def with_bits_turned_back(scan: Scan, stated: float | None, *, is_own: bool) -> 
 
 
 def are_rotated(files: Sequence[Path], *, is_scale_stated: bool) -> bool:
-    """Say whether the bits of depth files are rotated, by two of them; see `is_rotated`."""
+    """Detect rotated bits in depth files, judged by two of them.
+
+    See `is_rotated`.
+    """
     with only_looking():
         maps = [_raw_or_none(path) for path in files[:: max(1, len(files) // _LOOKED_AT)][:_LOOKED_AT]]
     found = [raw for raw in maps if raw is not None]
@@ -121,7 +135,10 @@ def _raw_or_none(path: Path) -> NDArray[np.uint16] | None:
 
 
 def _jumps(values: NDArray[np.uint16], known: NDArray[np.bool_]) -> float:
-    """Return the share of neighbours in a row, both known, that are a jump apart."""
+    """Return the ratio of adjacent valid pixels whose values differ by a jump.
+
+    Only horizontal neighbours are compared.
+    """
     both = known[:, 1:] & known[:, :-1]
     steps = np.abs(np.diff(values.astype(np.int32), axis=1))[both]
     return float(np.mean(steps > _JUMP)) if steps.size else 1.0

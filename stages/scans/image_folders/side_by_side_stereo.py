@@ -1,4 +1,7 @@
-"""Pairs that were recorded as one image, the left half beside the right one: ZED's and many USB cameras'."""
+"""Side-by-side stereo images, as ZED and many USB cameras record them.
+
+Both views of a pair are the halves of one image.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,21 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.images import decode_color, file_bytes, image_size
 from scanloom.stages.scans.model.scan import Packed
 
-# Width to height, from two of 5:4 to two of 16:9.
+# Width / height of the whole image: from two 5:4 images to two 16:9 images.
 _SHAPES = (2.4, 3.7)
-# How alike both halves are where one is moved onto the other, the median: those of real pairs come to
-# 0.8 and more (0.6 where a board fills them), those of real photos of streets to 0.56 at most.
+# Minimum median correlation between the two halves. Real pairs reach 0.8 (0.6 if a calibration board fills
+# the image); ordinary street photos reach at most 0.56.
 _LEAST_ALIKE = 0.62
 _LOOKED_AT = 7
-# The width at which they are compared, and how far things move from left to right, as a share of it.
+# Width of each half for the comparison, pixels; and maximum disparity as a ratio of that width.
 _WIDTH, _FARTHEST = 96, 0.25
 
 
 def are_pairs(paths: Sequence[Path]) -> bool:
-    """Say whether images are pairs, by their shape and by how alike their halves are."""
+    """Return True if images are side-by-side stereo pairs.
+
+    A sample is tested: the aspect ratio must fit two images, and the two halves must correlate.
+    """
     some = paths[:: max(1, len(paths) // _LOOKED_AT)]
     try:
         shapes = [width / height for width, height in map(image_size, some)]
@@ -37,7 +43,10 @@ def are_pairs(paths: Sequence[Path]) -> bool:
 
 
 def halves_of(path: Path) -> tuple[Packed, Packed]:
-    """Return the left and the right image of a pair."""
+    """Return the left and right image of a side-by-side pair.
+
+    Both are decoded on demand.
+    """
     return Packed(path, "left half", partial(_half, path, 0)), Packed(
         path, "right half", partial(_half, path, 1)
     )
@@ -54,7 +63,10 @@ def _half(path: Path, side: int) -> NDArray[np.uint8]:
 
 
 def _alike(image: NDArray[np.uint8]) -> float:
-    """Return the best correlation of the left half's middle with the right half, in its rows."""
+    """Return the maximum correlation between the two halves of an image.
+
+    The centre of the left half is searched in the right half.
+    """
     require_opencv()
     import cv2
 
@@ -65,6 +77,6 @@ def _alike(image: NDArray[np.uint8]) -> float:
         for at in (0, width)
     ]
     margin = int(_WIDTH * _FARTHEST)
-    # Mounted crooked, cameras see things some rows apart.
+    # Search four rows up and down as well: cameras are rarely mounted perfectly level.
     found = cv2.matchTemplate(small[1], small[0][4:-4, margin:-margin], cv2.TM_CCOEFF_NORMED)
     return float(np.nan_to_num(found).max())

@@ -1,4 +1,4 @@
-"""Pair two streams of images that have clocks instead of numbers."""
+"""Timestamp matching of the images of two streams."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from numpy.typing import NDArray
 
 
 def nearest_in_time(first: NDArray[np.int64], second: NDArray[np.int64], tolerance: int) -> NDArray[np.int64]:
-    """Return for each moment of the first stream the nearest of the second, each used once; -1 for none.
+    """Match each timestamp of the first stream to one of the second.
 
-    The closest couples are made first, so that no image takes a partner that suits another better.
+    Matches are one-to-one. The closest pairs are matched first, so that no image takes a partner that is
+    closer to another image.
 
     Parameters
     ----------
-    first, second : (n,) and (m,) int64 nanoseconds, in any order.
-    tolerance : nanoseconds; what is farther apart is no couple.
+    first, second : (n,) and (m,) int64 timestamps in nanoseconds, in any order.
+    tolerance : maximum time difference of a pair, nanoseconds.
+
+    Returns
+    -------
+    (n,) int64
+        Indices into `second`; -1 if there is no match.
     """
     order = np.argsort(second, kind="stable")
     starts = np.searchsorted(second[order], first - tolerance, side="left")

@@ -1,1 +1,1 @@
-"""Readers for scan folders: one module a layout, and nothing else."""
+"""Readers of scan folders, one module per layout."""

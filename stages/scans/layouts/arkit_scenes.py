@@ -1,11 +1,11 @@
-"""ARKitScenes, its low resolution: colour and LiDAR depth of 256×192, a camera and a confidence a frame.
+"""ARKitScenes, low resolution: 256×192 colour and LiDAR depth.
 
     lowres_wide/<id>_<seconds>.png   lowres_depth/   confidence/            the same name in each
     lowres_wide_intrinsics/<id>_<seconds>.pincam                            width height fx fy cx cy
     lowres_wide.traj                                                        world-to-camera
 
-Times in names are rounded to a millisecond, not always to the same one. The world has z up, as those who made
-the data set say: it is not ARKit's own.
+Timestamps in names are rounded to milliseconds, not always in the same direction. According to the
+authors of the data set, z is up; ARKit itself uses y.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MILLISECOND = 1_000_000
 _POSE_TOLERANCE = 5 * _MILLISECOND
 _TIME = re.compile(r"(?:.*_)?(\d{1,9})(?:\.(\d{1,9}))?")
 _LARGEST_SIDE = 1 << 16
-# 0, 1 and 2 are low, medium and high.
+# Low, medium and high.
 _LEVELS = (0, 1, 2)
 
 
@@ -59,7 +59,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     depths = _by_time(folder / "lowres_depth", IMAGES)
     if not depths:
         raise InputError(
-            SCAN_FILES_MISSING, "no images named like 41069021_305.377.png in lowres_depth/.", folder
+            SCAN_FILES_MISSING, "lowres_depth/ has no images named like 41069021_305.377.png.", folder
         )
     colors = _by_time(folder / "lowres_wide", IMAGES)
     cameras = _by_time(folder / "lowres_wide_intrinsics", (".pincam",))
@@ -82,7 +82,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         color, pincam = _beside(colors, time), _beside(cameras, time)
         camera = stated or (None if pincam is None else _camera(pincam, size))
         if pose is None and is_posed:
-            skipped.append(SkippedFrame(depth.stem, FRAME_POSE_MISSING.warning("no pose within 0.005 s")))
+            skipped.append(
+                SkippedFrame(
+                    depth.stem, FRAME_POSE_MISSING.warning("the trajectory has no pose within 0.005 s")
+                )
+            )
             continue
         if camera is None or (color is None and colors):
             lacking = ".pincam" if camera is None else "colour image"
@@ -107,7 +111,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _by_time(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:
-    """Return the files of a folder by the milliseconds in their names; none where there is no folder."""
+    """Return the files of a folder by their timestamp in milliseconds.
+
+    Empty if the folder does not exist.
+    """
     if not folder.is_dir():
         return {}
     found = {}
@@ -119,21 +126,26 @@ def _by_time(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:
 
 
 def _beside(files: Mapping[int, Path], time: int) -> Path | None:
-    """Return the file of a moment, in milliseconds, that may be rounded to the one before or after."""
+    """Return the file of a timestamp, with a tolerance of 1 ms.
+
+    The same moment may be rounded differently in two names.
+    """
     return next((files[near] for near in (time, time - 1, time + 1) if near in files), None)
 
 
 def _camera(path: Path, size: tuple[int, int]) -> Camera:
-    """Read `width height fx fy cx cy`, and return the camera for images of this size."""
+    """Read `width height fx fy cx cy`, scaled to images of `size`."""
     try:
         width, height, *matrix = (float(word) for word in documents.read_text(path).split())
         fx, fy, cx, cy = matrix
     except ValueError as error:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "it is not `width height fx fy cx cy`.", path) from error
+        raise InputError(
+            CAMERA_CALIBRATION_INVALID, "the file must contain `width height fx fy cx cy`.", path
+        ) from error
     if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it is for images of {width:g}×{height:g} pixels, which cannot be right.",
+            "the file states an invalid image size of {width:g}×{height:g} pixels.",
             path,
             width=width,
             height=height,

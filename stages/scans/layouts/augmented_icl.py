@@ -1,6 +1,7 @@
-"""Augmented ICL-NUIM, as Redwood published it: colour as .jpg and depth as .png under one number, and a .log.
+"""Augmented ICL-NUIM as published by Redwood: colour, depth and a .log.
 
-Unpacked into one folder, or as it comes: x-color/00000.jpg, x-depth-clean/00000.png, x-traj.txt.
+Either all in one folder, with colour and depth under the same number, or in the folders as downloaded:
+x-color/00000.jpg, x-depth-clean/00000.png, x-traj.txt.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from scanloom.stages.scans.trajectory import files as trajectories
 _CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 _UNITS_PER_METRE = 1000.0
 _NUMBER = re.compile(r"\d{5}")
-# Of the two kinds of depth, the one without made noise goes first.
+# Depth without simulated noise is preferred.
 _DEPTHS = ("*-depth-clean", "*-depth-simulated", "*-depth")
 _TRAJECTORIES = ("*.log", "*-traj.txt")
 
@@ -38,7 +39,7 @@ def _matches(folder: Path) -> str | None:
 
 
 def _streams(folder: Path) -> tuple[Path, Path] | None:
-    """Return the folders of depth and of colour, which may be one."""
+    """Return the folders of depth and colour; both may be equal."""
     if any(
         _NUMBER.fullmatch(path.stem) and path.with_suffix(".png").exists() for path in folder.glob("*.jpg")
     ):
@@ -58,7 +59,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if streams is None:
         raise InputError(
             SCAN_FILES_MISSING,
-            "images named like 00000.jpg (colour) and 00000.png (depth) are needed.",
+            "images named like 00000.jpg (colour) and 00000.png (depth) are required.",
             folder,
         )
     depths, colors = images(streams[0], (".png",)), images(streams[1], (".jpg",))
@@ -68,7 +69,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     poses: list[Pose | None] = [None] * len(names)
     missing: tuple[Diagnostic, ...] = ()
     if path is None:
-        missing = (poses_missing("there is no one .log or *-traj.txt"),)
+        missing = (poses_missing("exactly one .log or *-traj.txt is required"),)
     else:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     size = common_size([depth for depth, _ in pairs])

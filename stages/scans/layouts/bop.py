@@ -1,11 +1,11 @@
-"""BOP, the benchmark of object poses: a scene's images by number, and one file of all their cameras.
+"""BOP (benchmark for 6D object pose): numbered images and `scene_camera.json`.
 
     rgb/000000.png (or gray/)     depth/000000.png     scene_camera.json, by number:
-        cam_K 3×3 by rows, depth_scale (millimetres a unit of depth), and where the scene has a world
-        cam_R_w2c 3×3 by rows and cam_t_w2c, millimetres: world-to-camera
+        cam_K 3×3 row-major, depth_scale (millimetres per depth unit), and if the scene has world poses
+        cam_R_w2c 3×3 row-major and cam_t_w2c, millimetres: world-to-camera
 
-Depth maps are seen by the camera of the colour images. scene_gt.json tells where objects are, mask/ and
-mask_visib/ what of each is seen: none of them is where the cameras are, or what the scene is.
+Depth is registered to the colour camera. scene_gt.json, mask/ and mask_visib/ describe objects and not
+cameras, and are ignored.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     streams = depths or colors
     if not streams:
         raise InputError(
-            SCAN_FILES_MISSING, "no images named like 000010.png in rgb/, gray/ or depth/.", folder
+            SCAN_FILES_MISSING, "rgb/, gray/ and depth/ have no images named like 000010.png.", folder
         )
     used = sorted(number for number in streams if number in tables)
     if not used:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "it has no entry for any of the images.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "the file has no entry for any of the images.", path)
     size = common_size([streams[number] for number in used])
     stated = stated_camera(options, folder, *size)
     given = options.file("poses", folder)
@@ -82,7 +82,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     frames: list[Frame] = []
     skipped = [
         SkippedFrame(
-            streams[number].stem, SCAN_FRAMES_SKIPPED.warning("{file} has no entry for it", file=_CAMERAS)
+            streams[number].stem,
+            SCAN_FRAMES_SKIPPED.warning("{file} has no entry for this image", file=_CAMERAS),
         )
         for number in sorted(streams.keys() - tables.keys())
     ]
@@ -92,7 +93,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         try:
             pose = _pose(table, path) if matched is None else matched[number]
             if pose is None and has_world:
-                skipped.append(SkippedFrame(name, FRAME_POSE_MISSING.warning("it has no pose")))
+                skipped.append(SkippedFrame(name, FRAME_POSE_MISSING.warning("the frame has no pose")))
                 continue
             if color is None and colors:
                 skipped.append(SkippedFrame(name, FRAME_IMAGE_MISSING.warning("its colour image is missing")))
@@ -112,7 +113,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if alone:
         emit(
             SCAN_FRAMES_SKIPPED.warning(
-                "{file} has entries for {count} images that are not there", file=_CAMERAS, count=alone
+                "{file} has entries for {count} images that do not exist; they are ignored",
+                file=_CAMERAS,
+                count=alone,
             )
         )
     missing = () if has_world else (poses_missing("{file} has no cam_R_w2c", file=_CAMERAS),)
@@ -120,18 +123,18 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _tables(path: Path) -> dict[int, Table]:
-    """Return what the file has for each image, by number."""
+    """Read `scene_camera.json` as a table per image number."""
     document = documents.read_json(path)
     if not isinstance(document, dict) or not document:
         raise InputError(
-            CAMERA_CALIBRATION_INVALID, "it is no table of cameras by the numbers of images.", path
+            CAMERA_CALIBRATION_INVALID, "the file must be a JSON object with a camera per image number.", path
         )
     tables: dict[int, Table] = {}
     for key, table in document.items():
         if not (key.isascii() and key.isdigit() and len(key) < 10 and isinstance(table, dict)):
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "{key!r} is not the number of an image with its camera.",
+                "{key!r} is not an image number with a camera object.",
                 path,
                 key=str(key)[:40],
             )
@@ -140,7 +143,10 @@ def _tables(path: Path) -> dict[int, Table]:
 
 
 def _by_number(folder: Path | None, suffixes: Sequence[str] = IMAGES) -> dict[int, Path]:
-    """Return the images of a folder by the number that is their name; none where there is no folder."""
+    """Return the images of a folder by the number in their name.
+
+    Empty if the folder does not exist.
+    """
     if folder is None or not folder.is_dir():
         return {}
     return {int(path.stem): path for path in images(folder, suffixes) if path.stem.isdecimal()}
@@ -163,13 +169,16 @@ def _values(table: Table, key: str, count: int, path: Path) -> NDArray[np.float6
     values = number_row(table.get(key), key, path)
     if len(values) != count:
         raise InputError(
-            CAMERA_CALIBRATION_INVALID, "{key} is not a list of {count} numbers.", path, key=key, count=count
+            CAMERA_CALIBRATION_INVALID, "{key} must be a list of {count} numbers.", path, key=key, count=count
         )
     return np.array(values)
 
 
 def _pose(table: Table, path: Path) -> Pose | None:
-    """Return where the camera stands, metres; None where the scene has no world, or the camera was lost."""
+    """Return the camera-to-world pose in metres, or None without one.
+
+    None if the scene has no world frame or the pose is not finite (lost tracking).
+    """
     if not any(key in table for key in _POSE):
         return None
     rotation = _values(table, _POSE[0], 9, path).reshape(3, 3)

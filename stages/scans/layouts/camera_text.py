@@ -1,11 +1,13 @@
-"""Frames beside a text of cameras and poses with headings (the APC vision toolbox, its relatives).
+"""Frames with a headed text file of cameras and poses.
+
+Written by the APC vision toolbox and related tools.
 
     cam.info.txt                                     see scanloom.stages.scans.calibration.headed_text
-    frame-000000.color.png  frame-000000.depth.png   depth as colour's camera would see it
+    frame-000000.color.png  frame-000000.depth.png   depth registered to the colour camera
 
-The toolbox rotates the bits of depth by three, and its unit is then a tenth of a millimetre. A pose is that
-of the colour camera. What lies in raw/, as depth's own camera saw it, is left aside: the lens of that camera
-is not stated, and the registered maps are nearer to the colour images.
+The toolbox rotates the bits of depth values by three, in units of 0.1 mm. Poses belong to the colour
+camera. Unregistered depth in raw/ is ignored: the lens distortion of its camera is unknown, and the
+registered maps fit the colour images better.
 """
 
 from __future__ import annotations
@@ -45,9 +47,9 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, 
 from scanloom.stages.scans.trajectory import files as trajectories
 
 _NAMES = ("cam.info.txt", "camera.info.txt", "cam_info.txt", "camera_info.txt")
-# A pose takes some 300 bytes.
+# Bytes; a pose takes about 300.
 _LARGEST_BYTES = 1 << 22
-# Of bits that are rotated, as the toolbox saves them, and of plain ones.
+# Depth units per metre of rotated values, as the toolbox writes them, and of plain values.
 _TENTHS_OF_MILLIMETRES = 10_000.0
 _MILLIMETRES = 1000.0
 _COLOR = ("color", "colour", "rgb")
@@ -59,14 +61,17 @@ def _matches(folder: Path) -> str | None:
         return None
     with only_looking():
         is_headed = _is_headed(found)
-    # A damaged one is known by its name, and by depth beside it.
+    # A damaged file is still recognised by its name, if there are depth images next to it.
     if not is_headed and not any("depth" in one.name.lower() for one in folder.iterdir()):
         return None
-    return f"{found.name}, camera poses of frames below headings"
+    return f"{found.name}, a text with camera poses under headings"
 
 
 def _text_file(folder: Path) -> Path | None:
-    """Return the text: by its usual name, or the only one that has headings for poses of frames."""
+    """Return the text file of cameras and poses, or None.
+
+    It has a usual name, or is the only text file with headings for poses of frames.
+    """
     named = first_existing(folder, *_NAMES)
     others = [path for path in small_documents(folder, _LARGEST_BYTES) if path.suffix.lower() == ".txt"]
     if named is not None:
@@ -87,21 +92,23 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     path = _text_file(folder)
     if path is None:
         raise InputError(
-            SCAN_FILES_MISSING, "a text of cameras and poses below headings (cam.info.txt) is needed.", folder
+            SCAN_FILES_MISSING,
+            "a text file with cameras and poses under headings (cam.info.txt) is required.",
+            folder,
         )
     text = headed_text.read_headed_text(path)
     if not text.poses:
-        raise InputError(SCAN_TABLE_DAMAGED, "it has no heading with the pose of a frame.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file has no heading for the pose of a frame.", path)
     found = _frames(folder, text)
     if not found:
         raise InputError(
             SCAN_FILES_MISSING,
-            "there is no depth map of any of its {poses_count} frames, such as {next}.depth.png.",
+            "none of the {poses_count} listed frames has a depth map, such as {next}.depth.png.",
             path,
             poses_count=len(text.poses),
             next=next(iter(text.poses), "frame-000000"),
         )
-    without_depth = FRAME_IMAGE_MISSING.warning("it has no depth map")
+    without_depth = FRAME_IMAGE_MISSING.warning("its depth map is missing")
     lacking = [SkippedFrame(name, without_depth) for name in text.poses if name not in found]
     given = options.file("poses", folder)
     poses = text.poses
@@ -115,9 +122,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not rotated:
         emit(
             SCAN_ASSUMED.warning(
-                "the bits of the depth maps are not rotated, as the APC toolbox has them: they are read as "
-                "millimetres",
-                remedy="set scan.depth_scale={tenths:g} where they are tenths",
+                "unlike in files of the APC toolbox, the bits of the depth values are not rotated: they "
+                "are read as millimetres",
+                remedy="if they are in units of 0.1 mm, set scan.depth_scale={tenths:g}",
                 tenths=_TENTHS_OF_MILLIMETRES,
             )
         )
@@ -138,14 +145,17 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if text.others:
         emit(
             SCAN_ASSUMED.warning(
-                "it states more, which is left aside: {others}", path, others="; ".join(text.others[:3])
+                "some entries of the file are ignored: {others}", path, others="; ".join(text.others[:3])
             )
         )
     return Scan(LAYOUT.name, frames, None, folder, tuple(lacking))
 
 
 def _frames(folder: Path, text: HeadedText) -> dict[str, tuple[Path, Path | None]]:
-    """Return the depth map and the colour image of each frame that the text names and that has depth."""
+    """Return depth map and colour image of each listed frame with depth.
+
+    The colour image may be None.
+    """
     beside = images(folder, DEPTHS)
     depths = [one for one in beside if "depth" in one.name.lower()]
     depths += [
@@ -158,7 +168,7 @@ def _frames(folder: Path, text: HeadedText) -> dict[str, tuple[Path, Path | None
 
 
 def _of_frame(files: Sequence[Path], name: str) -> Path | None:
-    """Return the file that is called as the frame, and perhaps something after a sign."""
+    """Return the file named like the frame, optionally with a suffix."""
     return next(
         (one for one in files if one.name.startswith(name) and not one.name[len(name) :][:1].isalnum()), None
     )
@@ -166,7 +176,10 @@ def _of_frame(files: Sequence[Path], name: str) -> Path | None:
 
 @dataclass(frozen=True, eq=False)
 class _Cameras:
-    """The depth camera; the colour camera and its place beside it, where it is another."""
+    """Depth camera, and a separate colour camera with its extrinsics.
+
+    `color` is None if there is only one camera.
+    """
 
     depth: Camera
     color: Camera | None = None
@@ -174,7 +187,10 @@ class _Cameras:
 
 
 def _of_depth(pose: Pose | None, cameras: _Cameras, *, is_given: bool) -> Pose | None:
-    """Return the pose of the depth camera: a trajectory of the person's own is of that already."""
+    """Return the pose of the depth camera.
+
+    A trajectory given by the user is already relative to the depth camera.
+    """
     if pose is None or cameras.color_from_depth is None or is_given:
         return pose
     moved: Pose = pose @ cameras.color_from_depth
@@ -200,7 +216,7 @@ def _cameras(
             for matrix, of in ((text.depth, size), (text.color, color_size))
         )
         return _Cameras(depth, color, text.color_from_depth)
-    # Maps of colour's size are registered to it, and of its camera.
+    # Depth maps of the size of the colour images are registered to the colour camera.
     matrix = text.depth if text.color is None else text.color
     if matrix is None:
         camera, _ = found_camera(folder, *size)
@@ -210,8 +226,8 @@ def _cameras(
 
 LAYOUT = Layout(
     name="camera-text",
-    text="frame-000000.color.png, frame-000000.depth.png, and a text of cameras and poses below headings "
-    "(cam.info.txt of the APC vision toolbox)",
+    text="frame-000000.color.png, frame-000000.depth.png, and a text with cameras and poses under "
+    "headings (cam.info.txt of the APC vision toolbox)",
     matches=_matches,
     read=_read,
 )

@@ -1,7 +1,7 @@
-"""EuRoC MAV (ASL): an unrectified pair, each camera with its place on the body, poses of the body.
+"""EuRoC MAV (ASL): unrectified stereo, with extrinsics and poses of the body.
 
-TUM-VI packs its sequences alike, but for its fisheye cameras, which stand in dso/camchain.yaml (Kalibr's
-form), and for its images, which have 16 bits.
+TUM-VI uses the same folders, but its fisheye cameras are described in dso/camchain.yaml (Kalibr), and
+its images are 16-bit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from scanloom.stages.scans.model.world import Z_UP
 from scanloom.stages.scans.streams.clocked_streams import Accelerometer
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
-# Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
+# Nanoseconds. Ground truth runs at 20 to 200 Hz: half of the longest interval, and a margin.
 _TOLERANCE = 30_000_000
 _CAMCHAIN = "dso/camchain.yaml"
 _IMU = "imu0"
@@ -76,7 +76,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     frames: list[Frame] = []
     skipped = [
         SkippedFrame(
-            str(time), FRAME_IMAGE_MISSING.warning("cam{side} has no image of this moment", side=1 - side)
+            str(time),
+            FRAME_IMAGE_MISSING.warning("cam{side} has no image with this timestamp", side=1 - side),
         )
         for side in (0, 1)
         for time in sorted(streams[side].keys() - streams[1 - side].keys())
@@ -88,7 +89,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = poses_at(path, times, [str(time) for time in times], _TOLERANCE, options)
     for time, pose in zip(times, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(str(time), FRAME_POSE_MISSING.warning("no pose within 0.03 s")))
+            skipped.append(
+                SkippedFrame(
+                    str(time), FRAME_POSE_MISSING.warning("the trajectory has no pose within 0.03 s")
+                )
+            )
             continue
         frames.append(
             Frame(
@@ -105,7 +110,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     frames = [replace(frame, up=up) for frame, up in zip(frames, ups, strict=True)]
     lacking = poses_missing(
         "{file} is missing",
-        remedy="name a trajectory of the body with scan.poses=FILE",
+        remedy="name a trajectory of the body frame with scan.poses=FILE",
         file=_GROUND_TRUTH[0],
     )
     missing = (lacking,) if path is None else ()
@@ -113,7 +118,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _stream(camera: Path) -> dict[int, Path]:
-    """Return the images of a camera by their time in nanoseconds, from data.csv."""
+    """Read the images of a camera by timestamp (ns) from data.csv."""
     path = camera / "data.csv"
     found: dict[int, Path] = {}
     for number, text in documents.lines(path):
@@ -124,12 +129,15 @@ def _stream(camera: Path) -> dict[int, Path]:
             )
         found[int(time)] = camera / "data" / documents.require_inside(name.strip(), path, f"line {number}")
     if not found:
-        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", path)
     return found
 
 
 def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
-    """Return the readings of imu0, where the folder has them: at rest they point up."""
+    """Read the accelerometer of imu0, or return None if there is none.
+
+    At rest, its readings point up.
+    """
     path, sensor = mav / _IMU / "data.csv", mav / _IMU / "sensor.yaml"
     if not path.exists():
         return None
@@ -143,7 +151,7 @@ def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
         if len(values) < 6 or not 0 <= time < 1 << 62:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "line {number} is not nanoseconds, three rates and three accelerations.",
+                "line {number} is not a timestamp (ns), three angular rates and three accelerations.",
                 path,
                 number=number,
             )
@@ -158,7 +166,7 @@ def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
 
 
 def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
-    """Return the rig, and where its left camera sits on the body."""
+    """Read the rig and body_from_left, the extrinsics of the left camera."""
     cameras, body_from_camera = [], []
     for name in ("cam0", "cam1"):
         path = mav / name / "sensor.yaml"
@@ -172,7 +180,10 @@ def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[Ster
 
 
 def _is_wide(files: Sequence[Path]) -> bool:
-    """Say whether the images have 16 bits, by the first that is there."""
+    """Return True if the images are 16-bit.
+
+    The first existing file decides.
+    """
     first = next((path for path in files if path.exists()), None)
     try:
         return first is not None and read_stored(first).dtype == np.uint16
@@ -187,12 +198,14 @@ def _narrowed(path: Path) -> Packed:
 def _high_bytes(path: Path) -> NDArray[np.uint8]:
     image = read_stored(path)
     if image.ndim != 2 or image.dtype != np.uint16:
-        raise InputError(FILE_IMAGE_FORMAT, "a grey image of 16 bits is expected, as the others are.", path)
+        raise InputError(
+            FILE_IMAGE_FORMAT, "a 16-bit greyscale image is expected, like the other images.", path
+        )
     return (image >> 8).astype(np.uint8)
 
 
 def _chained(path: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
-    """Return the rig of Kalibr's file, and the pose of its left camera on the body."""
+    """Read the rig and body_from_left from a Kalibr camchain file."""
     document = documents.read_document(path)
     rig = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     stated = options.camera(*size)
@@ -205,7 +218,7 @@ def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingPar
     if document.get("camera_model", "pinhole") != "pinhole":
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "camera_model {document} is not supported; pinhole is.",
+            "camera_model {document} is not supported; only pinhole is.",
             path,
             document=document["camera_model"],
         )
@@ -227,12 +240,12 @@ def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
 
 
 def _mounting(document: dict[str, Any], path: Path) -> Pose:
-    """Return T_BS: camera to body, row-major."""
+    """Return T_BS (camera to body) as a (4, 4) pose."""
     matrix = document.get("T_BS")
     data = matrix.get("data") if isinstance(matrix, dict) else matrix
     pose = rigid(matrix_of(data, path, "T_BS"), path, "T_BS")
     if pose is None:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "T_BS is not finite.", path)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "T_BS contains NaN or infinity.", path)
     return pose
 
 

@@ -1,11 +1,11 @@
-"""A JSON list of frames, each with its camera, its pose and the unit of its depth (align3d, its relatives).
+"""JSON list of frames, each with camera, pose and depth unit (align3d).
 
-    frames.json                        {"root": [{"info": {…}, …}, …]}, the images' names in it or beside it
+    frames.json                        {"root": [{"info": {…}, …}, …]}; may name the images
     frame_00000_rgb.png  frame_00000_depth.png  …
 
-Of a frame's info: `kcam.matrix` 3x3, `kcam.undist_coeff`, `kcam.image_size`; `depth_scale`, metres of a unit;
-`depth_bias`, metres that are added to every depth; `depth_max`, in units of the depth maps, beyond which the
-sensor says nothing; `rt_cam.matrix` 4x4, camera-to-world.
+Fields of `info`: `kcam.matrix` 3x3, `kcam.undist_coeff`, `kcam.image_size`; `depth_scale`, metres per
+depth unit; `depth_bias`, metres added to every depth; `depth_max`, maximum valid depth in depth units;
+`rt_cam.matrix` 4x4, camera-to-world.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ _NAMES = ("frames.json", "info.json", "data.json", "scan_info.json", "dataset.js
 _COLOR = ("rgb", "color", "colour")
 _KCAM = {"matrix": "matrix", "undist_coeff": "distortion", "image_size": "image_size"}
 _LOOKED_AT = 4
-# A limit beyond which most of the depth lies is of another unit than it seems.
+# If more than this ratio of the depth exceeds depth_max, depth_max has another unit than the depth.
 _MOST_BEYOND = 0.5
-# So little beyond a limit is nothing to tell.
+# Smaller ratios of depth beyond depth_max are not reported.
 _LEAST_TOLD = 0.001
 _FARTHEST_BIAS_M = 10.0
 
@@ -53,7 +53,7 @@ def _matches(folder: Path) -> str | None:
 
 
 def _named_in(folder: Path) -> Path | None:
-    """Return a file that has the words of such a list, however damaged it is."""
+    """Return a file with the keys of a frame list, even if damaged."""
     for path in (folder / name for name in _NAMES):
         try:
             text = documents.read_text(path) if path.is_file() else ""
@@ -88,7 +88,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if found is None and (damaged := _named_in(folder)) is not None:
         documents.read_json(damaged)
     if found is None:
-        raise InputError(SCAN_FILES_MISSING, "a JSON list of frames with kcam and rt_cam is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "a JSON list of frames with kcam and rt_cam is required.", folder
+        )
     path, entries = found
     images = [_images(folder, entry, number, path) for number, entry in enumerate(entries)]
     size = common_size([depth for _, depth in images])
@@ -120,7 +122,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _images(folder: Path, entry: dict[str, Any], number: int, path: Path) -> tuple[Path | None, Path]:
-    """Return the colour image and the depth map of a frame: those it names, or those of its number."""
+    """Return colour image (or None) and depth map of a frame.
+
+    The files are those that the entry names, or those with the number of the frame.
+    """
     named = {
         key: inside(folder, value, f"frame {number}: {key}", path)
         for key, value in (*entry.items(), *_info(entry).items())
@@ -142,7 +147,7 @@ def _images(folder: Path, entry: dict[str, Any], number: int, path: Path) -> tup
     if depth is None:
         raise InputError(
             SCAN_FILES_MISSING,
-            "frame {number} names no depth map, and there is none of its number.",
+            "frame {number} names no depth map, and the folder has none with this number.",
             path,
             number=number,
         )
@@ -158,7 +163,10 @@ def _camera(info: dict[str, Any], size: tuple[int, int], path: Path) -> Camera:
 
 @dataclass(frozen=True)
 class _Meaning:
-    """What a stored depth means: units a metre, metres that are added, and the largest unit that counts."""
+    """Interpretation of stored depth values.
+
+    `scale` is in units per metre, `bias_m` in metres, `most` the maximum valid value in units.
+    """
 
     scale: float
     bias_m: float
@@ -178,7 +186,7 @@ def _meaning(info: dict[str, Any], options: ReadingParams, path: Path) -> _Meani
     if not _is_number(bias) or abs(bias) > _FARTHEST_BIAS_M:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "depth_bias is {bias}; metres that are added to depth are expected.",
+            "depth_bias is {bias}; it must be an offset in metres, at most ±10.",
             path,
             bias=str(bias)[:40],
         )
@@ -189,7 +197,7 @@ def _meaning(info: dict[str, Any], options: ReadingParams, path: Path) -> _Meani
             path,
             most=str(most)[:40],
         )
-    # The file says metres a unit.
+    # The file states metres per unit.
     return _Meaning(options.depth_scale or 1 / step, float(bias), None if most is None else float(most))
 
 
@@ -198,7 +206,10 @@ def _is_number(value: object) -> bool:
 
 
 def _checked(meanings: Sequence[_Meaning], depths: Sequence[Path], path: Path) -> list[_Meaning]:
-    """Return the meanings, without a depth_max that would leave out most of the depth."""
+    """Drop depth_max from all frames if it would discard most depth.
+
+    A sample of the depth maps decides. Warns if depth is discarded or depth_max is ignored.
+    """
     limits = {meaning.most for meaning in meanings} - {None}
     beyond = _share_beyond(meanings, depths)
     if not limits or beyond < _LEAST_TOLD:
@@ -208,8 +219,7 @@ def _checked(meanings: Sequence[_Meaning], depths: Sequence[Path], path: Path) -
     if beyond <= _MOST_BEYOND:
         emit(
             SCAN_ASSUMED.warning(
-                "{beyond:.1%} of the depth looked at lies beyond the depth_max of {file}, {far:.3g} m: it is "
-                "left out",
+                "{beyond:.1%} of the sampled depth exceeds depth_max in {file} ({far:.3g} m) and is ignored",
                 beyond=beyond,
                 file=path.name,
                 far=far,
@@ -218,9 +228,9 @@ def _checked(meanings: Sequence[_Meaning], depths: Sequence[Path], path: Path) -
         return list(meanings)
     emit(
         SCAN_ASSUMED.warning(
-            "{beyond:.0%} of the depth looked at lies beyond the depth_max of {file}, which would be "
-            "{far:.3g} m: it is not applied",
-            remedy="fuse.max_depth=METRES leaves out what is farther",
+            "{beyond:.0%} of the sampled depth exceeds depth_max in {file} ({far:.3g} m), so its unit "
+            "seems wrong: depth_max is not applied",
+            remedy="set fuse.max_depth=METRES to ignore distant depth",
             beyond=beyond,
             file=path.name,
             far=far,
@@ -243,7 +253,7 @@ def _share_beyond(meanings: Sequence[_Meaning], depths: Sequence[Path]) -> float
 
 
 def _meant(depth: Path, meaning: _Meaning) -> Path | Packed:
-    """Return the depth map that the stored one means; the file itself where they are the same."""
+    """Return the corrected depth map, or the unchanged file."""
     if not meaning.bias_m and meaning.most is None:
         return depth
     name = f"depth + {meaning.bias_m:.9g} m" if meaning.bias_m else "depth"

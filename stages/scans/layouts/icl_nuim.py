@@ -1,7 +1,9 @@
-"""ICL-NUIM in TUM packing: a rendered room whose camera, and world, have y up.
+"""ICL-NUIM in TUM format: a rendered room with y up.
 
-Its published camera matrix has a focal length of -480 for that. Here y is turned over once, in the camera and
-in the world: turned over in the camera alone, the room would be its own mirror image.
+Both its camera and its world have y up.
+
+The published camera matrix therefore has a focal length of -480. Here y is flipped in the camera and in
+the world; flipping only the camera would mirror the room.
 """
 
 from __future__ import annotations
@@ -45,12 +47,16 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     skipped: list[SkippedFrame] = []
     poses: list[Pose | None] = [None] * len(listed)
     if path is not None:
-        # The number of a frame stands where other recordings have its time.
+        # ICL-NUIM has frame numbers in the timestamp columns.
         moments, names = [one.depth_time for one in listed], [one.depth.stem for one in listed]
         poses = poses_at(path, moments, names, _TOLERANCE, options, _trajectory)
     for one, pose in zip(listed, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(one.depth.stem, FRAME_POSE_MISSING.warning("no pose of its number")))
+            skipped.append(
+                SkippedFrame(
+                    one.depth.stem, FRAME_POSE_MISSING.warning("the trajectory has no pose with its number")
+                )
+            )
             continue
         frames.append(
             Frame(
@@ -72,16 +78,19 @@ def _pose_file(folder: Path) -> Path | None:
         names = ", ".join(path.name for path in found)
         raise InputError(
             SCAN_FILES_MISSING,
-            "there are several trajectories ({names})",
+            "the folder has several trajectories ({names})",
             folder,
-            remedy="name one with scan.poses=FILE.",
+            remedy="choose one with scan.poses=FILE.",
             names=names,
         )
     return found[0] if found else None
 
 
 def _trajectory(path: Path) -> Trajectory:
-    """Return the trajectory with y down; one that is not the data set's own has it so already."""
+    """Read a trajectory, with y down.
+
+    Only the trajectory of the data set needs flipping; others have y down already.
+    """
     trajectory = trajectories.read_trajectory(path)
     if not path.match(_POSES):
         return trajectory
@@ -91,7 +100,7 @@ def _trajectory(path: Path) -> Trajectory:
 
 LAYOUT = Layout(
     name="icl-nuim",
-    text="associations.txt, rgb/, depth/, *.gt.freiburg (ICL-NUIM in TUM packing)",
+    text="associations.txt, rgb/, depth/, *.gt.freiburg (ICL-NUIM in TUM format)",
     matches=_matches,
     read=_read,
     up=Y_DOWN,

@@ -1,9 +1,9 @@
-"""Karlsruhe's street sequences, as libviso2 reads them: rectified pairs in one folder, and calib.txt.
+"""Karlsruhe street sequences (libviso2): rectified pairs in one folder, and calib.txt.
 
     I1_000000.png  I2_000000.png  …
-    calib.txt                        P1_roi and P2_roi, 3x4 projections of the region that was cut out
+    calib.txt                        P1_roi and P2_roi, 3x4 projections of the cropped region
 
-insdata.txt, the car's own position, stands for another place than the cameras and is left aside.
+insdata.txt, the trajectory of the car, is ignored: its offset to the cameras is unknown.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     else:
         car = (
-            f" ({_CAR} has the places of the car, but nothing says how the cameras stand to it)"
+            f" ({_CAR} has positions of the car, but their offset to the cameras is unknown)"
             if (folder / _CAR).is_file()
             else ""
         )
@@ -75,7 +75,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:
-    """Return the projection of each side's region, by the side's number."""
+    """Read the projection matrices (3, 4), by camera number."""
     found = {}
     for side, text in _PROJECTION.findall(documents.read_text(calib)):
         try:
@@ -83,14 +83,16 @@ def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:
         except ValueError:
             row = np.empty(0)
         if row.size != 12 or not np.isfinite(row).all():
-            raise InputError(CAMERA_CALIBRATION_INVALID, "P{side}_roi is not 12 numbers.", calib, side=side)
+            raise InputError(
+                CAMERA_CALIBRATION_INVALID, "P{side}_roi must be 12 finite numbers.", calib, side=side
+            )
         found[side] = row.reshape(3, 4)
     return found
 
 
 LAYOUT = Layout(
     name="karlsruhe",
-    text="I1_000000.png and I2_000000.png side by side, calib.txt with P1_roi (Karlsruhe, libviso2)",
+    text="I1_000000.png and I2_000000.png in one folder, calib.txt with P1_roi (Karlsruhe, libviso2)",
     matches=_matches,
     read=_read,
 )

@@ -1,8 +1,8 @@
-"""LLFF: photos in images/, and poses_bounds.npy with a row of 17 numbers for each, in order of their names.
+"""LLFF: photos in images/, and poses_bounds.npy with 17 numbers per photo.
 
-A row is a 3x5 matrix, row by row, then the nearest and the farthest depth. Its first three columns are the
-camera's axes in the world, down, right and back; the fourth its place; the fifth h, w and f in pixels. Photos
-that were made smaller keep their rows (images_4/, images_8/). Lengths are of a world without a scale.
+Rows are in the order of the photo names. A row is a 3x5 matrix (row-major), then the minimum and
+maximum depth. Matrix columns: camera axes down, right and back in the world; camera position; h, w and
+f in pixels. Downscaled photos (images_4/, images_8/) keep their rows. Lengths have an unknown scale.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from scanloom.stages.scans.trajectory import files as trajectories
 _FILE = "poses_bounds.npy"
 _COLUMNS = 17
 _MOST_VIEWS = 1 << 20
-# The bounds are percentiles of points: the scene goes on beyond them.
+# The stored bounds are percentiles of the points, so the depth range is widened by this ratio.
 _BEYOND = 0.1
 _MASKS = ("masks", "mask")
-# Masks that went through JPEG are grey where they were black.
+# Threshold of a mask pixel; masks saved as JPEG are grey where they were black.
 _SHOWN = 128
 
 
@@ -47,7 +47,7 @@ def _matches(folder: Path) -> str | None:
 
 
 def _image_folder(folder: Path) -> Path | None:
-    """Return the folder of photos, of several the one with the largest."""
+    """Return the folder of photos, preferring the highest resolution."""
     smaller = sorted(folder.glob("images_*"), key=lambda place: (numbers(place.name), place.name))
     places = [place for place in (folder / "images", *smaller) if place.is_dir()]
     return next((place for place in places if images(place)), None)
@@ -56,10 +56,10 @@ def _image_folder(folder: Path) -> Path | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     place = _image_folder(folder)
     if place is None:
-        raise InputError(SCAN_FILES_MISSING, "a folder images/ with the photos is needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "a folder images/ with the photos is required.", folder)
     path = folder / _FILE
     rows = _rows(path)
-    # In the order of their names as text, which is that of the rows.
+    # Rows follow the lexicographic order of the names.
     colors = sorted(images(place), key=lambda color: color.name)
     names = [color.stem for color in colors]
     rows = list(trajectories.by_number(rows, names, path, "rows"))
@@ -90,7 +90,8 @@ def _rows(path: Path) -> list[NDArray[np.float64]]:
     if table.ndim != 2 or table.shape[1] != _COLUMNS or len(table) > _MOST_VIEWS or table.dtype.kind != "f":
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "rows of {columns} numbers are expected; this is {table_shape} of type {table_dtype}.",
+            "rows of {columns} numbers are expected, but the array has shape {table_shape} and type "
+            "{table_dtype}.",
             path,
             columns=_COLUMNS,
             table_shape=table.shape,
@@ -109,7 +110,7 @@ def _camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path
     if not all(1 <= side < 1 << 16 and side == int(side) for side in (width, height)):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it is for images of {width:g}×{height:g} pixels, which cannot be right.",
+            "the file states an invalid image size of {width:g}×{height:g} pixels.",
             path,
             width=width,
             height=height,
@@ -125,7 +126,7 @@ def _range(row: NDArray[np.float64], options: ReadingParams) -> tuple[float, flo
 
 
 def _mask(folder: Path, color: Path) -> Packed | None:
-    """Return the photo's mask, of its name or of one that begins with it: IMG_1_mask.JPG."""
+    """Return the mask of a photo, named like IMG_1.png or IMG_1_mask.JPG."""
     places = [folder / name for name in _MASKS if (folder / name).is_dir()]
     for stem in (color.stem, f"{color.stem}_mask", f"{color.stem}.mask", color.name):
         for found in (path for place in places for path in place.glob("*") if path.stem == stem):
@@ -136,14 +137,14 @@ def _mask(folder: Path, color: Path) -> Packed | None:
 def _shown(path: Path) -> NDArray[np.uint8]:
     mask = read_stored(path)
     if mask.dtype != np.uint8:
-        raise InputError(FILE_IMAGE_FORMAT, "a mask of 8 bits a channel is expected.", path)
+        raise InputError(FILE_IMAGE_FORMAT, "an 8-bit mask is expected.", path)
     grey = mask if mask.ndim == 2 else mask[:, :, :3].max(axis=2)
     return np.asarray(np.where(grey >= _SHOWN, 255, 0), np.uint8)
 
 
 LAYOUT = Layout(
     name="llff",
-    text="poses_bounds.npy, images/, perhaps masks/ (LLFF)",
+    text="poses_bounds.npy, images/, optionally masks/ (LLFF)",
     matches=_matches,
     read=_read,
 )

@@ -32,7 +32,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     rig = _rig(calib, image_size(left), options)
     pose = _pose(folder, options)
     frame = Frame(name="im0", camera=rig.left, color=left, right=right, world_from_camera=pose)
-    lacking = poses_missing("pose.txt is missing", remedy="name one with scan.poses=FILE")
+    lacking = poses_missing("pose.txt is missing", remedy="name a pose file with scan.poses=FILE")
     missing = () if pose is not None else (lacking,)
     return Scan(LAYOUT.name, [frame], rig, folder, missing=missing)
 
@@ -48,18 +48,18 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRi
     except (KeyError, ValueError) as error:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "cam0, cam1 and baseline are needed; {error} is missing or no number.",
+            "cam0, cam1 and baseline are required; {error} is missing or not a number.",
             calib,
             error=error,
         ) from error
-    # Smaller images of a pair often lie beside the calibration of the large ones.
+    # Downscaled images are often stored with the calibration of the original size.
     left, smaller = for_images(left, *size, calib), size[0] / stated[0]
     doffs *= smaller
     disparities = None if disparities is None else math.ceil(disparities * smaller)
     if not (0 < baseline < 1e5 and abs(doffs) < size[0]):
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "baseline={baseline:g} mm or doffs={doffs:g} px cannot be right.",
+            "invalid baseline={baseline:g} mm or doffs={doffs:g} px.",
             calib,
             baseline=baseline,
             doffs=doffs,
@@ -67,7 +67,8 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRi
     if baseline < 5:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "it states a baseline of {baseline:g}, taken as metres (Middlebury's are mm)",
+                "the baseline of {baseline:g} is assumed to be in metres, because it is too small for "
+                "millimetres",
                 calib,
                 baseline=baseline,
             )
@@ -76,7 +77,8 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRi
     given = options.camera(*size)
     if given is not None:
         left = given
-    # One focal length for both, and the disparity offset as a shifted centre: z = f b / (d + doffs).
+    # Middlebury defines z = f b / (d + doffs): one focal length for both cameras, and doffs as a shift of the
+    # principal point.
     right = Camera(*size, left.fx, left.fy, left.cx + doffs, left.cy)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -(options.baseline or baseline / 1000)
@@ -91,7 +93,7 @@ def _camera(text: str, size: tuple[int, int], calib: Path) -> Camera:
 
 
 def _pose(folder: Path, options: ReadingParams) -> Pose | None:
-    """Return the pose of the one frame, or None without a file of it."""
+    """Return the pose of the single frame, or None."""
     path = options.file("poses", folder) or first_existing(folder, "pose.txt")
     return None if path is None else trajectories.match(trajectories.read_trajectory(path), ["im0"], path)[0]
 

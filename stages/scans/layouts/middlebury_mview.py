@@ -1,4 +1,4 @@
-"""Middlebury multi-view: single images of an object with poses, without depth (templeRing, dinoRing, …)."""
+"""Middlebury multi-view: posed images of an object, without depth (templeRing, dinoRing, …)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
 from scanloom.stages.scans.trajectory import files as trajectories
 
-_NUMBERS = 21  # K and R, row by row, and t
-# A camera matrix is in pixels: a shear of less moves no point by a visible share of one.
+_NUMBERS = 21  # K and R (row-major), and t.
+# Maximum skew, pixels; smaller values move no point visibly.
 _SKEW_TOLERANCE = 0.1
 _TRIPLE = r"\(([^()]{5,200})\)"
 _BOX = re.compile(rf"bounding box[^()]{{0,200}}{_TRIPLE}\s*{_TRIPLE}", re.IGNORECASE)
@@ -54,7 +54,7 @@ def _par_file(folder: Path) -> Path:
     if len(found) != 1:
         raise InputError(
             SCAN_FILES_MISSING,
-            "one camera file NAME_par.txt is needed; there are {found_count}.",
+            "exactly one camera file NAME_par.txt is required; the folder has {found_count}.",
             folder,
             found_count=len(found),
         )
@@ -62,7 +62,10 @@ def _par_file(folder: Path) -> Path:
 
 
 def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
-    """Return image names and their numbers; the file's own count of them, where it has one, must hold."""
+    """Read the image names and camera parameters (21,) of a _par.txt file.
+
+    If the file states the number of images, it must match.
+    """
     stated: int | None = None
     rows: list[tuple[str, NDArray[np.float64]]] = []
     for number, text in documents.lines(par):
@@ -73,7 +76,7 @@ def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
         if Path(name).name != name:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "line {number}: {name!r} is not the name of an image beside the file.",
+                "line {number}: {name!r} is not the name of an image in the same folder.",
                 par,
                 number=number,
                 name=name,
@@ -85,7 +88,7 @@ def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
         if values.size != _NUMBERS:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "line {number} ({name}) is not a name and {numbers} numbers (K, R and t).",
+                "line {number} ({name}) must be a name and {numbers} numbers (K, R and t).",
                 par,
                 number=number,
                 name=name,
@@ -93,13 +96,13 @@ def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
             )
         rows.append((name, values))
     if not rows:
-        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", par)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", par)
     if stated is not None and stated != len(rows):
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "it promises {stated} images and lists {rows_count}",
+            "the file states {stated} images but lists {rows_count}",
             par,
-            remedy="copy it again.",
+            remedy="copy the file again.",
             stated=stated,
             rows_count=len(rows),
         )
@@ -110,7 +113,7 @@ def _camera(matrix: NDArray[np.float64], size: tuple[int, int], par: Path, name:
     if np.isfinite(matrix).all() and abs(matrix[0, 1]) > _SKEW_TOLERANCE:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "the camera of {name} is sheared (k12 is not 0), which no camera here can be.",
+            "the camera of {name} has skew (K[0,1] is not 0), which is not supported.",
             par,
             name=name,
         )
@@ -124,7 +127,10 @@ def _world_from_camera(values: NDArray[np.float64], par: Path, name: str) -> Pos
 
 
 def _box(folder: Path) -> NDArray[np.float64] | None:
-    """Return the bounding box that the notes beside the images state, (2, 3) lowest and highest corner."""
+    """Read the bounding box (2, 3), min and max corner, from READMEs.
+
+    Returns None if no README states one.
+    """
     for notes in sorted(folder.glob("README*")):
         try:
             text = documents.read_text(notes) if notes.stat().st_size < _MAX_NOTES_BYTES else ""
@@ -132,7 +138,7 @@ def _box(folder: Path) -> NDArray[np.float64] | None:
             triples = found.groups() if found else ()
             corners = [[float(word) for word in triple.replace(",", " ").split()] for triple in triples]
         except (InputError, OSError, ValueError):
-            continue  # Notes are for people; without a box, the views themselves tell where the object is.
+            continue  # READMEs are free text. Without a box, the object extent is estimated from the views.
         box = np.array(corners) if [len(corner) for corner in corners] == [3, 3] else np.empty((0, 3))
         if len(box) and (np.abs(box) < _FARTHEST_M).all() and (box[0] < box[1]).all():
             return box
@@ -141,7 +147,7 @@ def _box(folder: Path) -> NDArray[np.float64] | None:
 
 LAYOUT = Layout(
     name="middlebury-mview",
-    text="NAME_par.txt with K, R and t of each image beside it (Middlebury multi-view)",
+    text="NAME_par.txt with K, R and t of each image in the folder (Middlebury multi-view)",
     matches=_matches,
     read=_read,
 )

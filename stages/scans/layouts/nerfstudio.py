@@ -1,8 +1,8 @@
-"""nerfstudio, instant-ngp and Blender: `transforms.json` lists views, cameras, poses and perhaps depth maps.
+"""nerfstudio, instant-ngp and Blender: `transforms.json` with views, cameras and poses.
 
-Cameras have OpenGL's axes (y up, z back). `applied_transform` A and `applied_scale` s say how the world
-of the file was made, p_file = s · A p; the world p, in which depth is metric, is what comes out. Where no
-frame has a depth map, all are single views. Masks (`mask_path`) and transparency say where nothing is.
+Cameras use OpenGL axes (y up, z back). `applied_transform` A and `applied_scale` s define the stored
+world, p_file = s · A p. The result is in the world of p, in which depth is metric. If no frame has a
+depth map, all frames are single views. Masks (`mask_path`) and transparency mark background pixels.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
 from scanloom.stages.scans.trajectory import files as trajectories
 
 _PREFERRED = ("transforms.json", "transforms_train.json")
-# A focal length and an angle of view that are stated beside each other are rounded.
+# Relative tolerance between a stated focal length and a stated field of view, which are both rounded.
 _SAME_FOCAL_LENGTH = 0.02
 _SIZE = ("w", "h")
 _BENT = ("k1", "k2", "p1", "p2", "k3")
-# What is given for the whole file or for every frame of it, never for both.
+# Keys that may appear once for the whole file or in every frame, but not in both.
 _CAMERA_KEYS = (
     *_SIZE,
     *("fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y"),
@@ -55,10 +55,10 @@ _CAMERA_KEYS = (
     *("k4", "camera_model", "is_fisheye"),
 )
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-# Names of OpenCV's fisheye model, whose k1 … k4 are of powers of the angle.
+# Names of OpenCV's fisheye model, whose k1 … k4 multiply powers of the angle.
 _FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 _BENT_FISHEYE = ("k1", "k2", "k3", "k4")
-# nerfstudio's name of a frame's depth map, and instant-ngp's.
+# Depth map keys of nerfstudio and instant-ngp.
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 
 
@@ -76,11 +76,11 @@ def _list_of_views(folder: Path) -> Path | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     path = _list_of_views(folder)
     if path is None:
-        raise InputError(SCAN_FILES_MISSING, "there is no transforms.json.", folder)
+        raise InputError(SCAN_FILES_MISSING, "transforms.json is missing.", folder)
     document = documents.read_json(path)
     entries = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(document, dict) or not isinstance(entries, list) or not entries:
-        raise InputError(SCAN_TABLE_DAMAGED, "it holds no list of frames.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file has no list of frames.", path)
     entries = _in_order(entries, path)
     _require_unmixed(document, entries, path)
     used = [entry for entry in entries if _depth_path(entry) is not None] or entries
@@ -102,7 +102,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     _check_others(folder, path)
     if not depths:
         if given is None:
-            # There are no depth maps whose unit it could be.
+            # Without depth maps, depth_scale defines the unit of the poses.
             poses = [in_metres(pose, options.depth_scale) for pose in poses]
         is_metric = given is not None or options.depth_scale is not None
         views = [_view(*one) for one in zip(used, cameras, colors, masks, poses, strict=True)]
@@ -111,12 +111,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     else:
         in_units = _depth_scale(document, path)
         scale = options.depth_scale or in_units
-        # In the unit of the world, which nobody states, is what renderers write, and instant-ngp.
+        # Renderers and instant-ngp write depth in world units, which have no known scale.
         is_rendered = in_units is not None or any(depth.suffix.lower() == ".exr" for depth in depths)
         is_metric = options.depth_scale is not None or not is_rendered
         frames = _frames(used, cameras, colors, masks, depths, poses, scale, path)
         skipped = [
-            SkippedFrame(_name(entry), FRAME_IMAGE_MISSING.warning("it has no depth_file_path"))
+            SkippedFrame(_name(entry), FRAME_IMAGE_MISSING.warning("it has no depth_file_path or depth_path"))
             for entry in entries
             if _depth_path(entry) is None
         ]
@@ -132,10 +132,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _up(document: dict[str, Any], entries: Sequence[dict[str, Any]]) -> WorldUp | None:
-    """Return what is up in a file of Blender's script for synthetic scenes; in others nobody knows.
+    """Return the up direction of Blender's NeRF script files, or None.
 
-    Its poses are those of Blender, whose world has z up. What reconstructions of photos write looks alike,
-    but names a focal length or the size of images; their worlds stand as they happened to.
+    Blender's world has z up. Files of photo reconstructions have the same structure, but state a focal
+    length or image size; their world orientation is arbitrary.
     """
     is_plain = document.keys() == {"camera_angle_x", "frames"}
     is_blenders = is_plain and all("rotation" in entry for entry in entries)
@@ -161,7 +161,7 @@ def _frames(
     scale: float | None,
     path: Path,
 ) -> list[Frame]:
-    """Return frames with depth."""
+    """Create the frames of views with depth."""
     depth_cameras = _depth_cameras(cameras, depths, path)
     return [
         Frame(
@@ -169,7 +169,7 @@ def _frames(
             camera=depth_camera,
             color=color,
             depth=depth,
-            # OpenEXR is written by renderers, in the unit of the world.
+            # OpenEXR depth comes from renderers, in world units.
             depth_scale=scale or (1.0 if depth.suffix.lower() == ".exr" else 1000.0),
             world_from_camera=pose,
             color_camera=None if camera == depth_camera else camera,
@@ -182,18 +182,21 @@ def _frames(
 
 
 def _check_others(folder: Path, path: Path) -> None:
-    """Warn of other lists of views that are not read."""
+    """Warn about other transforms*.json files, which are not read."""
     others = [other.name for other in sorted(folder.glob("transforms*.json")) if other != path]
     if others:
         emit(
             SCAN_ASSUMED.warning(
-                "only {file} is read, not {others}", file=path.name, others=", ".join(others)
+                "only {file} is read; {others} are ignored", file=path.name, others=", ".join(others)
             )
         )
 
 
 def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
-    """Return the frames by the numbers in their names: reconstructions list them in any order."""
+    """Return the frames sorted by the numbers in their names.
+
+    Reconstruction tools list frames in any order.
+    """
     for position, entry in enumerate(entries):
         if (
             not isinstance(entry, dict)
@@ -202,7 +205,7 @@ def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
         ):
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "frame {position} is not a table with a file_path.",
+                "frame {position} is not an object with a file_path.",
                 path,
                 position=position,
             )
@@ -210,7 +213,7 @@ def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
 
 
 def _name(entry: dict[str, Any]) -> str:
-    # No .stem: Blender's names have no extension, and may hold a dot.
+    # Path.stem would cut Blender's names, which have no extension but may contain a dot.
     name = entry["file_path"].replace("\\", "/").rsplit("/", 1)[-1]
     suffix = next((suffix for suffix in IMAGES if name.lower().endswith(suffix)), "")
     return str(name[: len(name) - len(suffix)])
@@ -221,7 +224,7 @@ def _depth_path(entry: dict[str, Any]) -> object:
 
 
 def _mask(folder: Path, entry: dict[str, Any], color: Path, path: Path) -> Path | Packed | None:
-    """Return what says where the image shows nothing: a mask of its own, or its transparency (Blender)."""
+    """Return the mask file of a view, or its transparency as mask."""
     if entry.get("mask_path") is not None:
         return found_file(folder, entry["mask_path"], f"frame {_name(entry)}: mask_path", path)
     return Packed(color, "transparency", partial(read_alpha, color)) if has_alpha(color) else None
@@ -231,13 +234,13 @@ def _require_unmixed(document: dict[str, Any], entries: Sequence[dict[str, Any]]
     for key in _CAMERA_KEYS:
         having = [entry for entry in entries if key in entry]
         if having and (key in document or len(having) < len(entries)):
-            where = "for the whole file" if key in document else "by other frames"
-            lacking = "and also" if key in document else "but not"
+            where = "the whole file" if key in document else "other frames"
+            lacking = " as well as" if key in document else ", unlike"
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "{key} is given by frame {name} {lacking} {place}.",
+                "frame {name} states {key}{lacking} {place}.",
                 path,
-                remedy="Give it once for the whole file, or in every frame.",
+                remedy="State it once for the whole file, or in every frame.",
                 key=key,
                 name=_name(having[0]),
                 lacking=lacking,
@@ -265,7 +268,10 @@ def _cameras(
 
 
 def _stated(stated: Camera | None, table: dict[str, Any], size: tuple[int, int], path: Path) -> Camera:
-    """Return the camera of a frame with the numbers that are stated; a lens that is a fisheye's stays one."""
+    """Return the camera of a frame, with intrinsics given by the user.
+
+    A fisheye camera keeps its lens model and distortion coefficients.
+    """
     is_fisheye = _is_fisheye(table, path)
     if stated is None:
         return _camera(table, *size, path)
@@ -275,7 +281,13 @@ def _stated(stated: Camera | None, table: dict[str, Any], size: tuple[int, int],
 
 
 def _is_fisheye(table: dict[str, Any], path: Path) -> bool:
-    """Say whether a lens is a fisheye. Raises InputError if it is neither that nor a pinhole camera's."""
+    """Return True for a fisheye camera, False for a pinhole camera.
+
+    Raises
+    ------
+    InputError
+        If the camera model is neither of them.
+    """
     model = table.get("camera_model", "OPENCV")
     if model in _FISHEYES:
         return True
@@ -283,9 +295,8 @@ def _is_fisheye(table: dict[str, Any], path: Path) -> bool:
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
-                "camera_model {model!r} is neither a pinhole camera's with OpenCV's "
-                "distortion nor OpenCV's fisheye, which can be read. Rectify the images and "
-                "depth maps to PINHOLE first."
+                "unsupported camera_model {model!r}: pinhole cameras with OpenCV distortion and OpenCV "
+                "fisheyes are supported. Undistort the images and depth maps to PINHOLE first."
             ),
             path,
             model=str(model)[:40],
@@ -302,7 +313,7 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
     if not is_fisheye and _number(table, "k4", path, 0.0):
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "k4 is not 0, and OpenCV's model of the lens has no such term. Undistort the images first.",
+            "k4 is not 0, but OpenCV's pinhole model has no such term. Undistort the images first.",
             path,
         )
     fx = _focal_length(table, "x", width, path)
@@ -310,9 +321,9 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
     fx = fx or fy
     if fx is None or fy is None:
         raise InputError(
-            CAMERA_CALIBRATION_INVALID, "no focal length: neither fl_x nor camera_angle_x is there.", path
+            CAMERA_CALIBRATION_INVALID, "no focal length: fl_x and camera_angle_x are missing.", path
         )
-    # Counted from the corner of the top left pixel, as COLMAP does, from which most files come.
+    # Convert from COLMAP's convention (pixel corner at 0), which most files use.
     cx = _number(table, "cx", path, width / 2) - 0.5
     cy = _number(table, "cy", path, height / 2) - 0.5
     if is_fisheye:
@@ -323,7 +334,12 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
 
 
 def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> float | None:
-    """Return fl_x or fl_y, or what the angle of view in radians makes it; None without either."""
+    """Return the focal length in pixels, or None.
+
+    Taken from fl_x or fl_y, or from the field of view.
+
+    None if neither is stated. If both contradict each other, the focal length is used, with a warning.
+    """
     stated, key = None, f"camera_angle_{axis}"
     if table.get(f"fl_{axis}") is not None:
         stated = _number(table, f"fl_{axis}", path, math.nan)
@@ -333,7 +349,7 @@ def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> 
     if not 0 < angle < math.pi:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "{key} is {angle:g}; it must be an angle in radians between 0 and π.",
+            "{key} is {angle:g}; it must be an angle between 0 and π radians.",
             path,
             key=key,
             angle=angle,
@@ -342,8 +358,8 @@ def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> 
     if stated is not None and abs(by_angle - stated) > _SAME_FOCAL_LENGTH * abs(stated):
         emit(
             CAMERA_CALIBRATION_CONTRADICTORY.warning(
-                "it states a focal length of {stated:.4g} px (fl_{axis}) and one of {by_angle:.4g} px "
-                "({key}, for {pixels} px): the first is taken",
+                "the focal length {stated:.4g} px (fl_{axis}) contradicts {by_angle:.4g} px ({key}, for "
+                "{pixels} px): fl_{axis} is used",
                 path,
                 stated=stated,
                 axis=axis,
@@ -371,11 +387,11 @@ def _number(table: dict[str, Any], key: str, path: Path, default: float) -> floa
 
 
 def _pixels(value: object, key: str, path: Path) -> int:
-    # Some writers hold every number as a float.
+    # Some tools write all numbers as floats.
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1 << 16:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "{key} is {value!r}; a number of pixels is expected.",
+            "{key} is {value!r}; an image size in pixels is expected.",
             path,
             key=key,
             value=str(value)[:40],
@@ -392,7 +408,10 @@ def _pixels(value: object, key: str, path: Path) -> int:
 
 
 def _depth_cameras(cameras: Sequence[Camera], depths: Sequence[Path], path: Path) -> list[Camera]:
-    """Return the camera of each depth map: the colour camera, in the size of the depth maps of its kind."""
+    """Return the camera of each depth map: its colour camera, scaled.
+
+    Depth map sizes are determined per size of the colour camera.
+    """
     files: dict[tuple[int, int], list[Path]] = {}
     for camera, depth in zip(cameras, depths, strict=True):
         files.setdefault((camera.width, camera.height), []).append(depth)
@@ -406,7 +425,7 @@ def _depth_cameras(cameras: Sequence[Camera], depths: Sequence[Path], path: Path
 
 
 def _poses(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Path) -> list[Pose | None]:
-    """Return the poses in the original world, with OpenCV's axes."""
+    """Return the poses in the original world, with OpenCV axes."""
     applied = rigid(
         matrix_of(document.get("applied_transform", np.eye(4)), path, "applied_transform"),
         path,
@@ -416,7 +435,7 @@ def _poses(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Pa
     if applied is None or scale <= 0:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "applied_transform and applied_scale must be finite, the scale positive.",
+            "applied_transform and applied_scale must be finite, and the scale positive.",
             path,
         )
     original = inverted(applied)
@@ -433,7 +452,7 @@ def _poses(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Pa
 
 
 def _depth_scale(document: dict[str, Any], path: Path) -> float | None:
-    """Return one over instant-ngp's `integer_depth_scale`, world units of one step; None without it."""
+    """Return the depth units per world unit from instant-ngp's `integer_depth_scale`, or None."""
     if document.get("integer_depth_scale") is None:
         return None
     step = _number(document, "integer_depth_scale", path, math.nan)
@@ -446,7 +465,7 @@ def _depth_scale(document: dict[str, Any], path: Path) -> float | None:
 
 LAYOUT = Layout(
     name="nerfstudio",
-    text="transforms.json, with depth_file_path or of single views (nerfstudio, instant-ngp, Blender)",
+    text="transforms.json, with or without depth_file_path (nerfstudio, instant-ngp, Blender)",
     matches=_matches,
     read=_read,
 )

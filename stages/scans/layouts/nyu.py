@@ -1,9 +1,10 @@
-"""NYU Depth V2, raw: Kinect colour as .ppm and disparities as .pgm with swapped bytes, without poses.
+"""NYU Depth V2, raw: Kinect colour (.ppm) and disparity (.pgm), without poses.
 
-    r-1294886363.011060-3118787619.ppm   colour;  its time in seconds, then the device's own clock
-    d-1294886362.793814-3139264120.pgm   depth, with a time of its own
+    r-1294886363.011060-3118787619.ppm   colour: timestamp in seconds, then the clock of the device
+    d-1294886362.793814-3139264120.pgm   disparity, with its own timestamp; byte-swapped
 
-A disparity v of the sensor is 351.3 / (1092.5 - v) metres. All numbers are those of the data set's toolbox.
+Depth is 351.3 / (1092.5 - v) metres for disparity v. All constants are from the toolbox of the data
+set.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, 
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
 _FILE = re.compile(r"([rd])-(\d{1,10}\.\d+)-\d+\.p[pg]m")
-# Both streams run at 30 Hz at most, and not in step.
+# Nanoseconds; both streams run at up to 30 Hz and are not synchronised.
 _TOLERANCE = 50_000_000
 _DEPTH_CAMERA = Camera(
     640,
@@ -49,7 +50,8 @@ _COLOR_CAMERA = Camera(
     253.736166334004,
     (0.207966153188, -0.586138251639, 0.000722313631, 0.001047962719, 0.498569866847),
 )
-# The toolbox states -R and +t, which project as R and -t do: the colour camera is 25 mm right of the other.
+# The toolbox states -R and +t, which projects like R and -t: the colour camera is 25 mm right of the depth
+# camera.
 _COLOR_FROM_DEPTH = np.array(
     [
         [0.999977989408, -0.005035991948, -0.004319662492, -0.025031875059],
@@ -58,7 +60,8 @@ _COLOR_FROM_DEPTH = np.array(
         [0.0, 0.0, 0.0, 1.0],
     ]
 )
-# Disparities below cannot be (the sensor starts at 0.7 m); beyond ten metres one step is half a metre.
+# Lower disparities are invalid, since the sensor starts at 0.7 m. Beyond ten metres, one disparity step is
+# half a metre.
 _LEAST_DISPARITY = 600
 _LARGEST_DEPTH = 10.0
 
@@ -76,7 +79,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not depths or not colors:
         raise InputError(
             SCAN_FILES_MISSING,
-            "files named like d-1294886362.79-313.pgm and r-1294886363.01-311.ppm are needed.",
+            "files named like d-1294886362.79-313.pgm and r-1294886363.01-311.ppm are required.",
             folder,
         )
     size = common_size([path for _, path in depths])
@@ -111,12 +114,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 color_from_depth=_COLOR_FROM_DEPTH,
             )
         )
-    missing = (poses_missing("the data set has none"),) if given is None else ()
+    missing = (poses_missing("the data set contains no poses"),) if given is None else ()
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), missing=missing)
 
 
 def _stream(folder: Path, letter: str, suffix: str) -> list[tuple[int, Path]]:
-    """Return the times in nanoseconds and the files of a stream, in the order of time."""
+    """Return the timestamps (ns) and files of a stream, sorted by time."""
     found = [
         (round(float(match[2]) * 1e9), path)
         for path in folder.iterdir()
@@ -126,10 +129,10 @@ def _stream(folder: Path, letter: str, suffix: str) -> list[tuple[int, Path]]:
 
 
 def _metres(path: Path) -> NDArray[np.float32]:
-    """Return the depth map of a file of disparities, 0 where there is none."""
+    """Convert a disparity file to depth in metres, 0 where invalid."""
     raw = read_raw_depth(path)
     if raw.dtype != np.uint16:
-        raise InputError(FILE_DEPTH_FORMAT, "disparities of 16 bits are expected.", path)
+        raise InputError(FILE_DEPTH_FORMAT, "a 16-bit disparity image is expected.", path)
     disparity = raw.byteswap().astype(np.float32)
     gap = 1092.5 - disparity
     known = (disparity >= _LEAST_DISPARITY) & (gap > 351.3 / _LARGEST_DEPTH)

@@ -1,13 +1,13 @@
-"""Our own plain layout for stereo rigs: left/, right/, a calibration file and poses of the left camera.
+"""scanloom's own stereo layout: left/, right/, a calibration, and left camera poses.
 
     left/000000.png  right/000000.png  …
-    left01.png  right01.png  …                    the same in one folder; also 01_left.png, cam_L_01.png
-    000000.png  …                                 the same as one image, the left half beside the right
-    calibration.json | .toml | .yaml | .xml       see
-    scanloom.stages.scans.calibration.rig_calibration.read_rig poses.txt | poses.tum | trajectory.log | …
-    camera-to-world, a pose a pair
+    left01.png  right01.png  …                    both views in one folder; also 01_left.png, cam_L_01.png
+    000000.png  …                                 side-by-side: both views in one image
+    calibration.json | .toml | .yaml | .xml       see stages.scans.calibration.rig_calibration.read_rig
+    poses.txt | poses.tum | trajectory.log | …    camera-to-world, one pose per pair
 
-Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.
+Timestamped poses (TUM format) are interpolated at the times in times.txt (seconds, one per pair) if it
+exists.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ _SIDES = (
     ("cam0", "cam1"),
     ("L", "R"),
 )
-# In the names of images, small letters: the word anywhere, or its first letter by itself.
+# Matched in lower-case file names: the whole word anywhere, or its first letter as a separate token.
 _NAMED = tuple(re.compile(rf"{word}|(?<![a-z]){word[0]}(?![a-z])") for word in ("left", "right"))
-# Folders of images that hold both sides.
+# Folders that may hold both views.
 _WHOLE = ("images", "image", "frames", "stereo", "sbs")
 _Pair = tuple[Path, Path] | tuple[Packed, Packed]
-# Other images of both sides, and those that a rig was calibrated with.
+# Images that are not photos of the scene, and images that the rig was calibrated with.
 _NO_PHOTOS = re.compile("disp|depth|mask|conf|seg|normal", re.IGNORECASE)
 _OF_BOARDS = re.compile("calib|chess|board", re.IGNORECASE)
 _CALIBRATIONS = tuple(
@@ -71,7 +71,10 @@ _TOLERANCE = 20_000_000
 
 
 def _sides(folder: Path) -> tuple[str, str] | None:
-    """Return the folders of both sides: of usual names, or the only two that are one but for `left`."""
+    """Return the folders of the left and right images, or None.
+
+    They have usual names, or are the only two whose names differ just in left/right.
+    """
     usual = next((names for names in _SIDES if has(folder, *names)), None)
     if usual is not None:
         return usual
@@ -88,7 +91,7 @@ def _sides(folder: Path) -> tuple[str, str] | None:
 
 
 def _side_by_side(folder: Path) -> list[list[Path]]:
-    """Return the left and the right images that lie in one folder, told apart by their names."""
+    """Return the left and right images of a folder, distinguished by name."""
     files = [path for path in images(folder) if numbers(path.stem) and not _NO_PHOTOS.search(path.stem)]
     return [[path for path in files if side.search(path.stem.lower())] for side in _NAMED]
 
@@ -101,7 +104,7 @@ def _matches(folder: Path) -> str | None:
     if left and right:
         return f"files named like {left[0].name} and {right[0].name}"
     whole = _whole(folder)
-    return f"images like {whole[0].name}, two halves of a pair" if whole else None
+    return f"side-by-side images like {whole[0].name}" if whole else None
 
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
@@ -112,7 +115,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
         emit(
             POSE_ASSUMED.warning(
-                "the poses are read from {file}, which lies beside the images", file=path.name
+                "the poses are read from {file}, which was found in the scan folder", file=path.name
             )
         )
     poses: list[Pose | None]
@@ -120,7 +123,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         poses = _poses(path, names, times, options)
     else:
         poses = [None] * len(pairs)
-        missing = (*missing, poses_missing("none of {files} is there", files=", ".join(_TRAJECTORIES)))
+        missing = (*missing, poses_missing("the folder has none of {files}", files=", ".join(_TRAJECTORIES)))
     frames = [
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
         for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
@@ -131,7 +134,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 def _pairs(
     folder: Path,
 ) -> tuple[list[str], Sequence[_Pair], tuple[int, int], list[SkippedFrame]]:
-    """Return the names of the pairs, the pairs, their size, and the frames left out."""
+    """Return pair names, pairs, image size (width, height), and skipped frames."""
     sides = _sides(folder)
     if sides is None:
         left, right = _side_by_side(folder)
@@ -146,7 +149,7 @@ def _pairs(
             return [path.stem for path in whole], halves, (width // 2, height), []
         raise InputError(
             SCAN_FILES_MISSING,
-            "two folders left/ and right/, or images left01.png and right01.png, are needed.",
+            "two folders left/ and right/, or images left01.png and right01.png, are required.",
             folder,
         )
     pairs, skipped = pair(left, right, *named, folder)
@@ -156,7 +159,10 @@ def _pairs(
 
 
 def _whole(folder: Path) -> list[Path]:
-    """Return the images that each hold both sides, of the folder or of one in it; none without such."""
+    """Return the side-by-side images of the folder or a subfolder.
+
+    Empty if there are none.
+    """
     places = (folder, *(folder / name for name in _WHOLE if (folder / name).is_dir()))
     return next((found for place in places if are_pairs(found := images(place))), [])
 
@@ -173,8 +179,8 @@ def _poses(
 
 LAYOUT = Layout(
     name="plain-stereo",
-    text="left/, right/ (or left01.png and right01.png side by side), calibration.json|toml|yaml, "
-    "poses.txt|tum|log|json (our own)",
+    text="left/, right/ (or left01.png and right01.png in one folder), calibration.json|toml|yaml, "
+    "poses.txt|tum|log|json (scanloom's own)",
     matches=_matches,
     read=_read,
 )

@@ -1,10 +1,11 @@
-"""Photos with their camera and their poses in files beside them, under any name: views without depth.
+"""Photos with camera and pose files of any name, without depth.
 
-    images/frame_000319.png  …            or rgb/, color/ and so on, or beside the files
-    poses.json | poses.txt | …            a pose for each, camera-to-world, by name, number, time or order
-    intrinsic.json | K.txt | …            the camera of all
+    images/frame_000319.png  …            or rgb/, color/ and so on, or in the scan folder itself
+    poses.json | poses.txt | …            one camera-to-world pose per photo, by name, number, time or order
+    intrinsic.json | K.txt | …            the camera of all photos
 
-What a file is tells its content. Poses are taken to be in metres, of a camera with x right and y down.
+Files are recognised by their content. Poses are assumed to be in metres, for a camera with x right and
+y down.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedF
 from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
-# The last are what a rig of one camera keeps of its names.
+# The last four names are from stereo layouts with only one camera present.
 _FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs", "image_0", "image_2", "image_l", "image_left", "left")
-# Fewer show no depth.
+# Two views are the minimum for depth estimation.
 _LEAST_VIEWS = 2
-# Names that are moments: seconds, or nanoseconds since 1970.
+# Names that are timestamps: seconds, or nanoseconds since 1970.
 _SECONDS, _NANOSECONDS = re.compile(r"\d+\.\d+"), re.compile(r"\d{16,19}")
 _TOLERANCE = 20_000_000
-# A file is the trajectory where it has a pose for so many of the images.
+# Minimum ratio of photos that need a pose in a file for it to be the trajectory.
 _POSED = 0.5
 
 
@@ -48,17 +49,17 @@ def _matches(folder: Path) -> str | None:
     if not found:
         return None
     shown = f"{place.name}/" if place != folder else "images"
-    return f"{shown} and {found[0].name}, a pose for each"
+    return f"{shown} and {found[0].name}, one pose per image"
 
 
 def place_of_photos(folder: Path) -> Path | None:
-    """Return the folder that the photos lie in."""
+    """Return the folder that contains the photos, or None."""
     places = [folder / name for name in _FOLDERS if (folder / name).is_dir()]
     return next((place for place in (*places, folder) if len(images(place)) >= _LEAST_VIEWS), None)
 
 
 def _trajectories(folder: Path, colors: Sequence[Path], options: ReadingParams) -> list[Path]:
-    """Return the files of a folder that have poses for most of the images."""
+    """Return the files of a folder that have poses for most photos."""
     found = []
     for path in texts_of_poses(folder):
         try:
@@ -81,7 +82,7 @@ def _poses_of(path: Path, colors: Sequence[Path], options: ReadingParams) -> lis
 
 
 def _moments(names: Sequence[str], path: Path) -> list[int] | None:
-    """Return the moments that images are named by, nanoseconds; None where they have other names."""
+    """Return the timestamps (ns) that images are named by, or None."""
     if all(_SECONDS.fullmatch(name) for name in names):
         return [trajectories.stamp(name, path, 0) for name in names]
     return [int(name) for name in names] if all(_NANOSECONDS.fullmatch(name) for name in names) else None
@@ -90,7 +91,7 @@ def _moments(names: Sequence[str], path: Path) -> list[int] | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     place = place_of_photos(folder)
     if place is None:
-        raise InputError(SCAN_FILES_MISSING, "a folder images/ with two photos or more is needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "a folder images/ with at least two photos is required.", folder)
     colors = images(place)
     camera, is_known = _camera(folder, options, colors)
     path, poses = _poses(folder, options, colors)
@@ -98,23 +99,23 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not is_known:
         missing.append(
             calibration_missing(
-                "no file beside the images states their camera",
-                remedy="name one with scan.calibration=FILE, or say scan.intrinsics=fx,fy,cx,cy",
+                "no file in the scan folder states the camera",
+                remedy="name a calibration with scan.calibration=FILE, or set scan.intrinsics=fx,fy,cx,cy",
             )
         )
     if path is None:
         missing.append(
             poses_missing(
-                "no file beside the images has one for each",
-                remedy="name one with scan.poses=FILE. Photos alone get theirs from COLMAP, whose folder is "
-                "read as it is",
+                "no file in the scan folder has a pose for each photo",
+                remedy="name a trajectory with scan.poses=FILE. Photos without poses need COLMAP; its "
+                "workspace folder can be read directly",
             )
         )
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for color, pose in zip(colors, poses, strict=True):
         if path is not None and pose is None:
-            reason = FRAME_POSE_MISSING.warning("it has no pose in {file}", file=path.name)
+            reason = FRAME_POSE_MISSING.warning("{file} has no pose for it", file=path.name)
             skipped.append(SkippedFrame(color.stem, reason))
             continue
         try:
@@ -125,14 +126,17 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tuple[Camera, bool]:
-    """Return the camera of the images, and whether it is known rather than guessed."""
+    """Return the camera of the images, and True if it is known.
+
+    False means that the camera is only a guess.
+    """
     size = common_size(colors)
     stated = stated_camera(options, folder, *size)
     if stated is not None:
         return stated, True
     with collecting(forward=False) as diagnostics:
         camera, path = found_camera(folder, *size)
-    # A guess is not used: the calibration is missing then.
+    # A guessed camera is not used; the calibration is reported as missing instead.
     if path is not None:
         emit(*diagnostics)
     return camera, path is not None
@@ -141,7 +145,7 @@ def _camera(folder: Path, options: ReadingParams, colors: Sequence[Path]) -> tup
 def _poses(
     folder: Path, options: ReadingParams, colors: Sequence[Path]
 ) -> tuple[Path | None, list[Pose | None]]:
-    """Return the file with the poses, and the pose of each image."""
+    """Return the trajectory file (or None), and the pose of each image."""
     given = options.file("poses", folder)
     if given is not None:
         return given, _poses_of(given, colors, options)
@@ -153,7 +157,7 @@ def _poses(
     if len(found) > 1:
         emit(
             POSE_ASSUMED.warning(
-                "{files} all have poses for the images: none is taken",
+                "several files have poses for the images: {files}. None is used",
                 files=", ".join(path.name for path in found[:5]),
             )
         )
@@ -162,7 +166,8 @@ def _poses(
     note(path)
     emit(
         POSE_ASSUMED.warning(
-            "the poses are read from {file}, which lies beside the images: camera-to-world, in metres",
+            "the poses are read from {file}, which was found in the scan folder; they are assumed to "
+            "be camera-to-world in metres",
             file=path.name,
         )
     )
@@ -171,8 +176,8 @@ def _poses(
 
 LAYOUT = Layout(
     name="plain-views",
-    text="images/ (or rgb/, photos/ and so on), a file with a pose for each and one with their camera, under "
-    "any name: single views, without depth",
+    text="images/ (or rgb/, photos/ and so on), a file with a pose per photo and a camera file, "
+    "under any name: views without depth",
     matches=_matches,
     read=_read,
 )

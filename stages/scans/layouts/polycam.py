@@ -1,7 +1,7 @@
-"""Polycam's raw data: `keyframes/` with a JSON of camera and pose for each image, depth and confidence.
+"""Polycam raw data: `keyframes/` with images, cameras, depth and confidence.
 
-Poses are camera-to-world, in metres, with OpenGL's camera axes (y up, z back). Phones without a LiDAR write
-no depth: these are single views. Corrected images have black borders, which are left out with their depth.
+Poses are camera-to-world, in metres, with OpenGL camera axes (y up, z back). Phones without LiDAR write
+no depth; their images are single views. Undistorted images have black borders, which are masked.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from scanloom.stages.scans.model.world import Y_UP
 from scanloom.stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 127, 255)
-# Optimised and undistorted, the first is the better one; long captures lack it.
+# Undistorted images with optimised poses are preferred; long captures lack them.
 _CORRECTED = "corrected_images"
 _SETS = (("corrected_cameras", _CORRECTED), ("cameras", "images"))
-# Largest level of a black border: JPEG lets a little of the neighbours into it.
+# Maximum level of a black border: JPEG blurs neighbouring pixels into it.
 _MAX_BLACK = 8
-# Largest width of a border relative to the side of the image; a dark corner of the room may reach farther in.
+# Maximum border width as a ratio of the image side; a dark corner of the room may extend farther.
 _MAX_BORDER_RATIO = 0.1
 
 
@@ -104,7 +104,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _chosen(folder: Path) -> tuple[list[Path], dict[str, Path]]:
-    """Return the camera files in order, and the images by name."""
+    """Return the camera files in order, and the images by stem."""
     keyframes = folder / "keyframes"
     for cameras, pictures in _SETS:
         if not (keyframes / cameras).is_dir() or not (keyframes / pictures).is_dir():
@@ -114,14 +114,14 @@ def _chosen(folder: Path) -> tuple[list[Path], dict[str, Path]]:
             if cameras != _SETS[0][0]:
                 emit(
                     SCAN_PHONE_IMAGES.warning(
-                        "keyframes/corrected_cameras/ and corrected_images/ are missing or empty: the poses "
-                        "are as they were tracked, they drift, and the images are slightly distorted"
+                        "keyframes/corrected_cameras/ or corrected_images/ is missing or empty: unoptimised "
+                        "poses, which drift, and slightly distorted images are used"
                     )
                 )
             return files, colors
     raise InputError(
         SCAN_FILES_MISSING,
-        "keyframes/ holds neither corrected_cameras/ with corrected_images/ nor cameras/ with images/.",
+        "keyframes/ has neither corrected_cameras/ with corrected_images/ nor cameras/ with images/.",
         folder,
     )
 
@@ -131,7 +131,9 @@ def _by_stem(folder: Path) -> dict[str, Path]:
 
 
 def _border_mask(path: Path) -> NDArray[np.uint8]:
-    """Mask the black border of an undistorted image: (h, w) uint8, 0 in the border and 255 elsewhere.
+    """Mask the black border of an undistorted image.
+
+    Returns (h, w) uint8, 0 in the border and 255 elsewhere.
 
     Raises
     ------
@@ -145,11 +147,11 @@ def _border_mask(path: Path) -> NDArray[np.uint8]:
     height, width = black.shape
     deep, wide = int(_MAX_BORDER_RATIO * height), int(_MAX_BORDER_RATIO * width)
     black[deep : height - deep, wide : width - wide] = 0
-    # A frame of one pixel around joins all pieces of black that touch the edge.
+    # A one-pixel frame connects all black regions that touch the image edge.
     framed = cv2.copyMakeBorder(black, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
     _, pieces = cv2.connectedComponents(framed, connectivity=4)
     border = (pieces[1:-1, 1:-1] == pieces[0, 0]).astype(np.uint8)
-    # One pixel more, which was interpolated.
+    # Grow by one pixel, which undistortion interpolated with black.
     border = cv2.dilate(border, np.ones((3, 3), np.uint8))
     return np.asarray(255 * (border == 0), np.uint8)
 
@@ -157,14 +159,20 @@ def _border_mask(path: Path) -> NDArray[np.uint8]:
 def _camera(
     table: dict[str, Any], file: Path, options: ReadingParams, folder: Path, color_size: tuple[int, int]
 ) -> Camera:
-    """Return the camera of the colour image, for the size that its file states."""
+    """Return the colour camera at the image size stated in its file.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or the images have another aspect ratio.
+    """
     width, height = table.get("width"), table.get("height")
     if not isinstance(width, (int, float)) or not isinstance(height, (int, float)):
-        raise InputError(SCAN_TABLE_DAMAGED, "the camera needs its width and height in pixels.", file)
+        raise InputError(SCAN_TABLE_DAMAGED, "width and height of the camera in pixels are missing.", file)
     if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "the camera's size of {width}×{height} pixels cannot be right.",
+            "invalid camera size of {width}×{height} pixels.",
             file,
             width=width,
             height=height,
@@ -180,19 +188,21 @@ def _camera(
 def _pose(table: dict[str, Any], file: Path) -> Pose | None:
     rows = [[table.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
     if any(value is None for row in rows for value in row):
-        raise InputError(SCAN_TABLE_DAMAGED, "it lacks some of t_00 to t_23, the rows of the pose.", file)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "the pose is incomplete: t_00 to t_23 (three rows) are required.", file
+        )
     pose = rigid(matrix_of(rows, file, "t_00 to t_23"), file)
     return None if pose is None else from_opengl(pose)
 
 
 def _nanoseconds(stem: str) -> int | None:
-    """Return the time of a frame that is named by its microseconds."""
+    """Return the timestamp (ns) of a frame named in microseconds, or None."""
     return numbers(stem)[0] * 1000 if stem.isdecimal() and len(stem) < 17 else None
 
 
 LAYOUT = Layout(
     name="polycam",
-    text="keyframes/ with corrected_cameras/ or cameras/, images and perhaps depth/ (Polycam's raw data)",
+    text="keyframes/ with corrected_cameras/ or cameras/, images and optionally depth/ (Polycam's raw data)",
     matches=_matches,
     read=_read,
     up=Y_UP,

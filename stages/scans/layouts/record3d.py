@@ -1,7 +1,7 @@
-"""Record3D: `metadata.json`, `rgb/` and `depth/`, or all of it packed in one `.r3d`, which is a zip archive.
+"""Record3D: `metadata.json`, `rgb/` and `depth/`, or all in one `.r3d` zip archive.
 
-Poses are camera-to-world, with OpenGL's camera axes (y up, z back), quaternions with the scalar last. `K` is
-column-major, for the colour images of `w` × `h`.
+Poses are camera-to-world with OpenGL camera axes (y up, z back); quaternions have the scalar last. `K`
+is column-major, for colour images of `w` × `h`.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ from scanloom.stages.scans.recordings.choice import one_recording
 from scanloom.stages.scans.trajectory import files as trajectories
 
 _LEVELS = (0, 1, 2)
-# LiDAR and TrueDepth, for archives that do not say.
+# Sizes of LiDAR and TrueDepth depth maps, for archives that do not state one.
 _DEPTH_SIZES = ((256, 192), (192, 256), (640, 480), (480, 640))
-# More than an image or the metadata of hours takes.
+# Maximum size of an image or of the metadata of hours of recording.
 _MAX_ENTRY_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
 class _Moment:
-    """What the metadata says of a frame."""
+    """Pose, timestamp and camera of a frame from the metadata."""
 
     pose: Pose | None
     timestamp: int | None
@@ -79,7 +79,7 @@ def _read_folder(folder: Path, options: ReadingParams) -> Scan:
         for name, suffixes in (("depth", DEPTHS), ("rgb", IMAGES), (_confidence_folder(folder), IMAGES))
     )
     if not depths:
-        raise without_depth(folder, "Record3D writes it to depth/ when it exports with EXR files.")
+        raise without_depth(folder, "Record3D writes depth/ if the export includes EXR files.")
     pairs, skipped = pair(depths, colors, "depth/", "rgb/", folder)
     names = [depth.stem for depth, _ in pairs]
     moments = _moments(documents.read_json(path), names, path, options, folder)
@@ -113,13 +113,19 @@ def _confidence_folder(folder: Path) -> str:
 
 
 def _units_a_metre(depths: Sequence[Path]) -> float:
-    """Return how many units are one metre: floats are metres, whole numbers millimetres."""
+    """Return the depth units per metre, by the type of the values.
+
+    Float depth is in metres, integer depth in millimetres.
+    """
     kinds = (_kind(depth) for depth in depths)
     return 1.0 if next((kind for kind in kinds if kind is not None), "u") == "f" else 1000.0
 
 
 def _kind(depth: Path) -> str | None:
-    """Return NumPy's letter for the numbers of a depth file; None where it is damaged."""
+    """Return the NumPy dtype kind of a depth file, or None.
+
+    None if the file is unreadable.
+    """
     try:
         return read_raw_depth(depth).dtype.kind
     except InputError:
@@ -132,10 +138,10 @@ def _read_archive(folder: Path, path: Path, options: ReadingParams) -> Scan:
     table = documents.parse_json(_text(_entry(archive, "metadata", path), path), path)
     found = sorted((n[0], name[5:-4]) for name in entries if (n := _number_of(name, ".jpg")))
     if not found:
-        raise InputError(SCAN_FILES_MISSING, "the archive holds no images named like rgbd/0.jpg.", path)
+        raise InputError(SCAN_FILES_MISSING, "the archive has no images named like rgbd/0.jpg.", path)
     stems = [stem for _, stem in found if f"rgbd/{stem}.depth" in entries]
     if not stems:
-        raise without_depth(path, "Record3D packs it as rgbd/0.depth and so on.")
+        raise without_depth(path, "In .r3d archives, Record3D stores depth as rgbd/0.depth and so on.")
     lacking = FRAME_IMAGE_MISSING.warning("its depth map is missing")
     skipped = [SkippedFrame(stem, lacking) for _, stem in found if stem not in set(stems)]
     moments = _moments(table, stems, path, options, folder)
@@ -182,7 +188,13 @@ def _color(archive: zipfile.ZipFile, name: str, path: Path, camera: Camera) -> C
 def _values(
     archive: zipfile.ZipFile, name: str, path: Path, size: tuple[int, int], kind: type[np.generic]
 ) -> NDArray[Any]:
-    """Return an LZFSE entry as an image of (width, height) pixels."""
+    """Decompress an LZFSE entry into an image (h, w).
+
+    Parameters
+    ----------
+    size : (width, height) in pixels.
+    kind : dtype of the pixels.
+    """
     width, height = size
     data = lzfse_blocks.decompress(
         _entry(archive, name, path), width * height * np.dtype(kind).itemsize, f"{path}: {name}"
@@ -198,38 +210,39 @@ def _text(data: bytes, path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(SCAN_TABLE_DAMAGED, "its metadata is not text.", path) from error
+        raise InputError(SCAN_TABLE_DAMAGED, "metadata.json is not valid UTF-8.", path) from error
 
 
 def _depth_size(table: object, archive: zipfile.ZipFile, names: Sequence[str], path: Path) -> tuple[int, int]:
-    """Return (width, height) of the depth maps: as the metadata says, or the usual one of so many numbers."""
+    """Return the size (width, height) of the depth maps.
+
+    Taken from the metadata, or else the usual size that has the same number of pixels.
+    """
     stated = tuple(table.get(key) for key in ("dw", "dh")) if isinstance(table, dict) else (None, None)
     if stated != (None, None):
         return _pixels(stated[0], "dw", path), _pixels(stated[1], "dh", path)
     width, height = (
         (_pixels(table.get(key), key, path) for key in "wh") if isinstance(table, dict) else (1, 1)
     )
-    # A few, since the first may be damaged.
+    # Several entries, because the first may be damaged.
     counts = {lzfse_blocks.raw_size(_entry(archive, name, path)) for name in names[:8]}
     for size in _DEPTH_SIZES:
         if 4 * size[0] * size[1] in counts and (size[0] > size[1]) == (width > height):
             return size
-    raise InputError(
-        SCAN_TABLE_DAMAGED, "its metadata does not say the size of the depth maps (dw, dh).", path
-    )
+    raise InputError(SCAN_TABLE_DAMAGED, "the metadata lacks the size of the depth maps (dw, dh).", path)
 
 
 def _moments(
     table: object, names: Sequence[str], path: Path, options: ReadingParams, folder: Path
 ) -> list[_Moment]:
-    """Return pose, time and camera of each frame."""
+    """Return pose, timestamp and camera of each frame."""
     if not isinstance(table, dict):
-        raise InputError(SCAN_TABLE_DAMAGED, "names with values are expected in its metadata.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the metadata must be a JSON object.", path)
     shared = _camera(table, path, options, folder)
     times, own = table.get("frameTimestamps"), table.get("perFrameIntrinsicCoeffs")
     entries = table.get("poses")
     if not isinstance(entries, list) or not entries:
-        raise InputError(SCAN_TABLE_DAMAGED, "its metadata holds no list of poses.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the metadata has no list of poses.", path)
     given = options.file("poses", folder)
     said: list[tuple[object, object, object]] = [
         (entry, _at(times, i, len(entries)), _at(own, i, len(entries))) for i, entry in enumerate(entries)
@@ -252,7 +265,10 @@ def _moments(
 
 
 def _at(values: object, position: int, count: int) -> object:
-    """Return the value of a frame from a list that has one for each, else None."""
+    """Return the value of a frame from a per-frame list, or None.
+
+    None if the list does not have one value per frame.
+    """
     return values[position] if isinstance(values, list) and len(values) == count else None
 
 
@@ -263,12 +279,10 @@ def _camera(table: dict[str, Any], path: Path, options: ReadingParams, folder: P
         return stated
     row = number_row(table.get("K"), "K", path)
     if len(row) != 9:
-        raise InputError(SCAN_TABLE_DAMAGED, "its metadata holds no camera K of 9 numbers.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "K in the metadata must be 9 numbers.", path)
     matrix = np.reshape(row, (3, 3)).T
     if not np.allclose(matrix[2], (0, 0, 1)):
-        raise InputError(
-            SCAN_TABLE_DAMAGED, "K does not end with 0 0 1 in its third row when read column by column.", path
-        )
+        raise InputError(SCAN_TABLE_DAMAGED, "the third row of K must be 0 0 1 (K is column-major).", path)
     return calibration.matrix_camera(matrix, (), width, height, path)
 
 
@@ -304,7 +318,7 @@ def _nanoseconds(seconds: object, path: Path, name: str) -> int | None:
     if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not abs(seconds) < 1 << 32:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: the time {seconds!r} cannot be right.",
+            "frame {name}: invalid timestamp {seconds!r} (seconds).",
             path,
             name=name,
             seconds=str(seconds)[:40],
@@ -316,7 +330,7 @@ def _pixels(value: object, key: str, path: Path) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1 <= value < 1 << 14:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "{key} in its metadata is {value!r}; a number of pixels is expected.",
+            "{key} in the metadata is {value!r}; an image size in pixels is expected.",
             path,
             key=key,
             value=str(value)[:40],

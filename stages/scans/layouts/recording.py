@@ -1,6 +1,6 @@
-"""A recording whose streams have clocks of their own: RealSense's, or one of ROS 1 or 2.
+"""RealSense, ROS 1 and ROS 2 recordings: streams with independent clocks.
 
-Depth and colour, or the two sides of a pair, are paired by when each image was taken.
+Depth and colour images, or the two views of a stereo pair, are matched by capture time.
 """
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ from scanloom.stages.scans.streams.clocked_streams import Images, Pair, Streams
 from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
-# Of the shorter interval between images: the nearest image of that stream is never more than half of it away.
+# Matching tolerance as a ratio of the shorter frame interval: the nearest image of that stream is at most
+# half an interval away.
 _TOLERANCE = 0.6
-# Nanoseconds; for a stream of one image, and for a trajectory from elsewhere.
+# Nanoseconds; for a stream with a single image, and for external trajectories.
 _FALLBACK_TOLERANCE = 20_000_000
 
 
@@ -55,7 +56,8 @@ def _read(place: Path, options: ReadingParams) -> Scan:
     if fault is not None:
         emit(
             RECORDING_DAMAGED.warning(
-                "the recording was not closed or is damaged ({fault}): what comes before is used", fault=fault
+                "the recording is incomplete or damaged ({fault}); the data before this point is used",
+                fault=fault,
             )
         )
     first: Images
@@ -70,7 +72,7 @@ def _read(place: Path, options: ReadingParams) -> Scan:
         why = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
         raise InputError(
             RECORDING_CLOCKS_DIFFER,
-            "no {called} and {called_2} in it are of one moment{why}.",
+            "no {called} and {called_2} were captured at the same time{why}.",
             place,
             called=called[0][:-1],
             called_2=called[1][:-1],
@@ -93,7 +95,10 @@ def _read(place: Path, options: ReadingParams) -> Scan:
 
 
 def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str | None]:
-    """Return the streams of a recording, and why a part of it could not be read, if so."""
+    """Return the streams of a recording, and a fault or None.
+
+    The fault is the reason why part of the recording is unreadable.
+    """
     recording, camera = _recording(recording_files(place), place)
     if camera is not None:
         return realsense_streams(camera, options), recording.fault
@@ -104,7 +109,10 @@ def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str |
 
 
 def _recording(files: Sequence[Path], place: Path) -> tuple[Recording, RealSense | None]:
-    """Return what a recording holds, and what it says as one of the maker's library of RealSense cameras."""
+    """Read the files of a recording.
+
+    The second result interprets it as a RealSense recording; None if it is not one.
+    """
     parts = [_READERS.get(file.suffix.lower(), read_bag)(file) for file in files]
     recording = parts[0] if len(parts) == 1 else joined(place, parts)
     suffix = files[0].suffix.lower()
@@ -114,25 +122,33 @@ def _recording(files: Sequence[Path], place: Path) -> tuple[Recording, RealSense
 
 
 def _without_images(recording: Recording) -> str:
-    """Say what a recording without depth and without a pair holds."""
+    """Describe a recording that has neither depth nor a stereo pair."""
     if not recording.topics:
         why = f" ({recording.fault})" if recording.fault else ""
-        return f"not one message in it can be read{why}; copy it again, or record it anew."
+        return f"no message in the recording is readable{why}; copy the file again, or repeat the recording."
     shown = ", ".join(sorted(recording.topics)[:8]) + (", …" if len(recording.topics) > 8 else "")
     return (
-        "there are no depth images in it (sensor_msgs/Image of 16UC1 or 32FC1, `depth` in the topic's name), "
-        f"and no left/ and right/, only {shown}. Record the depth topic too."
+        "the recording has neither depth images (sensor_msgs/Image with 16UC1 or 32FC1, `depth` "
+        f"in the topic name) nor a left and a right image topic, only {shown}. Record the depth "
+        "topic as well."
     )
 
 
 def _couples(
     first: Images, second: Images | None, called: tuple[str, str]
 ) -> tuple[list[tuple[int, int, int | None]], list[SkippedFrame]]:
-    """Return number, time and partner of the images that are of one moment, and the frames left out.
+    """Match the images of two streams by time.
 
     Parameters
     ----------
-    called : what messages call the images of both streams.
+    called : names of the images of both streams in messages.
+
+    Returns
+    -------
+    list of (index, time, partner)
+        Sorted by time (ns). `partner` is an index into the second stream, or None without such a stream.
+    list of SkippedFrame
+        Images whose timestamp is unreadable.
     """
     times, skipped = _stamps(first)
     if second is None:
@@ -145,8 +161,7 @@ def _couples(
         others = {number: int(second.recorded[number]) for number in others}
         emit(
             RECORDING_CLOCKS_DIFFER.warning(
-                "the clocks of {first} and {second} do not agree at all: images are paired by when they were "
-                "recorded",
+                "the clocks of {first} and {second} do not overlap: images are matched by recording time",
                 first=called[0],
                 second=called[1],
             )
@@ -155,8 +170,8 @@ def _couples(
     if len(couples) < max(len(times), len(others)):
         emit(
             RECORDING_CLOCKS_DIFFER.warning(
-                "{count} of {first_count} {first} and of {second_count} {second} are of one moment: the "
-                "others are left out",
+                "only {count} of {first_count} {first} and {second_count} {second} match in time: the "
+                "others are skipped",
                 count=len(couples),
                 first_count=len(times),
                 first=called[0],
@@ -195,7 +210,10 @@ def _pair_frame(pair: Pair, number: int, time: int, partner: int | None, pose: P
 
 
 def _stamps(images: Images) -> tuple[dict[int, int], list[SkippedFrame]]:
-    """Return when each image was taken, nanoseconds by its number in the stream, and which are damaged."""
+    """Return the capture times (ns) of readable images, and damaged images.
+
+    The times are by number of the image in the stream.
+    """
     times: dict[int, int] = {}
     damaged = []
     for number in range(len(images.recorded)):
@@ -215,7 +233,10 @@ def _stamp_or_fault(images: Images, number: int) -> int | InputError:
 
 
 def _have_other_clocks(first: Mapping[int, int], second: Mapping[int, int]) -> bool:
-    """Say whether two streams that were recorded together claim to be of times that do not overlap at all."""
+    """Return True if the time ranges of two streams are disjoint.
+
+    Streams that were recorded together then have different clocks.
+    """
     if not first or not second:
         return False
     apart = max(min(first.values()), min(second.values())) - min(max(first.values()), max(second.values()))
@@ -228,7 +249,10 @@ def _tolerance(*streams: Mapping[int, int]) -> int:
 
 
 def _of_one_moment(first: Mapping[int, int], second: Mapping[int, int]) -> list[tuple[int, int]]:
-    """Return the numbers of the images of two streams that are of one moment."""
+    """Match the images of two streams by time.
+
+    Returns pairs of image numbers.
+    """
     numbers, others = list(first), list(second)
     times, other_times = (np.fromiter(one.values(), np.int64, len(one)) for one in (first, second))
     partners = nearest_in_time(other_times, times, _tolerance(first, second))
@@ -238,10 +262,15 @@ def _of_one_moment(first: Mapping[int, int], second: Mapping[int, int]) -> list[
 def _poses(
     options: ReadingParams, place: Path, moments: Sequence[tuple[int, int]]
 ) -> tuple[Sequence[Pose | None], tuple[Diagnostic, ...]]:
-    """Return the pose of each frame, given by its number and time, and the diagnostics of missing poses."""
+    """Return the pose of each frame, and the diagnostics of missing poses.
+
+    Parameters
+    ----------
+    moments : number and time (ns) of each frame.
+    """
     given = options.file("poses", place.parent if place.is_file() else place)
     if given is None:
-        return [None] * len(moments), (poses_missing("a recording has none"),)
+        return [None] * len(moments), (poses_missing("recordings contain no poses"),)
     names = [_name(number) for number, _ in moments]
     trajectory = trajectories.read_trajectory(given)
     if trajectory.timestamps is None:
@@ -263,8 +292,8 @@ def _depth(images: Images, number: int) -> Packed:
 
 LAYOUT = Layout(
     name="ros-bag",
-    text="one .bag, .db3 or .mcap file, or a folder with one (RealSense; ROS 1 or 2 with camera_info and "
-    "depth, or left and right)",
+    text="one .bag, .db3 or .mcap file, or a folder with one (RealSense; ROS 1 or 2 with "
+    "camera_info and depth, or with a stereo pair)",
     matches=_matches,
     read=_read,
     suffixes=SUFFIXES,

@@ -1,6 +1,6 @@
-"""Open3D and Redwood style: colour and depth in a folder each, a trajectory, perhaps an intrinsic.json.
+"""Open3D and Redwood style: folders of colour and depth, a trajectory, intrinsic.json.
 
-Small recordings often hold the same in one folder, side by side: rgb_0.png, depth_0.png.
+Small recordings often have both streams in one folder: rgb_0.png, depth_0.png.
 """
 
 from __future__ import annotations
@@ -55,19 +55,19 @@ def _matches(folder: Path) -> str | None:
     if folders is not None:
         return f"{folders[1].name}/ and {folders[0].name}/"
     depths, colors = _side_by_side(folder)
-    # Without a number it is a frame only when it is the only one.
+    # A file name without a number is a frame only if it is the only one.
     is_scan = depths and colors and (len(depths) == 1 or all(numbers(path.stem) for path in depths))
     return f"files named like {colors[0].name} and {depths[0].name}" if is_scan else None
 
 
 def _folders(folder: Path) -> tuple[Path, Path] | None:
-    """Return the folders of depth and of colour where both are there."""
+    """Return the folders of depth and colour, or None."""
     depth, color = first_existing(folder, *DEPTH_FOLDERS), first_existing(folder, *COLOR_FOLDERS)
     return (depth, color) if depth and color and depth.is_dir() and color.is_dir() else None
 
 
 def _side_by_side(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Return the depth maps and the colour images that lie in one folder, told apart by their names."""
+    """Return the depth maps and colour images of one folder, by name."""
     files = images(folder, DEPTHS)
     of_depth = [path for path in files if "depth" in path.stem.lower()]
     colors = [path for path in files if path not in of_depth and _COLOR.search(path.stem)]
@@ -75,11 +75,11 @@ def _side_by_side(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def _drop_pictures(depths: Sequence[Path]) -> list[Path]:
-    """Drop coloured pictures of depth, which programs save beside depth maps under similar names.
+    """Drop colour-mapped renderings of depth, stored next to the depth maps.
 
     Parameters
     ----------
-    depths : where their names, numbers aside, are of several kinds, one of each kind is read.
+    depths : files grouped by name without numbers. If there are several groups, one file of each is tested.
     """
     kinds = defaultdict(list)
     for path in depths:
@@ -89,7 +89,7 @@ def _drop_pictures(depths: Sequence[Path]) -> list[Path]:
     with only_looking():
         pictures = {kind for kind, files in kinds.items() if _is_picture(files[len(files) // 2])}
     if len(pictures) == len(kinds):
-        # Whoever reads them tells what they are.
+        # The frame reader reports the unsuitable format.
         return list(depths)
     return [path for path in depths if re.sub(r"\d+", "#", path.stem) not in pictures]
 
@@ -111,7 +111,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         named = f"{folders[0].name}/", f"{folders[1].name}/"
     if not depths or not colors:
         raise InputError(
-            SCAN_FILES_MISSING, "a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder
+            SCAN_FILES_MISSING, "a folder color/ (or rgb/, image/) and a folder depth/ are required.", folder
         )
     pairs, skipped = pair(depths, colors, *named, folder)
     names = [depth.stem for depth, _ in pairs]
@@ -119,7 +119,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
         emit(
             POSE_ASSUMED.warning(
-                "the poses are read from {file}, which lies beside the images", file=path.name
+                "the poses are read from {file}, which was found in the scan folder", file=path.name
             )
         )
     poses: list[Pose | None] = [None] * len(pairs)
@@ -151,9 +151,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _trajectory(folder: Path) -> Path | None:
-    """Return the trajectory: by its usual name or as the only file that looks like one.
+    """Return the trajectory file, or None.
 
-    It is looked for beside the images, where Open3D's reconstruction leaves it, and in the folder above.
+    It has a usual name, or is the only file that looks like a trajectory.
+
+    Searched in the folder, in scene/ (where Open3D's reconstruction system writes it), and in the parent
+    folder.
     """
     for place in (folder, folder / "scene", folder.resolve().parent):
         others = [*place.glob("*traj*.log"), *place.glob("*traj*.txt")]
@@ -166,9 +169,9 @@ def _trajectory(folder: Path) -> Path | None:
 def _camera(
     folder: Path, options: ReadingParams, depths: Sequence[Path]
 ) -> tuple[Camera, Path | None, float]:
-    """Return the camera, the file it is from, and the depth scale."""
+    """Return the camera, its file or None, and the depth scale."""
     width, height = common_size(depths)
-    # Open3D's own examples keep one camera file beside several scans.
+    # Open3D's examples share one camera file between several scans.
     path = options.file("calibration", folder) or first_existing(
         folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
     )
@@ -181,7 +184,7 @@ def _camera(
             if not path.parent.samefile(folder):
                 emit(
                     CAMERA_CALIBRATION_ASSUMED.warning(
-                        "the intrinsics come from {file} in the folder above", file=path.name
+                        "the intrinsics are read from {file} in the parent folder", file=path.name
                     )
                 )
     scale = options.depth_scale or (None if path is None else calibration.read_depth_scale(path))
@@ -191,8 +194,9 @@ def _camera(
             scale = FIFTHS
             emit(
                 SCALE_DEPTH_UNIT_ASSUMED.warning(
-                    "depth holds multiples of five alone: it is taken as TUM's {fifths:g} units a metre",
-                    remedy="where it is in millimetres set scan.depth_scale={millimetres:g}",
+                    "all depth values are multiples of five, as in TUM's unit: {fifths:g} units per metre "
+                    "are assumed",
+                    remedy="if depth is in millimetres, set scan.depth_scale={millimetres:g}",
                     fifths=FIFTHS,
                     millimetres=_UNITS_PER_METRE,
                 )
@@ -203,7 +207,7 @@ def _camera(
 def _color_camera(
     path: Path | None, camera: Camera, colors: Sequence[Path]
 ) -> tuple[Camera | None, Pose | None]:
-    """Return the colour camera, and how it stands to that of depth, where the file states both."""
+    """Return the colour camera and color_from_depth, if the file states both."""
     apart = None if path is None else azure_kinect.color_from_depth(path, camera)
     if path is None or apart is None:
         return None, None
@@ -212,8 +216,8 @@ def _color_camera(
 
 LAYOUT = Layout(
     name="redwood",
-    text="color/ (or rgb/, image/), depth/, trajectory.log|json, intrinsic.json (Open3D, Redwood), or "
-    "rgb_0.png and depth_0.png side by side",
+    text="color/ (or rgb/, image/), depth/, trajectory.log|json, intrinsic.json (Open3D, Redwood), "
+    "or rgb_0.png and depth_0.png in one folder",
     matches=_matches,
     read=_read,
 )

@@ -1,4 +1,4 @@
-"""Replica as it is rendered for mapping: results/ with colour and depth, a pose a line in traj.txt."""
+"""Replica, rendered for SLAM: results/ with colour and depth, and traj.txt."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, scaled
 from scanloom.stages.scans.model.world import Z_UP
 from scanloom.stages.scans.trajectory import files as trajectories
 
-# What every room of the data set is rendered with.
+# Camera of all rendered rooms of the data set.
 _CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
 _UNITS_PER_METRE = 6553.5
 _POSES = "traj.txt"
@@ -35,7 +35,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not results.is_dir():
         raise InputError(
             SCAN_FILES_MISSING,
-            "a folder results/ with frame000000.jpg and depth000000.png is needed.",
+            "a folder results/ with frame000000.jpg and depth000000.png is required.",
             folder,
         )
     depths = [path for path in images(results, DEPTHS) if path.stem.startswith("depth")]
@@ -65,15 +65,16 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float]:
-    """Return the camera and the depth scale."""
+    """Return the camera and the depth scale in units per metre."""
     stated, given = options.camera(width, height), options.file("calibration", folder)
-    # One file serves all rooms.
+    # One camera file is shared by all rooms.
     path = given or first_existing(folder, "cam_params.json", "../cam_params.json")
     if path is None:
         if stated is None:
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "there is no cam_params.json: the data set's camera and {units} units a metre are used",
+                    "cam_params.json is missing: the camera of the data set and {units} depth units per "
+                    "metre are used",
                     units=_UNITS_PER_METRE,
                 )
             )

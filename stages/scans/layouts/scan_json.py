@@ -1,37 +1,38 @@
-"""Our own plain RGB-D layout: `scan.json` beside images, everything a reader must know stated in it.
+"""scanloom's own RGB-D layout: `scan.json`, which describes a folder of images completely.
 
     {
       "version": 1,
       "camera": {"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240, "distortion": []},
-      "depth_scale": 1000,            units of a depth file a metre
-      "depth_missing": [65535],       raw values that mark a missing depth, beside 0
-      "up": [0, 0, 1],                what is up in the world of the poses; optional, and then
-      "up_source": "a level",         how it is known; optional
-      "metric": true,                 false: lengths, and depth with them, have a unit nobody knows; optional
+      "depth_scale": 1000,            depth units per metre
+      "depth_missing": [65535],       raw values that mark missing depth, in addition to 0
+      "up": [0, 0, 1],                up direction in the world of the poses; optional
+      "up_source": "a level",         origin of the up direction; optional
+      "metric": true,                 false: lengths and depth have an unknown unit; optional
       "frames": [
         {
           "name": "000000",
-          "color": "color/000000.png",   8 bits a channel; optional
+          "color": "color/000000.png",   8-bit per channel; optional
           "depth": "depth/000000.png",   16-bit, or .npy float; optional
           "world_from_camera": [[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]],   metres; null: lost
           "timestamp": 33000000,         nanoseconds; optional
-          "camera": {…},                 optional: this frame's own camera
-          "color_camera": {…},           of the colour image, where it has one of its own; optional
-          "color_from_depth": [[…], …],  4x4, metres: from the depth camera to that of the colour; optional
-          "confidence": "confidence/000000.png",   8-bit, of the depth map; optional, and then
-          "least_confidence": 1,         depth of less is missing
-          "mask": "mask/000000.png",     8-bit; 0 where the image shows nothing of the scene; optional
-          "up": [0, -1, 0],              what is up in the camera's axes, by an accelerometer; optional
-          "depth_range": [0.5, 4.0],     metres, where to look for depth that is not there; optional
-          "shutter_turn": [0.01, 0, 0]   rotation vector, radians: how the camera turns from the first row of
-                                         its images to the last one; optional
+          "camera": {…},                 camera of this frame, instead of the shared one; optional
+          "color_camera": {…},           separate camera of the colour image; optional
+          "color_from_depth": [[…], …],  4x4, metres: from the depth camera to the colour camera; optional
+          "confidence": "confidence/000000.png",   8-bit confidence of the depth map; optional
+          "least_confidence": 1,         depth with a lower confidence is missing
+          "mask": "mask/000000.png",     8-bit; 0 marks background; optional
+          "up": [0, -1, 0],              up direction in camera axes, from an accelerometer; optional
+          "depth_range": [0.5, 4.0],     metres, search range for depth estimation; optional
+          "shutter_turn": [0.01, 0, 0]   rotation vector, radians, of the camera from the first
+                                         to the last image row (rolling shutter); optional
         }
       ]
     }
 
-A camera of `"distortion_model": "equidistant"` is a fisheye (OpenCV's model, four coefficients).
-Paths are relative to the file. Axes are OpenCV's (x right, y down, z forward); the pixel centre of the top
-left pixel is (0, 0); depth is along the optical axis. The depth stage leaves its result in this form too.
+A camera with `"distortion_model": "equidistant"` is a fisheye (OpenCV's model, four coefficients).
+Paths are relative to the file. Axes are OpenCV's (x right, y down, z forward); the centre of the top
+left pixel is (0, 0); depth is along the optical axis. The depth stage writes its result in this format,
+too.
 """
 
 from __future__ import annotations
@@ -63,31 +64,38 @@ FORMAT_VERSION = 1
 FILE = "scan.json"
 _IMAGES = ("color", "depth", "confidence", "mask")
 _FARTHEST_M = 1e9
-# Of a direction's numbers; their squares are numbers, too.
+# Maximum absolute value of a direction component, so that its square stays finite.
 _LARGEST = 1e9
 
 
 def write_scan_json(
     folder: Path, frames: Sequence[Frame], *, up: WorldUp | None = None, is_metric: bool = True
 ) -> Path:
-    """Write `folder/scan.json` for frames whose images are files inside the folder; return its path.
+    """Write `scan.json` for frames whose images are files inside the folder.
 
     Parameters
     ----------
     folder : an existing folder.
-    frames : with all images as paths under `folder` (or None), sharing one depth scale and markers.
-    up, is_metric : of the scan.
+    frames : frames with images as paths inside `folder` (or None), and a common depth scale and missing
+        values.
+    up : up direction of the scan, or None.
+    is_metric : False if lengths have an unknown unit.
+
+    Returns
+    -------
+    Path
+        The file written.
 
     Raises
     ------
     ValueError
-        If there are no frames, an image is not a file under the folder, or the depth scales differ.
+        If there are no frames, an image is not a file inside the folder, or the depth scales differ.
     """
     if not frames:
         raise ValueError("no frames to write")
     first = frames[0]
     if any((f.depth_scale, f.depth_missing) != (first.depth_scale, first.depth_missing) for f in frames):
-        raise ValueError("all frames of a scan.json share one depth scale and missing values")
+        raise ValueError("all frames of a scan.json must have the same depth scale and missing values")
     document = {
         "version": FORMAT_VERSION,
         "camera": _camera_table(first.camera),
@@ -153,11 +161,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     path = folder / FILE
     document = documents.read_json(path)
     if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
-        raise InputError(SCAN_TABLE_DAMAGED, "it holds no list of frames.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file has no list of frames.", path)
     if document.get("version") != FORMAT_VERSION:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "its version is {document!r}; this program reads {format_version}.",
+            "unsupported version {document!r}; version {format_version} is expected.",
             path,
             document=document.get("version"),
             format_version=FORMAT_VERSION,
@@ -172,7 +180,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not isinstance(is_metric, bool):
         raise InputError(
             FILE_TEXT_INVALID,
-            "metric is {is_metric!r}; true or false is expected.",
+            "metric is {is_metric!r}; it must be true or false.",
             path,
             is_metric=str(is_metric)[:40],
         )
@@ -182,7 +190,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         camera = _camera(entry["camera"], options, path) if entry.get("camera") is not None else shared
         if camera is None:
             raise InputError(
-                SCAN_TABLE_DAMAGED, "frame {name} has no camera, and neither has the scan.", path, name=name
+                SCAN_TABLE_DAMAGED,
+                "frame {name} has no camera, and the file states no shared one.",
+                path,
+                name=name,
             )
         pose = _pose(entry, "world_from_camera", name, path) if poses is None else poses[i]
         own = entry.get("color_camera")
@@ -208,7 +219,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     posed = any(frame.world_from_camera is not None for frame in frames)
-    lacking = () if posed or not frames else (poses_missing("no frame has one"),)
+    lacking = () if posed or not frames else (poses_missing("no frame has a pose"),)
     return Scan(
         LAYOUT.name, frames, None, folder, missing=lacking, up=_up(document, path), is_metric=is_metric
     )
@@ -219,7 +230,7 @@ def _up(document: dict[str, Any], path: Path) -> WorldUp | None:
     if direction is None:
         return None
     if not isinstance(source, str):
-        raise InputError(FILE_TEXT_INVALID, "up_source is no text.", path)
+        raise InputError(FILE_TEXT_INVALID, "up_source must be a string.", path)
     return WorldUp(direction, source)
 
 
@@ -230,9 +241,7 @@ def _direction(table: dict[str, Any], where: str, path: Path) -> Direction | Non
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
     length = math.hypot(*numbers) if len(numbers) == 3 and max(map(abs, numbers)) < _LARGEST else math.nan
     if not length > 1 / _LARGEST:
-        raise InputError(
-            FILE_TEXT_INVALID, "{place} is no direction: three numbers, not all of them 0.", path, place=where
-        )
+        raise InputError(FILE_TEXT_INVALID, "{place} must be three numbers, not all 0.", path, place=where)
     x, y, z = (one / length for one in numbers)
     return x, y, z
 
@@ -241,7 +250,7 @@ def _name(entry: object, position: int, path: Path) -> str:
     name = entry.get("name", f"{position:06d}") if isinstance(entry, dict) else None
     if not isinstance(name, str):
         raise InputError(
-            SCAN_TABLE_DAMAGED, "frame {position} is not a table with a name.", path, position=position
+            SCAN_TABLE_DAMAGED, "frame {position} is not an object with a name.", path, position=position
         )
     return name
 
@@ -266,7 +275,7 @@ def _least_confidence(entry: dict[str, Any], options: ReadingParams, name: str, 
     if not isinstance(value, int) or not 0 <= value <= 255:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: least_confidence is no whole number from 0 to 255.",
+            "frame {name}: least_confidence must be a whole number from 0 to 255.",
             path,
             name=name,
         )
@@ -281,7 +290,7 @@ def _depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, f
     if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < _FARTHEST_M:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: depth_range is not the nearest and the farthest depth, metres.",
+            "frame {name}: depth_range must be two numbers in metres, minimum < maximum.",
             path,
             name=name,
         )
@@ -298,7 +307,7 @@ def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
     if value is not None and (not isinstance(value, int) or abs(value) >= 1 << 62):
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "frame {name}: timestamp is not a whole number of nanoseconds.",
+            "frame {name}: timestamp must be a whole number of nanoseconds.",
             path,
             name=name,
         )
@@ -306,12 +315,14 @@ def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
 
 
 def _camera(table: object, options: ReadingParams | None, path: Path) -> Camera:
-    """Return the camera of a table, or what `options` state in its place."""
+    """Read a camera table, unless `options` give the camera."""
     if not isinstance(table, dict):
-        raise InputError(SCAN_TABLE_DAMAGED, "a camera must be a table of names and values.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "a camera must be a JSON object.", path)
     width, height = table.get("width"), table.get("height")
     if not isinstance(width, int) or not isinstance(height, int) or not 0 < width * height <= 1 << 27:
-        raise InputError(SCAN_TABLE_DAMAGED, "a camera needs its width and height in pixels.", path)
+        raise InputError(
+            SCAN_TABLE_DAMAGED, "width and height of a camera in pixels are missing or invalid.", path
+        )
     stated = None if options is None else options.camera(width, height)
     return stated or calibration.camera_from_table(table, width, height, path)
 
@@ -332,7 +343,7 @@ def _integers(values: object, path: Path) -> tuple[int, ...]:
 
 LAYOUT = Layout(
     name="plain-rgbd",
-    text="scan.json, color/, depth/ (our own; see stages/layouts/scan_json.py)",
+    text="scan.json, color/, depth/ (scanloom's own)",
     matches=_matches,
     read=_read,
 )

@@ -1,6 +1,7 @@
-"""ScanNet, extracted: color/, depth/, pose/ and intrinsic/, a file a frame; colour is larger than depth.
+"""ScanNet, extracted: color/, depth/, pose/ and intrinsic/, with one file per frame.
 
-Sets for novel views keep the colour and leave depth/ out: these are single views.
+Colour images are larger than depth maps. Exports for novel view synthesis omit depth/; they are read as
+single views.
 """
 
 from __future__ import annotations
@@ -43,10 +44,10 @@ from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.trajectory.pose_files import read_pose_files
 
 _UNITS_PER_METRE = 1000.0
-# The colour camera of the data set: its intrinsics stay for this size where images were made smaller.
+# Size of the original colour images. Intrinsics of downscaled exports still refer to it.
 _COLOR_SIZE = (1296, 968)
 _LARGEST_OFFSET = 0.2
-# Where one of these states camera or poses, pose/ is something else's.
+# If one of these files exists, it states camera or poses, and pose/ belongs to another layout.
 _OF_OTHERS = ("intrinsic.json", "camera_intrinsic.json", "trajectory.log", "trajectory.json")
 
 
@@ -67,7 +68,7 @@ def _matches(folder: Path) -> str | None:
 
 
 def _color_folder(folder: Path) -> Path | None:
-    """Return the folder of colour images where there is one, and one of depth and of poses."""
+    """Return the colour folder if depth/ and pose/ exist, else None."""
     color = first_existing(folder, *COLOR_FOLDERS)
     return (
         color if color and all(path.is_dir() for path in (color, folder / "depth", folder / "pose")) else None
@@ -75,7 +76,7 @@ def _color_folder(folder: Path) -> Path | None:
 
 
 def _views_folder(folder: Path) -> Path | None:
-    """Return the folder of colour images where there are poses and intrinsics beside it, but no depth."""
+    """Return the colour folder of posed views without depth, or None."""
     color = first_existing(folder, *COLOR_FOLDERS)
     known = _intrinsics(folder, "color") or _intrinsics(folder, "depth")
     is_posed = color is not None and color.is_dir() and (folder / "pose").is_dir() and known is not None
@@ -88,7 +89,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         return _read_views(folder, views, options)
     color_folder = _color_folder(folder)
     if color_folder is None:
-        raise InputError(SCAN_FILES_MISSING, "the folders color/, depth/ and pose/ are needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "the folders color/, depth/ and pose/ are required.", folder)
     depths, colors = images(folder / "depth", DEPTHS), images(color_folder)
     pairs, skipped = pair(depths, colors, "depth/", f"{color_folder.name}/", folder)
     camera, color_camera = _cameras(folder, options, pairs)
@@ -115,7 +116,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _read_views(folder: Path, place: Path, options: ReadingParams) -> Scan:
-    """Read images with poses, without depth."""
+    """Read posed images without depth."""
     colors = images(place)
     if not colors:
         raise InputError(
@@ -141,7 +142,7 @@ def _read_views(folder: Path, place: Path, options: ReadingParams) -> Scan:
 
 
 def _camera_of_views(folder: Path, options: ReadingParams, size: tuple[int, int]) -> Camera:
-    """Return the camera of the colour images: colour's, or the one of depth that has their size."""
+    """Return the camera of the images: colour intrinsics, or else depth intrinsics."""
     stated = stated_camera(options, folder, *size)
     if stated is not None:
         return stated
@@ -157,7 +158,10 @@ def _without_pose(
     damaged: Sequence[SkippedFrame],
     missing: Sequence[Diagnostic],
 ) -> list[SkippedFrame]:
-    """Return the frames whose pose is not there; none where all of them are missing."""
+    """Return the frames without a pose file.
+
+    Empty if all pose files are missing.
+    """
     known = {*poses, *(one.name for one in damaged)}
     return [
         SkippedFrame(name, FRAME_POSE_MISSING.warning("pose/{name}.txt is missing", name=name))
@@ -169,7 +173,10 @@ def _without_pose(
 def _poses(
     folder: Path, options: ReadingParams, names: Sequence[str]
 ) -> tuple[dict[str, Pose | None], list[SkippedFrame], tuple[Diagnostic, ...]]:
-    """Return the poses by frame name, None where tracking was lost; frames with a damaged one; what lacks."""
+    """Return poses by frame, frames with damaged poses, and missing-pose diagnostics.
+
+    A pose is None if tracking was lost.
+    """
     given = options.file("poses", folder)
     if given is not None:
         matched = trajectories.match(trajectories.read_trajectory(given), names, given)
@@ -183,7 +190,7 @@ def _poses(
 def _cameras(
     folder: Path, options: ReadingParams, pairs: Sequence[tuple[Path, Path]]
 ) -> tuple[Camera, Camera | None]:
-    """Return the depth camera, and the colour camera where it is known."""
+    """Return the depth camera, and the colour camera (None if unknown)."""
     size = common_size([depth for depth, _ in pairs])
     camera, path = stated_camera(options, folder, *size), _intrinsics(folder, "depth")
     if camera is None and path is not None:
@@ -197,11 +204,12 @@ def _cameras(
         if (folder / "intrinsic" / name).exists() and not _is_identity(folder / "intrinsic" / name)
     ]
     for name in turned:
-        emit(SCAN_ASSUMED.warning("intrinsic/{name} is not the identity; it is left aside", name=name))
+        emit(SCAN_ASSUMED.warning("intrinsic/{name} is not the identity matrix; it is ignored", name=name))
     if color_path is None:
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "there is no intrinsic_color.txt: colour is taken to show what depth shows, in its own size"
+                "intrinsic_color.txt is missing: colour is assumed to have the same view as depth, at its "
+                "own resolution"
             )
         )
         return camera, None
@@ -209,14 +217,17 @@ def _cameras(
 
 
 def _color_camera(path: Path, size: tuple[int, int]) -> Camera:
-    """Return the camera of colour images of this size, scaled where the file is for the data set's own."""
+    """Read the colour camera for images of this size.
+
+    If the principal point does not fit the size, the intrinsics are scaled from the original size.
+    """
     original = calibration.matrix_camera(calibration.text_matrix(path), (), *_COLOR_SIZE, path)
     if abs(original.cx - size[0] / 2) <= _LARGEST_OFFSET * size[0]:
         return replace(original, width=size[0], height=size[1])
     emit(
         CAMERA_CALIBRATION_SCALED.warning(
-            "it is not for colour images of {width}×{height}; it is taken for the data set's "
-            "{own_width}×{own_height} and scaled",
+            "the intrinsics do not fit colour images of {width}×{height} pixels: they are assumed to "
+            "be for {own_width}×{own_height} (original size) and scaled",
             path,
             width=size[0],
             height=size[1],

@@ -1,4 +1,4 @@
-"""ScanNet, packed: one `.sens` file with the images, poses and cameras of a scan."""
+"""ScanNet, packed: one `.sens` file with images, poses and cameras."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _check_header(recording: sens.Sens) -> None:
-    """Warn of a file that is cut short, and of extrinsics that are not used."""
+    """Warn about truncated files and ignored extrinsics."""
     if len(recording.frames) < recording.promised:
         emit(
             RECORDING_DAMAGED.warning(
-                "it is cut short or damaged: {count} of the {promised} frames it promises can be read",
+                "the file is truncated or damaged: {count} of {promised} frames are readable",
                 recording.path,
                 count=len(recording.frames),
                 promised=recording.promised,
@@ -77,13 +77,13 @@ def _check_header(recording: sens.Sens) -> None:
     if not all(np.allclose(matrix, np.eye(4), atol=1e-4) for matrix in extrinsics):
         emit(
             SCAN_ASSUMED.warning(
-                "the extrinsics of its cameras are not the identity; they are left aside", recording.path
+                "the extrinsics of the cameras are not the identity matrix; they are ignored", recording.path
             )
         )
 
 
 def _cameras(recording: sens.Sens, folder: Path, options: ReadingParams) -> tuple[Camera, Camera | None]:
-    """Return the depth camera, and the colour camera where there is colour."""
+    """Return the depth camera, and the colour camera (None without colour)."""
     size, path = recording.depth_size, recording.path
     stated, given = options.camera(*size), options.file("calibration", folder)
     if stated is not None:
@@ -100,7 +100,10 @@ def _cameras(recording: sens.Sens, folder: Path, options: ReadingParams) -> tupl
 def _poses(
     recording: sens.Sens, folder: Path, options: ReadingParams
 ) -> Sequence[Pose | SkippedFrame | None]:
-    """Return the pose of each frame, None where tracking was lost, or why the frame has to be left out."""
+    """Return the pose of each frame, or the reason to skip it.
+
+    A pose is None if tracking was lost.
+    """
     given = options.file("poses", folder)
     if given is None:
         return [_pose(frame, number, recording.path) for number, frame in enumerate(recording.frames)]
@@ -109,7 +112,7 @@ def _poses(
 
 
 def _pose(frame: sens.SensFrame, number: int, path: Path) -> Pose | SkippedFrame | None:
-    # Nobody can correct one pose in a packed file.
+    # The user cannot correct a single pose in a packed file, so an invalid pose only skips its frame.
     try:
         return rigid(frame.pose, path, f"frame {number}")
     except InputError as error:

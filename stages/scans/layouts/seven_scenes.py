@@ -1,4 +1,7 @@
-"""7-Scenes and BundleFusion naming: colour, depth and pose of a frame side by side, one file each."""
+"""7-Scenes and BundleFusion: three files per frame in one folder.
+
+Each frame has a colour image, a depth map, and a pose.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +33,11 @@ from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.trajectory.pose_files import read_pose_files
 
 _NAME = re.compile(r"frame-(\d+)\.depth\.png")
-# The Kinect of the data set, as its page states; BundleFusion and others bring a file.
+# Kinect intrinsics from the page of the data set; BundleFusion and others provide a file.
 _DEFAULT = (585.0, 585.0, 320.0, 240.0)
-# BundleFusion's own, and what ScanNet's tool writes of a .sens file.
+# BundleFusion's file, and the one that ScanNet's tool extracts from a .sens file.
 _INFOS = ("info.txt", "_info.txt")
-# Of two cameras, that of depth; where files name that of colour alone, depth has been brought to it.
+# Depth intrinsics are preferred. Files with only colour intrinsics imply depth registered to colour.
 _INTRINSICS = (
     "camera-intrinsics.txt",
     "camera-intrinsics.depth.txt",
@@ -55,7 +58,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         (int(match[1]), path) for path in folder.iterdir() if (match := _NAME.fullmatch(path.name))
     )
     if not depths:
-        raise InputError(SCAN_FILES_MISSING, "no depth images named like frame-000000.depth.png.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "the folder has no depth images named like frame-000000.depth.png.", folder
+        )
     camera, scale = _camera(folder, options, *common_size([path for _, path in depths]))
     color_camera = _color_camera(folder, options, camera)
     given = options.file("poses", folder)
@@ -103,17 +108,17 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _without_depth(folder: Path, stems: Sequence[str]) -> list[SkippedFrame]:
-    """Return the frames of which the colour image is there and the depth map is not."""
+    """Return the frames that have a colour image but no depth map."""
     known = set(stems)
     others = sorted({path.name.partition(".")[0] for path in folder.glob("frame-*.color.*")} - known)
     return [SkippedFrame(stem, FRAME_IMAGE_MISSING.warning("its depth map is missing")) for stem in others]
 
 
 def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float]:
-    """Return the depth camera and the depth scale."""
+    """Return the depth camera, and the depth scale in units per metre."""
     unregistered = SCAN_ASSUMED.warning(
-        "depth and colour of 7-Scenes come from two cameras and are not registered: colour is off by a few "
-        "pixels where the stage adjust does not put it right"
+        "depth and colour of 7-Scenes are from two cameras and not registered: colour is off by a "
+        "few pixels unless the stage adjust corrects it"
     )
     stated = options.camera(width, height)
     if stated is not None:
@@ -121,7 +126,7 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
     info = first_existing(folder, *_INFOS)
     if options.calibration is None and info is not None:
         return _bundle_fusion(info, width, height)
-    # 3DMatch keeps one file for all the sequences of a scene.
+    # 3DMatch shares one file between all sequences of a scene.
     path = options.file("calibration", folder) or first_existing(
         folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
     )
@@ -132,8 +137,8 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
         return camera, 1000.0
     emit(
         CAMERA_INTRINSICS_GUESSED.warning(
-            "the folder has no camera-intrinsics.txt: the 7-Scenes default 585,585,320,240 is used",
-            remedy="if another camera made it, set scan.intrinsics=fx,fy,cx,cy",
+            "camera-intrinsics.txt is missing: the 7-Scenes default 585,585,320,240 is used",
+            remedy="for another camera, set scan.intrinsics=fx,fy,cx,cy",
         ),
         unregistered,
     )
@@ -141,7 +146,10 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
 
 
 def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
-    """Read BundleFusion's info.txt: `m_calibrationDepthIntrinsic = 16 numbers`, `m_depthShift = 1000`."""
+    """Read depth camera and depth scale from BundleFusion's info.txt.
+
+    Lines: `m_calibrationDepthIntrinsic = 16 numbers`, `m_depthShift = 1000`.
+    """
     values = _settings(info)
     try:
         scale = float(values.get("m_depthShift", 1000))
@@ -149,7 +157,7 @@ def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it holds no readable m_calibrationDepthIntrinsic and m_depthShift.",
+            "m_calibrationDepthIntrinsic or m_depthShift is missing or invalid.",
             info,
         ) from error
     if not 0 < scale < 1e12:
@@ -160,7 +168,7 @@ def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
 
 
 def _color_camera(folder: Path, options: ReadingParams, camera: Camera) -> Camera | None:
-    """Return the colour camera that info.txt states, where it is another than that of depth."""
+    """Return the colour camera in info.txt, if it is a separate one."""
     info = first_existing(folder, *_INFOS)
     if info is None or options.calibration is not None or options.intrinsics is not None:
         return None
@@ -176,7 +184,7 @@ def _color_camera(folder: Path, options: ReadingParams, camera: Camera) -> Camer
     except (ValueError, IndexError) as error:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "it holds no readable m_colorWidth, m_colorHeight and m_calibrationColorIntrinsic.",
+            "m_colorWidth, m_colorHeight or m_calibrationColorIntrinsic is invalid.",
             info,
         ) from error
     return None if color_camera == camera else color_camera
@@ -187,7 +195,7 @@ def _settings(info: Path) -> dict[str, str]:
 
 
 def _matrix_of(text: str, width: int, height: int, info: Path) -> Camera:
-    """Return the camera of the 16 numbers of a matrix, row by row."""
+    """Return the camera of a 4x4 matrix given as 16 row-major numbers."""
     row = [float(word) for word in text.split()]
     return calibration.checked(Camera(width, height, row[0], row[5], row[2], row[6]), info)
 

@@ -1,4 +1,7 @@
-"""One pair: of Middlebury 2001 to 2006, whose calibration was published, or left.png, right.png and K.txt."""
+"""Single stereo pair: Middlebury 2001 to 2006, or left.png, right.png and K.txt.
+
+The calibration of Middlebury 2005 and 2006 is built in.
+"""
 
 from __future__ import annotations
 
@@ -24,23 +27,26 @@ from scanloom.stages.scans.trajectory import files as trajectories
 
 _PAIRS = (("im0", "im1"), ("im2", "im6"), ("view1", "view5"), ("left", "right"))
 _SUFFIXES = (".png", ".ppm", ".pgm", ".jpg", ".jpeg")
-# The text is that of stereo networks: the nine numbers of the matrix, and the baseline in metres.
+# K.txt is the format of stereo networks: the nine numbers of the matrix, and the baseline in metres.
 _CALIBRATIONS = ("calibration.json", "calibration.toml", "K.txt")
 
 
-# Of the sets of 2005 and 2006, for views 1 and 5 at full size: pixels and metres.
+# Middlebury 2005 and 2006, views 1 and 5 at full size: pixels, metres, pixels.
 _FOCAL_LENGTH, _BASELINE, _FULL_HEIGHT = 3740.0, 0.16, 1110
 _PUBLISHED = CAMERA_CALIBRATION_ASSUMED.warning(
-    "the calibration is the one published for Middlebury 2005 and 2006 (3740 px at full size, 0.16 m, "
-    "dmin.txt), with the centre of the image as principal point",
-    remedy="for another set scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES",
+    "the published calibration of Middlebury 2005 and 2006 is used (3740 px at full size, "
+    "0.16 m, dmin.txt), with the principal point at the image centre",
+    remedy="for another data set, set scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES",
 )
 
 
 def _published(folder: Path, size: tuple[int, int]) -> StereoRig | None:
-    """Return the data set's rig for images of one of its sizes (full, half, third), or None.
+    """Return the rig of Middlebury 2005 and 2006, or None.
 
-    The images were cropped, so that dmin.txt, in pixels at full size, is to be added to each disparity.
+    It is known for full, half and third size images.
+
+    The published images are cropped: the offset in dmin.txt, in full-size pixels, has to be added to each
+    disparity.
     """
     path = folder / "dmin.txt"
     if not path.exists() or size[1] not in (_FULL_HEIGHT, _FULL_HEIGHT // 2, _FULL_HEIGHT // 3):
@@ -59,7 +65,9 @@ def _least_disparity(path: Path) -> float:
         value = math.nan
     if not abs(value) < 1e4:
         raise InputError(
-            SCAN_TABLE_DAMAGED, "one number, the disparity of what was cropped, is expected.", path
+            SCAN_TABLE_DAMAGED,
+            "the file must contain one number, the disparity offset of the cropped images.",
+            path,
         )
     return value
 
@@ -81,7 +89,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     found = _pair(folder)
     if found is None:
         raise InputError(
-            SCAN_FILES_MISSING, "a pair im2.png and im6.png (or view1, view5) is needed.", folder
+            SCAN_FILES_MISSING, "a pair im2.png and im6.png (or view1, view5) is required.", folder
         )
     size = image_size(found[0])
     with collecting(forward=False) as diagnostics:
@@ -101,7 +109,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         name=found[0].stem, camera=rig.left, color=found[0], right=found[1], world_from_camera=poses[0]
     )
     if path is None:
-        lacking = poses_missing("a single pair has none", remedy="name one with scan.poses=FILE")
+        lacking = poses_missing("a single pair has no poses", remedy="name a pose file with scan.poses=FILE")
         missing = (*missing, lacking)
     return Scan(LAYOUT.name, [frame], rig, folder, missing=missing)
 
@@ -109,7 +117,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 LAYOUT = Layout(
     name="pair",
     text="im2 and im6, or view1 and view5 with dmin.txt, .png or .ppm (Middlebury 2001 to 2006); "
-    "or left.png and right.png, perhaps with K.txt",
+    "or left.png and right.png, optionally with K.txt",
     matches=_matches,
     read=_read,
 )

@@ -1,7 +1,10 @@
-"""Stray Scanner: a video, a row of `odometry.csv` for each frame of it, depth and confidence by number.
+"""Stray Scanner: a video, `odometry.csv`, and depth with confidence.
 
-Poses are camera-to-world, with OpenCV's camera axes; the world has y up. The camera matrix is the video's.
-With other poses (`poses=FILE`), the accelerometer of `imu.csv` tells what is up.
+odometry.csv has one row per video frame; depth and confidence files are named by number.
+
+Poses are camera-to-world, with OpenCV camera axes; the world has y up. The camera matrix is for the
+video size. If the user gives other poses (`poses=FILE`), the up direction comes from the accelerometer
+in `imu.csv`.
 """
 
 from __future__ import annotations
@@ -45,7 +48,7 @@ _INTRINSICS = ("fx", "fy", "cx", "cy")
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """A line of odometry.csv; `number` is what depth and confidence are called by."""
+    """Row of odometry.csv; `number` names the depth and confidence files."""
 
     number: int
     pose: Pose | None
@@ -63,11 +66,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     depths = _by_number(folder / "depth", DEPTHS)
     trusts = _by_number(folder / "confidence", IMAGES)
     if not depths:
-        raise without_depth(folder, "Stray Scanner keeps it in depth/ when the phone has a LiDAR.")
+        raise without_depth(folder, "Stray Scanner writes depth/ if the phone has a LiDAR.")
     if not (folder / "rgb.mp4").exists():
         raise InputError(
             SCAN_FILES_MISSING,
-            "rgb.mp4 is missing: camera_matrix.csv is for its size, which must be known.",
+            "rgb.mp4 is missing; its size is needed to interpret camera_matrix.csv.",
             folder,
         )
     video = Video(folder / "rgb.mp4")
@@ -77,8 +80,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if video.frames and video.frames != len(rows):
         emit(
             SCAN_IMAGES_UNPAIRED.warning(
-                "rgb.mp4 has {frame_count} frames and odometry.csv {row_count} rows: paired from the first "
-                "on",
+                "rgb.mp4 has {frame_count} frames but odometry.csv has {row_count} rows: they are paired "
+                "from the beginning",
                 frame_count=video.frames,
                 row_count=len(rows),
             )
@@ -112,7 +115,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                     color_camera=color_camera,
                     confidence=trusts.get(row.number),
                     least_confidence=least,
-                    # The phone's own poses tell it better.
+                    # ARKit's poses are gravity-aligned, which is more accurate than the accelerometer.
                     up=ups[position] if given is not None or pose is None else None,
                 )
             )
@@ -120,7 +123,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _measured_ups(path: Path, rows: Sequence[_Row]) -> list[NDArray[np.float64] | None]:
-    """Return the up direction for the camera at each row, or None."""
+    """Return the up direction of the camera at each row, or None."""
     accelerometer = phone_accelerometer(path)
     times = [row.timestamp for row in rows if row.timestamp is not None]
     if len(times) < len(rows):
@@ -134,12 +137,15 @@ def _by_number(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
 
 
 def _rows(path: Path) -> list[_Row]:
-    """Read odometry.csv by the names in its first line: versions of the app have other columns."""
+    """Read odometry.csv by column name, because app versions have different columns."""
     lines = list(documents.lines(path))
     header = [name.strip().lower() for name in lines[0][1].split(",")] if lines else []
     if lacking := [name for name in _POSE if name not in header]:
         raise InputError(
-            SCAN_TABLE_DAMAGED, "its first line names no column {lacking}.", path, lacking=", ".join(lacking)
+            SCAN_TABLE_DAMAGED,
+            "the column {lacking} is missing in the first line.",
+            path,
+            lacking=", ".join(lacking),
         )
     rows: list[_Row] = []
     for number, text in lines[1:]:
@@ -149,14 +155,14 @@ def _rows(path: Path) -> list[_Row]:
         except ValueError as error:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
-                "line {number} does not hold {header_count} numbers.",
+                "line {number} does not have {header_count} numbers.",
                 path,
                 number=number,
                 header_count=len(header),
             ) from error
         rows.append(_row(row, len(rows), number, path))
     if not rows:
-        raise InputError(SCAN_TABLE_DAMAGED, "it holds no poses.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file has no poses.", path)
     return rows
 
 
@@ -166,7 +172,7 @@ def _row(row: dict[str, float], position: int, line: int, path: Path) -> _Row:
     if not 0 <= number < 1 << 31:
         raise InputError(
             SCAN_TABLE_DAMAGED,
-            "line {line}: the frame number {number:g} cannot be right.",
+            "line {line}: invalid frame number {number:g}.",
             path,
             line=line,
             number=number,
@@ -182,7 +188,7 @@ def _row(row: dict[str, float], position: int, line: int, path: Path) -> _Row:
 
 
 def _own_camera(row: _Row, shared: Camera, path: Path) -> Camera:
-    """Return the camera of a frame of the video as its row gives it, or the scan's."""
+    """Return the camera of a video frame, or the shared camera."""
     if row.intrinsics is None:
         return shared
     return calibration.checked(Camera(shared.width, shared.height, *row.intrinsics), path)

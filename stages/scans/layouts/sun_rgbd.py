@@ -1,9 +1,9 @@
-"""SUN RGB-D and SUN3D: image/, depth/ and intrinsics.txt; the bits of a depth value are rotated by three.
+"""SUN RGB-D and SUN3D: image/, depth/ with rotated bits, and intrinsics.txt.
 
     image/0000103.jpg   depth/0000103.png   intrinsics.txt   extrinsics/20150118235401.txt
 
-A folder of SUN RGB-D holds one frame. SUN3D's hold sequences with the same files, and extrinsics/ then has
-three rows of four numbers a frame, camera-to-world; the three rows of SUN RGB-D are only the camera's tilt.
+SUN RGB-D folders hold one frame. SUN3D folders hold sequences with the same files; their extrinsics/
+has a 3x4 camera-to-world pose per frame. In SUN RGB-D, it holds only the tilt of the camera.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, 
 from scanloom.stages.scans.trajectory import files as trajectories
 
 _UNITS_PER_METRE = 1000.0
-# SUN3D: the number of the frame in its stream, then its time in microseconds.
+# SUN3D names: frame number, then timestamp in microseconds.
 _STAMPED = re.compile(r"\d+-\d{1,15}")
 _TOLERANCE = 50_000_000
-# What the data set's folders hold beside, and other programs' exports do not.
+# Other contents of the data set's folders, which exports of other programs lack.
 _BESIDE = ("extrinsics", "depth_bfx", "fullres", "scene.txt", "annotation", "annotation2Dfinal")
-# Of rotated values the lowest three bits are 0 below 8 m, 1 to 16 m; of plain ones they are anything.
+# In rotated values, the lowest three bits are 0 below 8 m and 1 up to 16 m; in plain values they are
+# arbitrary.
 _PLAIN_BITS = 0b110
 _LARGEST_PLAIN_SHARE = 0.1
 
@@ -58,7 +59,7 @@ def _matches(folder: Path) -> str | None:
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     if not all((folder / name).is_dir() for name in ("image", "depth")):
-        raise InputError(SCAN_FILES_MISSING, "the folders image/ and depth/ are needed.", folder)
+        raise InputError(SCAN_FILES_MISSING, "the folders image/ and depth/ are required.", folder)
     depths, colors = images(folder / "depth"), images(folder / "image")
     if len(colors) > 1 and all(_STAMPED.fullmatch(path.stem) for path in (*depths, *colors)):
         pairs, skipped = _paired_by_time(depths, colors)
@@ -66,7 +67,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         pairs, skipped = pair(depths, colors, "depth/", "image/", folder)
     if not pairs:
         raise InputError(
-            SCAN_IMAGES_UNPAIRED, "no image in image/ has a depth map of its moment in depth/.", folder
+            SCAN_IMAGES_UNPAIRED, "no image in image/ has a depth map in depth/ within 0.05 s.", folder
         )
     size = common_size([depth for depth, _ in pairs])
     camera = _camera(folder, options, *size)
@@ -75,7 +76,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not rotated:
         emit(
             SCAN_ASSUMED.warning(
-                "the bits of depth/ are not rotated as SUN RGB-D's are: it is read as plain values"
+                "the depth values are not stored with rotated bits, unlike in SUN RGB-D: they are read as "
+                "plain values"
             )
         )
     frames = [
@@ -102,7 +104,7 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> Ca
 def _paired_by_time(
     depths: Sequence[Path], colors: Sequence[Path]
 ) -> tuple[list[tuple[Path, Path]], list[SkippedFrame]]:
-    """Return the depth map of each image's moment: both streams are numbered for themselves."""
+    """Match colour and depth by time, because both streams are numbered independently."""
     times = [
         np.array([int(path.stem.rpartition("-")[2]) * 1000 for path in files], np.int64)
         for files in (colors, depths)
@@ -120,12 +122,15 @@ def _paired_by_time(
 def _poses(
     folder: Path, options: ReadingParams, colors: Sequence[Path], all_colors: Sequence[Path]
 ) -> tuple[list[Pose | None], tuple[Diagnostic, ...]]:
-    """Return a pose for each image that is a frame, and the diagnostics of missing poses.
+    """Return a pose per image, and the diagnostics of missing poses.
 
-    Files hold one for all images.
+    Parameters
+    ----------
+    colors : images that are frames.
+    all_colors : all images; pose files have a pose for each of them.
     """
     path = options.file("poses", folder)
-    # The data set's tools take the latest of several optimisations.
+    # The latest of several optimisation results, as in the tools of the data set.
     found = sorted((folder / "extrinsics").glob("*.txt"))
     if path is not None:
         trajectory = trajectories.read_trajectory(path)
@@ -133,7 +138,7 @@ def _poses(
         path = found[-1]
         trajectory = trajectories.read_stacked(path)
     else:
-        return [None] * len(colors), (poses_missing("a file of them in extrinsics/ is missing"),)
+        return [None] * len(colors), (poses_missing("extrinsics/ has no pose file for a sequence"),)
     names = [color.stem for color in all_colors]
     by_image = dict(zip(names, trajectories.match(trajectory, names, path), strict=True))
     return [by_image[color.stem] for color in colors], ()

@@ -1,9 +1,10 @@
-"""TartanAir: rendered pairs of images, depth of the left one as .npy, poses in axes of an aircraft (NED).
+"""TartanAir: rendered stereo pairs, left depth, and poses in NED axes.
 
 image_left/000000_left.png   depth_left/000000_left_depth.npy   pose_left.txt
-image_right/000000_right.png                                     used where there is no depth
+image_right/000000_right.png                                     used if there is no depth
 
-Its second version looks six ways, and packs the four bytes of a depth in the four channels of an image:
+Version 2 has six view directions, and stores the four bytes of a float32 depth in the four channels of
+a PNG:
 
 image_lcam_front/000000_lcam_front.png   depth_lcam_front/000000_lcam_front_depth.png   pose_lcam_front.txt
 image_rcam_front/000000_rcam_front.png
@@ -38,7 +39,7 @@ from scanloom.stages.scans.trajectory import files as trajectories
 
 @dataclass(frozen=True)
 class _View:
-    """The folders of a stream of views and its file of poses; the camera of the data set."""
+    """Folder and file names of one view direction, and its camera."""
 
     left: str
     right: str
@@ -50,7 +51,7 @@ class _View:
 _FIRST = _View(
     "image_left", "image_right", "depth_left", "pose_left.txt", Camera(640, 480, 320.0, 320.0, 320.0, 240.0)
 )
-# Of several directions the one ahead is read.
+# In order of preference: the front view first.
 _VIEWS = (
     _FIRST,
     *(
@@ -59,16 +60,17 @@ _VIEWS = (
             f"image_rcam_{way}",
             f"depth_lcam_{way}",
             f"pose_lcam_{way}.txt",
-            # 90 degrees across, as the data set's reader has it: the centre is between the middle pixels.
+            # Field of view 90°, as in the reader of the data set: the principal point is between the middle
+            # pixels.
             Camera(640, 640, 320.0, 320.0, 319.5, 319.5),
         )
         for way in ("front", "left", "right", "back", "top", "bottom")
     ),
 )
 _BASELINE = 0.25
-# Metres; the sky is put at some very large distance, which differs from scene to scene.
+# Metres. The sky has a large depth that varies between scenes.
 _SKY = 1000.0
-# Camera axes of the data set are x forward, y right, z down.
+# Camera axes of the data set: x forward, y right, z down.
 _NED_FROM_CAMERA = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
@@ -80,7 +82,9 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     view = next((one for one in _VIEWS if (folder / one.left).is_dir()), None)
     if view is None:
-        raise InputError(SCAN_FILES_MISSING, "a folder image_left/ (or image_lcam_front/) is needed.", folder)
+        raise InputError(
+            SCAN_FILES_MISSING, "a folder image_left/ (or image_lcam_front/) is required.", folder
+        )
     lefts = images(folder / view.left)
     has_depth = (folder / view.depth).is_dir()
     if has_depth:
@@ -90,7 +94,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     else:
         raise InputError(
             SCAN_FILES_MISSING,
-            "it has neither {depth}/ nor {right}/; one of them is needed.",
+            "{depth}/ or {right}/ is required, but both are missing.",
             folder,
             depth=view.depth,
             right=view.right,
@@ -119,7 +123,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 def _poses(
     folder: Path, options: ReadingParams, view: _View, names: Sequence[str]
 ) -> tuple[list[Pose | None], tuple[Diagnostic, ...]]:
-    """Return a pose a frame, in OpenCV axes of the camera, and the diagnostics of missing poses."""
+    """Return a pose per frame with OpenCV camera axes, and missing-pose diagnostics."""
     given = options.file("poses", folder)
     path = given or first_existing(folder, view.poses)
     if path is None:
@@ -132,18 +136,19 @@ def _poses(
 
 
 def _depth(path: Path) -> NDArray[Any]:
-    """Return a depth map as stored, without the sky."""
+    """Read a depth map with the sky set to 0 (missing)."""
     raw = _unpacked(path) if path.suffix == ".png" else read_raw_depth(path)
     return np.where(raw < _SKY, raw, 0)
 
 
 def _unpacked(path: Path) -> NDArray[np.float32]:
-    """Return the float32 values whose bytes, the lowest first, are blue, green, red and alpha of an image."""
+    """Decode float32 depth from an image with four 8-bit channels.
+
+    Blue, green, red and alpha are the bytes of a value, lowest first.
+    """
     channels = read_stored(path)
     if channels.dtype != np.uint8 or channels.ndim != 3 or channels.shape[2] != 4:
-        raise InputError(
-            FILE_DEPTH_FORMAT, "a depth map packed in four channels of 8 bits is expected.", path
-        )
+        raise InputError(FILE_DEPTH_FORMAT, "a depth map packed into four 8-bit channels is expected.", path)
     return np.ascontiguousarray(channels).view("<f4")[:, :, 0]
 
 

@@ -1,24 +1,24 @@
-"""Layouts that are known by their files but cannot be read yet, so that the person is told what they have."""
+"""Layouts that are recognised but not supported, to give a specific error."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-_RGBD = "Export it as color/, depth/ and scan.json (our plain RGB-D layout)."
-_PACKED = "Unpack its files with `zstd --decompress`; its metadata.yaml may stay as it is."
-_CONTAINER = "Extract it with the maker's tool into left/ and right/, or into color/ and depth/."
+_RGBD = "Export the recording as color/, depth/ and scan.json (scanloom's own RGB-D layout)."
+_PACKED = "Decompress its files with `zstd --decompress`; metadata.yaml needs no change."
+_CONTAINER = "Extract images with the manufacturer's tool into left/ and right/, or into color/ and depth/."
 
 
 @dataclass(frozen=True)
 class Refused:
-    """A layout that is recognised and refused by name.
+    """Unsupported layout.
 
     Attributes
     ----------
-    name : of the data set or the program.
-    files : patterns; a folder in which each finds something is of this layout.
-    advice : what the person can do.
+    name : name of the data set or program.
+    files : glob patterns; a folder matches if each pattern matches a file.
+    advice : remedy for the user.
     """
 
     name: str
@@ -35,7 +35,7 @@ REFUSED: tuple[Refused, ...] = (
 
 
 def refused(place: Path) -> Refused | None:
-    """Return the layout that a folder (or a file) is of but that cannot be read yet, or None."""
+    """Return the unsupported layout that a folder or file has, or None."""
     if place.is_file():
         return next((one for one in REFUSED if all(place.match(files) for files in one.files)), None)
     return next((one for one in REFUSED if all(any(place.glob(files)) for files in one.files)), None)

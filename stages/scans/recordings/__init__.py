@@ -1,1 +1,1 @@
-"""Recordings of ROS 1, ROS 2 and RealSense, and .sens files: containers, messages, streams."""
+"""Recordings of ROS 1, ROS 2 and RealSense, and `.sens` files."""

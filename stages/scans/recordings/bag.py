@@ -1,6 +1,9 @@
-"""The records of a ROS 1 bag (format 2.0), as a RealSense `.bag` has them, too.
+"""Reader of ROS 1 bags (format 2.0), including RealSense `.bag` files.
 
-Each is a header of `name=value`, and data. Messages stand in chunks, and the index of a chunk follows it.
+A record consists of a header of `name=value` fields, and data. Messages are stored in chunks, and each
+chunk is followed by its index.
+
+Reference: https://wiki.ros.org/Bags/Format/2.0
 """
 
 from __future__ import annotations
@@ -19,7 +22,8 @@ from scanloom.stages.scans.recordings.recording import Recording
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x04", b"\x05", b"\x07"
 _INDEX_ENTRY = np.dtype([("seconds", "<u4"), ("nanoseconds", "<u4"), ("offset", "<u4")])
-# A record's header holds a few names and numbers, a connection the text of its message type.
+# Maximum bytes. A header holds a few names and numbers; a connection record also holds the message
+# definition.
 _LONGEST_HEADER, _LONGEST_CONNECTION = 1 << 16, 1 << 20
 
 
@@ -37,19 +41,22 @@ class _Record(NamedTuple):
 
 
 def read_bag(path: Path) -> Recording:
-    """Return the recording in a bag; what follows a damaged record is left out.
+    """Index a ROS 1 bag. Records after a damaged one are ignored.
 
     Raises
     ------
     InputError
-        If the file cannot be read or is no bag of format 2.0, or is encrypted.
+        If the file cannot be read, is not a bag of format 2.0, or is encrypted.
     """
     with opened(path) as file:
         start = file.read(0, min(len(_MAGIC), file.size))
         if start != _MAGIC:
-            what = "a ROS bag of another version" if start.startswith(b"#ROSBAG") else "no ROS bag"
+            what = "a ROS bag of another version" if start.startswith(b"#ROSBAG") else "not a ROS bag"
             raise InputError(
-                RECORDING_WRONG_KIND, "this is {what}; it must begin with `#ROSBAG V2.0`.", path, what=what
+                RECORDING_WRONG_KIND,
+                "this is {what}; the file must begin with `#ROSBAG V2.0`.",
+                path,
+                what=what,
             )
         return read_chunked(path, file, len(_MAGIC), _note, _find)
 
@@ -58,7 +65,9 @@ def _note(found: Found, chunk: int, span: Span, at: int) -> int:
     record = _record(span, at)
     kind = record.fields[b"op"]
     if record.fields.get(b"encryptor"):
-        raise InputError(RECORDING_WRONG_KIND, "the bag is encrypted, which cannot be read.", found.path)
+        raise InputError(
+            RECORDING_WRONG_KIND, "the bag is encrypted; encrypted bags are not supported.", found.path
+        )
     if kind == _CONNECTION and record.size <= _LONGEST_CONNECTION:
         described = _fields(span.read(record.start, record.size))
         writer = Writer(record.fields[b"topic"].decode(), described[b"type"].decode(), is_cdr=False)
@@ -78,11 +87,11 @@ def _note(found: Found, chunk: int, span: Span, at: int) -> int:
 
 def _find(span: Span, at: int, writers: frozenset[int]) -> tuple[int, int]:
     record = _record(span, at)
-    # An index may name the connection that stands before its first message.
+    # Index entries may point to the connection record that precedes the first message of a connection.
     while record.fields[b"op"] == _CONNECTION:
         record = _record(span, record.end)
     if record.fields[b"op"] != _MESSAGE or record.number(b"conn") not in writers:
-        raise ValueError("another record is there")
+        raise ValueError("unexpected record type")
     return record.start, record.size
 
 

@@ -1,4 +1,4 @@
-"""Which of the recordings of a folder is read: formats that pack a scan in one file."""
+"""Choice of the recording in a folder, for single-file formats."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from scanloom.stages.scans.codes import RECORDING_SEVERAL, SCAN_LAYOUT_UNKNOWN
 
 
 def one_recording(place: Path, suffix: str) -> Path:
-    """Return the file that was given, or the only one of a suffix in the folder that was.
+    """Return the given file, or the only matching file of a folder.
 
     Raises
     ------
     InputError
-        If the folder holds none, or several.
+        If the folder holds no such file, or several.
     """
     if place.is_file():
         return place
@@ -22,13 +22,13 @@ def one_recording(place: Path, suffix: str) -> Path:
     if len(files) == 1:
         return files[0]
     if not files:
-        raise InputError(SCAN_LAYOUT_UNKNOWN, "there is no {suffix} file.", place, suffix=suffix)
+        raise InputError(SCAN_LAYOUT_UNKNOWN, "the folder has no {suffix} file.", place, suffix=suffix)
     names = ", ".join(path.name for path in files[:5]) + (" …" if len(files) > 5 else "")
     raise InputError(
         RECORDING_SEVERAL,
-        "there are {files_count} {suffix} files ({names}), each a scan of its own",
+        "the folder has {files_count} {suffix} files ({names}), and each is a separate scan",
         place,
-        remedy="give the one to read.",
+        remedy="give the file to read.",
         files_count=len(files),
         suffix=suffix,
         names=names,

@@ -1,17 +1,23 @@
-"""What ROS 1 bags and MCAP files share: rows of records, and messages in chunks packed each for itself.
+"""Common reader of chunked recordings: ROS 1 bags and MCAP files.
 
-A recorder that was stopped in the middle leaves chunks and their indexes, but not the summary at the end that
-other readers start from. So records are walked from the front, over the chunks without reading them: whole
-and unfinished files are read alike, and no number in a file makes the walk longer than the file.
+Both formats are sequences of records; messages are stored in separately compressed chunks. An
+interrupted recorder leaves chunks and their indexes, but not the summary at the end, which other
+readers require. This reader therefore walks the records from the front and skips over chunk contents.
+Finished and unfinished files are read in the same way. No value in a file can make the walk longer than
+the file.
 
-Why neither `rosbags` (0.11.9) nor `mcap` (1.6.0) does this: they are made for whole files. Of 12,000 bags and
-MCAP files cut at any place, `rosbags` reads no message, and `mcap` none by its index; this reader keeps 43 %
-of all messages. (`mcap` from front to back keeps a few more, but reads all of a file for it.) Of 24,000 with
-bytes or lengths changed, `rosbags` leaves 4,758 with errors that are not its own, such as KeyError and
-MemoryError, and `mcap` 3,043 of 12,000. Both unpack whatever a chunk holds: of 33 KB that state 100 bytes
-they make 2.1 GB and 1.1 GB. Both take a length as it stands: a record that states 3 GiB, in a file of 4, is
-read whole. Messages are found by time, not by place, through one open file that threads cannot share, and
-`rosbags` refuses MCAP files with messages of ROS 1, or with messages outside of chunks that are not in order.
+Reasons against `rosbags` (0.11.9) and `mcap` (1.6.0), which assume finished files:
+
+- Truncated files: of 12,000 bags and MCAP files cut at a random position, `rosbags` reads no message
+  and `mcap` none by its index; this reader recovers 43 % of all messages. (`mcap` in streaming mode
+  recovers slightly more, but reads the whole file.)
+- Corrupted files: of 24,000 files with changed bytes or lengths, `rosbags` fails on 4,758 with foreign
+  errors such as KeyError and MemoryError; `mcap` fails so on 3,043 of 12,000.
+- Decompression bombs: both decompress a chunk without a limit. A chunk of 33 KB that states 100 bytes
+  becomes 2.1 GB and 1.1 GB. Both trust stated lengths: a record of 3 GiB in a file of 4 GiB is read
+  whole.
+- Access: messages are found by time and not by index, through one open file that threads cannot share.
+  `rosbags` refuses MCAP files with ROS 1 messages, or with unordered messages outside of chunks.
 """
 
 from __future__ import annotations
@@ -35,18 +41,22 @@ from scanloom.stages.files.codes import FILE_UNREADABLE, RECORDING_DAMAGED
 from scanloom.stages.scans.codes import RECORDING_ENCODING_UNKNOWN
 from scanloom.stages.scans.recordings.recording import LARGEST_MESSAGE, Messages, Recording
 
-# What a damaged record raises where it is taken apart.
+# Exceptions that parsing a damaged record raises.
 _BROKEN = (struct.error, ValueError, KeyError, EOFError, RuntimeError)
-# Recorders close a chunk at some megabytes or after one message; no camera makes a larger image.
+# Maximum bytes of a chunk. Recorders close a chunk after some megabytes or one message; no camera image is
+# larger.
 _LARGEST_CHUNK = 1 << 28
-# The most that a message's record takes before its data.
+# Maximum bytes of a message record before its data.
 _LONGEST_HEAD = 256
-# The chunk that is the file itself.
+# Chunk index of the file itself.
 FILE = 0
 
 
 class Writer(NamedTuple):
-    """What one of a recording's writers wrote: all that the messages of a topic have in common."""
+    """Properties common to all messages of one connection or channel.
+
+    Topic, message type, and serialisation.
+    """
 
     topic: str
     kind: str
@@ -54,7 +64,7 @@ class Writer(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """Where the bytes of a chunk are, how they are packed ("": not at all), and how many they are then."""
+    """Location, compression ("" for uncompressed) and uncompressed size of a chunk, in bytes."""
 
     start: int
     stored: int
@@ -64,14 +74,22 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """The bytes of a file or of a chunk, counted from its start; the last of a chunk may not be unpacked."""
+    """Byte range of a file or a decompressed chunk.
+
+    Offsets are relative to its start.
+
+    `size` is the full size; the end of a chunk may not have been decompressed.
+    """
 
     file: BinaryIO
     start: int
     size: int
 
     def read(self, at: int, size: int) -> bytes:
-        """Return exactly so many bytes; EOFError where there are fewer."""
+        """Read exactly `size` bytes at an offset.
+
+        Raises EOFError if there are fewer.
+        """
         if size > self.size - at:
             raise EOFError
         self.file.seek(self.start + at)
@@ -83,14 +101,15 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a walk has met.
+    """Index built by walking the records of a file.
 
     Attributes
     ----------
-    chunks : the first is the file itself.
-    writers : by the number that the file knows each by.
-    messages : (n, 3) int64 parts of time, chunk and offset in it, by writer.
-    indexed : chunks that an index followed.
+    chunks : chunks of the file; the first is the file itself.
+    writers : connections or channels, by their number in the file.
+    messages : by writer number, (n, 3) int64 arrays of recording time (ns), chunk index and offset in the
+        chunk.
+    indexed : indices of the chunks that are followed by an index.
     """
 
     path: Path
@@ -100,21 +119,28 @@ class Found:
     indexed: set[int] = field(default_factory=set)
 
     def add(self, writer: int, times: ArrayLike, chunk: int, offsets: ArrayLike) -> None:
-        """Note messages of a chunk: when each was recorded, nanoseconds, and where in the chunk it stands."""
+        """Add messages of a chunk, by recording time (ns) and offset."""
         entries = np.stack(np.broadcast_arrays(times, chunk, offsets), axis=-1).reshape(-1, 3)
         if len(entries):
             self.messages.setdefault(writer, []).append(entries.astype(np.int64))
 
 
-# Notes the record at a place of a chunk, and returns the place behind it.
+# Adds the record at an offset of a chunk to the index, and returns the offset of the next record.
 Note = Callable[[Found, int, Span, int], int]
-# Returns where the data of a message's record starts and how long it is, if one of these writers wrote it.
+# Returns start and length of the data of the message at an offset; raises ValueError if the record is not a
+# message of one of these writers.
 Find = Callable[[Span, int, frozenset[int]], tuple[int, int]]
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Span]:
-    """Open a file for reading; InputError if that fails, also later on."""
+    """Open a file for reading as a span.
+
+    Raises
+    ------
+    InputError
+        If opening fails, or a read inside the context fails with OSError.
+    """
     try:
         with opening.opened(path) as file:
             yield Span(file, 0, path.stat().st_size)
@@ -125,7 +151,12 @@ def opened(path: Path) -> Iterator[Span]:
 
 
 def read_chunked(path: Path, file: Span, start: int, note: Note, find: Find) -> Recording:
-    """Return the recording in a file whose records begin at a byte; what follows a damaged one is left out.
+    """Index a chunked recording. Records after a damaged one are ignored.
+
+    Parameters
+    ----------
+    start : offset of the first record, bytes.
+    note, find : format-specific record parsers.
 
     Raises
     ------
@@ -134,21 +165,25 @@ def read_chunked(path: Path, file: Span, start: int, note: Note, find: Find) -> 
     """
     found = Found(path, [Chunk(0, file.size, "", file.size)])
     broken = _walk(note, found, FILE, file, start)
-    fault = None if broken is None else f"its record at byte {broken} of {file.size} is damaged or cut short"
+    fault = None if broken is None else f"the record at byte {broken} of {file.size} is damaged or truncated"
     for number, chunk in enumerate(found.chunks[1:], 1):
-        # An unfinished file tells of its writers only in the chunks, each in its first.
+        # Unfinished files describe their connections only inside chunks, in the first chunk of each
+        # connection.
         if number not in found.indexed or _is_first_of_unknown(found, number):
             try:
                 broken = _walk(note, found, number, _unpacked(file, chunk, path, None), 0)
             except (*_BROKEN, InputError):
                 broken = 0
             if broken is not None:
-                fault = fault or f"its chunk at byte {chunk.start} of {file.size} is damaged"
+                fault = fault or f"the chunk at byte {chunk.start} of {file.size} is damaged"
     return Recording(path, _topics(found, find), fault)
 
 
 def _walk(note: Note, found: Found, chunk: int, span: Span, at: int) -> int | None:
-    """Note record after record; return where one is damaged, or None."""
+    """Index all records of a span.
+
+    Returns the offset of a damaged record, or None.
+    """
     try:
         while at < span.size:
             at = note(found, chunk, span, at)
@@ -198,21 +233,24 @@ def _message(
     except _BROKEN as error:
         raise InputError(
             RECORDING_DAMAGED,
-            "message {number} of its topic, or the chunk it is in, is damaged.",
+            "message {number} of its topic, or its chunk, is damaged.",
             path,
             number=number,
         ) from error
 
 
 def _unpacked(file: Span, chunk: Chunk, path: Path, end: int | None) -> Span:
-    """Return what a chunk holds, unpacked up to `end` if given; never more than the chunk states."""
+    """Decompress a chunk, up to the offset `end` if given.
+
+    Never produces more bytes than the chunk header states, so a decompression bomb cannot fill the memory.
+    """
     if not chunk.compression:
         return Span(file.file, chunk.start, min(chunk.size, chunk.stored))
     claimed = max(chunk.size, chunk.stored)
     if claimed > _LARGEST_CHUNK:
         raise InputError(
             RECORDING_DAMAGED,
-            "a chunk claims to hold {claimed} bytes; its header is damaged.",
+            "a chunk states a size of {claimed} bytes, which exceeds any valid chunk; its header is damaged.",
             path,
             claimed=claimed,
         )
@@ -220,7 +258,7 @@ def _unpacked(file: Span, chunk: Chunk, path: Path, end: int | None) -> Span:
         known = ", ".join(_UNPACK)
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "chunks are compressed as {compression!r}; {known} are known.",
+            "unknown chunk compression {compression!r}; {known} are supported.",
             path,
             compression=chunk.compression[:20],
             known=known,
@@ -245,7 +283,7 @@ def _bz2(data: bytes, most: int) -> bytes:
         raise ValueError("damaged") from error
 
 
-# By the names that both kinds of file give them.
+# Compression names, common to both formats.
 _UNPACK: Mapping[str, Callable[[bytes, int], bytes]] = {
     "lz4": _lz4,
     "bz2": _bz2,

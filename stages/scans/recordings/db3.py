@@ -1,11 +1,11 @@
-"""Read the messages of a `.db3`: an SQLite database, as ROS 2 and RealSense's newer recorders write it.
+"""Reader of `.db3` recordings (SQLite) of ROS 2 and newer RealSense recorders.
 
-The file may come from anywhere: it is opened for reading only, tables have to be tables (a view could compute
-for ever), and what a row claims to hold is checked before it is read.
+Files are untrusted. The database is opened read-only, and tables must be tables, because a view could
+compute for ever. The size of a blob is checked before it is read.
 
-Why `rosbags` (0.11.9) does not do this, which asks SQLite, too: it finds messages by time alone, reads a row
-of 900 MB whole, and unpacks messages only by the word of a `metadata.yaml` beside the file, which a file that
-came alone lacks. Of 12,000 files that are cut or changed, 700 end with errors that are not its own.
+Reasons against `rosbags` (0.11.9), which also uses SQLite: it finds messages by time only, and reads a
+row of 900 MB whole. It detects compressed messages only from a `metadata.yaml` file, which a single
+`.db3` file lacks. Of 12,000 truncated or changed files, 700 fail with foreign errors.
 """
 
 from __future__ import annotations
@@ -37,17 +37,18 @@ _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"id", "topic_id", "ti
 
 
 def read_db3(path: Path) -> Recording:
-    """Return the recording in a `.db3`; the messages of a topic are in the order in which they were recorded.
+    """Index a `.db3` recording, with messages sorted by recording time.
 
     Raises
     ------
     InputError
-        If it cannot be read, is no SQLite database, or one without the tables of a recording.
+        If the file cannot be read, is not an SQLite database, is truncated, or lacks the tables of a
+        recording.
     """
     try:
         with opened(path) as file:
             header = file.read(_HEADER_BYTES)
-        # What SQLite opens beside it, and waits for.
+        # SQLite also opens these companion files; opening a named pipe would block.
         for beside in (path.with_name(path.name + ending) for ending in _BESIDE):
             if beside.exists():
                 require_regular(beside)
@@ -57,15 +58,15 @@ def read_db3(path: Path) -> Recording:
         ) from error
     if not header.startswith(_SQLITE) or len(header) < _HEADER_BYTES:
         raise InputError(
-            RECORDING_WRONG_KIND, "this is no .db3 recording: it is not an SQLite database.", path
+            RECORDING_WRONG_KIND, "this is not a .db3 recording: the file is not an SQLite database.", path
         )
-    # Of pages that a cut took away SQLite would make zeros: black images.
+    # SQLite reads the missing pages of a truncated file as zeros, which would become black images.
     page, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
     promised = (1 << 16 if page == 1 else page) * pages
     if path.stat().st_size < promised:
         raise InputError(
             RECORDING_DAMAGED,
-            "the file is cut short: it should hold {promised} bytes.",
+            "the file is truncated: {promised} bytes are expected.",
             path,
             remedy="Copy it again.",
             promised=promised,
@@ -76,7 +77,8 @@ def read_db3(path: Path) -> Recording:
         if kinds != [("table",)] or not columns <= found:
             raise InputError(
                 RECORDING_WRONG_KIND,
-                "this database is no recording: it has no table `{table}` as they have.",
+                "this database is not a recording: table `{table}` is missing or lacks columns of a "
+                "recording.",
                 path,
                 table=table,
             )
@@ -100,7 +102,9 @@ def _message(path: Path, rows: NDArray[np.int64], number: int, first: int | None
     row = int(rows[number])
     sizes = _query(path, "SELECT length(data) FROM messages WHERE id = ?", row)
     if not sizes or not isinstance(sizes[0][0], int) or sizes[0][0] > LARGEST_MESSAGE:
-        raise InputError(RECORDING_DAMAGED, "message {row} is missing or too large.", path, row=row)
+        raise InputError(
+            RECORDING_DAMAGED, "message {row} is missing or exceeds the size limit.", path, row=row
+        )
     ((data,),) = _query(path, "SELECT data FROM messages WHERE id = ?", row)
     if not isinstance(data, bytes):
         raise InputError(RECORDING_DAMAGED, "message {row} is damaged.", path, row=row)
@@ -116,5 +120,5 @@ def _query(path: Path, words: str, *values: object) -> list[tuple[Any, ...]]:
             connection.close()
     except (sqlite3.Error, ValueError, OverflowError) as error:
         raise InputError(
-            RECORDING_DAMAGED, "the database is damaged or cut short ({error}).", path, error=error
+            RECORDING_DAMAGED, "the database is damaged or truncated ({error}).", path, error=error
         ) from error

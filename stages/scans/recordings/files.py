@@ -1,4 +1,4 @@
-"""Which files of a folder make up a ROS recording: one file, or those a metadata.yaml of ROS 2 lists."""
+"""Files of a ROS recording: one file, or those in metadata.yaml."""
 
 from __future__ import annotations
 
@@ -16,17 +16,21 @@ _INFORMATION, _FILES = "rosbag2_bagfile_information", "relative_file_paths"
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Return the files of recordings in a folder, by name."""
+    """Return the recording files in a folder, sorted by suffix and name."""
     return sorted(file for suffix in SUFFIXES for file in folder.glob(f"*{suffix}"))
 
 
 def recording_files(place: Path) -> Sequence[Path]:
-    """Return the files of the recording at a place, in the order in which they were written.
+    """Return the files of a recording in recording order.
+
+    Parameters
+    ----------
+    place : a recording file, or a folder.
 
     Raises
     ------
     InputError
-        If there is none, there are several, or one of a list is missing.
+        If the folder holds no recording or several, or a listed file is missing.
     """
     if place.is_file():
         return [place]
@@ -36,31 +40,38 @@ def recording_files(place: Path) -> Sequence[Path]:
     files = recordings(place)
     if len(files) != 1:
         kinds = ", ".join(SUFFIXES)
-        found = f"there is no recording ({kinds})" if not files else f"there are {len(files)} recordings"
+        found = f"no recording ({kinds})" if not files else f"{len(files)} recordings"
         raise InputError(
-            RECORDING_SEVERAL, "{found} in it", place, remedy="give the one to read.", found=found
+            RECORDING_SEVERAL,
+            "the folder has {found}",
+            place,
+            remedy="give the recording to read.",
+            found=found,
         )
     return files
 
 
 def _listed(listed: Path) -> list[Path]:
-    """Return the files that ROS 2's list names; none where it is another program's."""
+    """Return the files that a ROS 2 metadata.yaml lists.
+
+    Empty for any other YAML file.
+    """
     said = documents.read_document(listed).get(_INFORMATION)
     names = said.get(_FILES) if isinstance(said, dict) else None
     if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
         return []
-    # Early versions put the folder's own name before each.
+    # Early versions prefix each path with the name of the folder.
     files = [
         listed.parent / PurePosixPath(documents.require_inside(name, listed, _FILES)).name for name in names
     ]
     for file in files:
-        # A recording that was unpacked afterwards is still listed as it was.
+        # After manual decompression, the list still names the compressed files.
         unpacked = file.with_suffix("") if file.suffix == ".zstd" else file
         if not unpacked.is_file():
-            advice = "" if unpacked == file else f"; unpack {file.name} with `zstd --decompress`"
+            advice = "" if unpacked == file else f"; decompress {file.name} with `zstd --decompress`"
             raise InputError(
                 RECORDING_SEVERAL,
-                "{unpacked_name}, which it lists, is missing{advice}.",
+                "the listed file {unpacked_name} is missing{advice}.",
                 listed,
                 unpacked_name=unpacked.name,
                 advice=advice,

@@ -1,4 +1,4 @@
-"""The images of a topic, plain or compressed."""
+"""Lazily decoded images of a topic, raw or compressed."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from scanloom.stages.scans.streams.clocked_streams import Images
 
 
 def topic_images(name: str, topic: Messages, stamp: Callable[[int], int] | None = None) -> Images:
-    """Return the images of a topic, to be read when asked for.
+    """Wrap a topic as images that are read and decoded on demand.
 
     Parameters
     ----------
-    name : of the images, for messages.
-    stamp : returns when an image was taken, nanoseconds; None where its own header says it.
+    name : name of the images in messages.
+    stamp : return the capture time of an image, nanoseconds; None to use the time in the message header.
     """
     return Images(
         name,

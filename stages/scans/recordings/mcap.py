@@ -1,7 +1,7 @@
-"""The records of an MCAP file, as ROS 2 writes them.
+"""Reader of MCAP files, as ROS 2 writes them.
 
-Each is an operation code, a length and a body. Messages stand by themselves or in chunks, and the index of a
-chunk follows it.
+A record consists of an opcode, a length and a body. Messages are stored directly in the file or in
+chunks, and each chunk is followed by its index.
 
 Reference: the MCAP format specification, version 0 (mcap.dev/spec).
 """
@@ -24,29 +24,31 @@ from scanloom.stages.scans.recordings.recording import Messages, Recording, as_r
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7
 _INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
-# An operation code and a length stand before each record; a message begins with its channel and times.
+# Record prefix: opcode and length. Message head: channel, sequence number, log time and publish time.
 _PREFIX, _HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
-# What stands before the data of a chunk, and the text of a message type.
+# Maximum bytes of a chunk record before its data, and of a message type definition.
 _LONGEST_CHUNK_HEAD, _LONGEST_DESCRIPTION = 1 << 10, 1 << 22
-# How the two ways of ROS to serialise are called, and whether it is ROS 2's.
+# Encodings of ROS messages; True for CDR, the encoding of ROS 2.
 _ENCODINGS = {"cdr": True, "ros1": False}
-# Nanoseconds; later times, and offsets beyond it, are damaged.
+# Nanoseconds. Later times are damaged; the limit also clamps damaged offsets into int64.
 _LATEST = 1 << 62
 
 
 def read_mcap(path: Path) -> Recording:
-    """Return the recording in an MCAP file; what follows a damaged record is left out.
+    """Index an MCAP file. Records after a damaged one are ignored.
 
-    Messages that are not serialised as ROS does have a type that nothing knows.
+    Messages in encodings unknown to ROS get a type name that no reader recognises.
 
     Raises
     ------
     InputError
-        If the file cannot be read or is none.
+        If the file cannot be read or is not an MCAP file.
     """
     with opened(path) as file:
         if file.read(0, min(len(_MAGIC), file.size)) != _MAGIC:
-            raise InputError(RECORDING_WRONG_KIND, "this is no MCAP file: it must begin with `MCAP0`.", path)
+            raise InputError(
+                RECORDING_WRONG_KIND, "this is not an MCAP file: the file must begin with `MCAP0`.", path
+            )
         recording = read_chunked(path, file, len(_MAGIC), partial(_note, {0: ""}), _find)
     topics = {
         name: replace(topic, read=partial(_unpacked, path, topic)) if topic.is_cdr else topic
@@ -58,7 +60,7 @@ def read_mcap(path: Path) -> Recording:
 def _unpacked(path: Path, messages: Messages, number: int, first: int | None) -> bytes:
     data = messages.read(number, first)
     if first is not None and data.startswith(zstd_blocks.MAGIC):
-        # The beginning of a packed message is only had from all of it.
+        # The beginning of a compressed message requires the whole message.
         data = messages.read(number, None)
     return unpacked(data, f"message {number} of its topic", path)[:first]
 
@@ -91,7 +93,10 @@ def _note(schemas: dict[int, str], found: Found, chunk: int, span: Span, at: int
 
 
 def _describe(schemas: dict[int, str], found: Found, operation: int, body: bytes) -> None:
-    """Note a message type, or a channel whose type is known: those of others are told again in a chunk."""
+    """Record a message type, or a channel whose type is known.
+
+    Channels before their type are ignored: chunks repeat both.
+    """
     (number,) = struct.unpack_from("<H", body)
     if operation == _SCHEMA:
         schemas.setdefault(number, as_ros_1(_text(body, 2)[0]))
@@ -108,12 +113,12 @@ def _find(span: Span, at: int, writers: frozenset[int]) -> tuple[int, int]:
     operation, start, length = _record(span, at)
     writer = _HEAD.unpack(span.read(start, _HEAD.size))[0]
     if operation != _MESSAGE or writer not in writers or length < _HEAD.size:
-        raise ValueError("another record is there")
+        raise ValueError("unexpected record type")
     return start + _HEAD.size, length - _HEAD.size
 
 
 def _record(span: Span, at: int) -> tuple[int, int, int]:
-    """Return operation, start and length of the body of the record at a place."""
+    """Return opcode, body start and body length of a record."""
     operation, length = _PREFIX.unpack(span.read(at, _PREFIX.size))
     start = at + _PREFIX.size
     if not operation or start + length > span.size:
@@ -122,7 +127,7 @@ def _record(span: Span, at: int) -> tuple[int, int, int]:
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Return the text at a place, and the place behind it."""
+    """Read a length-prefixed string; returns the text and the offset after it."""
     (length,) = struct.unpack_from("<I", data, at)
     end = at + 4 + length
     if end > len(data):

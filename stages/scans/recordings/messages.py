@@ -1,8 +1,9 @@
-"""Take serialised messages apart: images, cameras, transforms.
+"""Deserialisation of ROS messages: images, cameras, transforms, accelerations.
 
-`rosbags` knows how ROS 1 and 2 serialise and what their messages consist of. No number in a message makes it
-read or reserve more than is there: so it was with 120,000 that were cut or changed. Its types are asked one
-level below its own `deserialize` functions, which refuse what RealSense's recorder writes behind an image.
+Uses the message definitions of `rosbags` for ROS 1 and ROS 2. They never read or allocate more than a
+message holds; this was tested with 120,000 truncated or changed messages. The code calls one level below
+the `deserialize` functions of `rosbags`, which refuse the bytes that RealSense's recorder appends to an
+image.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 IMU = "sensor_msgs/Imu"
-# Before a ROS 2 message four bytes say how it is packed: the second is 1 for little-endian.
+# Bytes of the CDR header of a ROS 2 message; its second byte is 1 for little-endian.
 _CDR_HEAD = 4
 
 
@@ -37,11 +38,11 @@ class ImageMessage:
     Attributes
     ----------
     width, height : pixels.
-    encoding : what a pixel is, by ROS's names.
-    is_big_endian : of 16-bit and float pixels.
-    step : bytes from row to row.
-    data : (n,) uint8, the rows.
-    rest : bytes after them; RealSense's recorder adds the depth unit as a float32.
+    encoding : pixel format, as ROS names it.
+    is_big_endian : byte order of 16-bit and float pixels.
+    step : row stride in bytes.
+    data : (n,) uint8, all rows.
+    rest : bytes after the message; RealSense's recorder appends the depth unit as a float32.
     """
 
     width: int
@@ -60,11 +61,11 @@ class CameraMessage:
     Attributes
     ----------
     width, height : pixels.
-    model : of the distortion.
-    distortion : its coefficients.
-    matrix : (3, 3) float64, for the image as it was taken.
-    rectification : (3, 3) float64, turns the camera to where rectified images are seen from.
-    projection : (3, 4) float64, for the rectified image.
+    model : name of the distortion model.
+    distortion : distortion coefficients.
+    matrix : (3, 3) float64 intrinsics K of the raw image.
+    rectification : (3, 3) float64 rotation R from the camera to the rectified camera.
+    projection : (3, 4) float64 projection P of the rectified image.
     """
 
     width: int
@@ -92,12 +93,22 @@ def _types(is_cdr: bool) -> Typestore:
 def _message(
     data: bytes, kind: str, source: Path | str, called: str, *, is_cdr: bool = False
 ) -> tuple[Any, bytes]:
-    """Return a message, and what stands behind it; `called` is what the error calls it.
+    """Deserialise a message.
+
+    Parameters
+    ----------
+    kind : message type as ROS 1 names it.
+    called : name of the message in error messages.
+
+    Returns
+    -------
+    message : object with the fields of the message.
+    rest : bytes after the message.
 
     Raises
     ------
     InputError
-        If it is cut short or damaged, or packed in another way.
+        If the message is truncated, damaged or in another encoding.
     """
     from rosbags.serde import SerdeError
 
@@ -113,30 +124,44 @@ def _message(
         return message, data[_CDR_HEAD + end :]
     except (SerdeError, struct.error, ValueError) as error:
         raise InputError(
-            RECORDING_DAMAGED, "{called} is cut short or damaged.", source, called=called
+            RECORDING_DAMAGED, "{called} is truncated or damaged.", source, called=called
         ) from error
 
 
-# What the time in the header of an image takes, ROS 1's or 2's: it is read alone where only it is wanted.
+# Bytes at the start of an image message that hold its timestamp, for ROS 1 and 2. Reading only these avoids
+# decompressing whole images.
 STAMP_BYTES = 12
 
 
 def read_stamp(data: bytes, source: Path | str, *, is_cdr: bool = False) -> int:
-    """Return when an image was taken, nanoseconds, from the first bytes of its message."""
-    try:
-        _, seconds, nanoseconds = struct.unpack_from("<IiI" if is_cdr else "<III", data)
-    except struct.error as error:
-        raise InputError(RECORDING_DAMAGED, "the message is cut short.", source) from error
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    """Return the capture time of an image, nanoseconds.
 
-
-def read_image(data: bytes, source: Path | str, *, is_cdr: bool = False) -> ImageMessage:
-    """Return an image, its pixels still packed; `source` stands in messages, `is_cdr` says it is ROS 2's.
+    Only the first `STAMP_BYTES` bytes of its message are needed.
 
     Raises
     ------
     InputError
-        If the message is cut short.
+        If the message is truncated.
+    """
+    try:
+        _, seconds, nanoseconds = struct.unpack_from("<IiI" if is_cdr else "<III", data)
+    except struct.error as error:
+        raise InputError(RECORDING_DAMAGED, "the message is truncated.", source) from error
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def read_image(data: bytes, source: Path | str, *, is_cdr: bool = False) -> ImageMessage:
+    """Deserialise an image; its pixels stay encoded.
+
+    Parameters
+    ----------
+    source : location in error messages.
+    is_cdr : True for ROS 2.
+
+    Raises
+    ------
+    InputError
+        If the message is truncated.
     """
     said, rest = _message(data, IMAGE, source, "the image", is_cdr=is_cdr)
     return ImageMessage(
@@ -145,9 +170,15 @@ def read_image(data: bytes, source: Path | str, *, is_cdr: bool = False) -> Imag
 
 
 def read_camera_info(data: bytes, source: Path | str, *, is_cdr: bool = False) -> CameraMessage:
-    """Return a camera; its numbers are not checked. Raises InputError if the message is cut short."""
+    """Deserialise a `sensor_msgs/CameraInfo`. The numbers are not validated.
+
+    Raises
+    ------
+    InputError
+        If the message is truncated.
+    """
     said, _ = _message(data, "sensor_msgs/CameraInfo", source, "the camera_info", is_cdr=is_cdr)
-    # ROS 1 calls them D, K, R and P.
+    # The fields are named D, K, R, P in ROS 1 and d, k, r, p in ROS 2.
     distortion, *matrices = (getattr(said, name if is_cdr else name.upper()) for name in "dkrp")
     matrix, turn, projection = (np.reshape(values, (3, -1)) for values in matrices)
     return CameraMessage(
@@ -162,41 +193,58 @@ def read_camera_info(data: bytes, source: Path | str, *, is_cdr: bool = False) -
 
 
 def read_compressed(data: bytes, source: Path | str, *, is_cdr: bool = False) -> tuple[str, bytes]:
-    """Return format and encoded image of `sensor_msgs/CompressedImage`; InputError if it is cut short."""
+    """Return format string and encoded image of a `sensor_msgs/CompressedImage`.
+
+    Raises
+    ------
+    InputError
+        If the message is truncated.
+    """
     said, _ = _message(data, COMPRESSED_IMAGE, source, "the image", is_cdr=is_cdr)
     return said.format, said.data.tobytes()
 
 
 def read_text(data: bytes, source: Path | str) -> str:
-    """Return a ROS 2 `std_msgs/String`; InputError if it is cut short."""
+    """Return the text of a ROS 2 `std_msgs/String`.
+
+    Raises InputError if the message is truncated.
+    """
     said, _ = _message(data, "std_msgs/String", source, "a text", is_cdr=True)
     return str(said.data)
 
 
 def read_frame(data: bytes, source: Path | str, *, is_cdr: bool = False) -> str:
-    """Return the name of the frame in a message's header; InputError if it is cut short."""
+    """Return the coordinate frame named in a message header.
+
+    Raises InputError if the message is truncated.
+    """
     said, _ = _message(data, "std_msgs/Header", source, "the message", is_cdr=is_cdr)
     return str(said.frame_id)
 
 
 def read_transform(data: bytes, source: Path) -> Pose:
-    """Return ROS 1's `geometry_msgs/Transform` as a (4, 4) float64 matrix, metres.
+    """Return a ROS 1 `geometry_msgs/Transform` as a (4, 4) float64 matrix, metres.
 
     Raises
     ------
     InputError
-        If the message is cut short, or it is no rigid motion.
+        If the message is truncated or the transform is not rigid.
     """
     return _pose(_message(data, "geometry_msgs/Transform", source, "a transform")[0], source)
 
 
 def read_transforms(data: bytes, source: Path, *, is_cdr: bool = False) -> list[tuple[str, str, Pose]]:
-    """Return `tf2_msgs/TFMessage`: parent, child, and the (4, 4) matrix that takes points of child to parent.
+    """Return the transforms of a `tf2_msgs/TFMessage`.
+
+    Returns
+    -------
+    list of (parent frame, child frame, parent_from_child)
+        The matrices are (4, 4) float64, metres.
 
     Raises
     ------
     InputError
-        As `read_transform`.
+        If the message is truncated or a transform is not rigid.
     """
     said, _ = _message(data, "tf2_msgs/TFMessage", source, "a transform", is_cdr=is_cdr)
     return [
@@ -209,28 +257,36 @@ def _pose(said: Any, source: Path) -> Pose:
     turn = [getattr(said.rotation, axis) for axis in "xyzw"]
     pose = pose_from_quaternion(place, turn, source, "a transform")
     if pose is None:
-        raise InputError(RECORDING_DAMAGED, "a transform is not finite.", source)
+        raise InputError(RECORDING_DAMAGED, "a transform contains NaN or infinity.", source)
     return pose
 
 
 def read_acceleration(data: bytes, source: Path | str, *, is_cdr: bool = False) -> NDArray[np.float64]:
-    """Return what the accelerometer of `sensor_msgs/Imu` reads, (3,) m/s²; NaN where the unit has none.
+    """Return the acceleration of a `sensor_msgs/Imu`, (3,) float64 m/s².
+
+    NaN if the IMU has no accelerometer.
 
     Raises
     ------
     InputError
-        If the message is cut short.
+        If the message is truncated.
     """
-    said, _ = _message(data, IMU, source, "a reading", is_cdr=is_cdr)
-    # What a unit does not measure has a variance of -1.
+    said, _ = _message(data, IMU, source, "an IMU reading", is_cdr=is_cdr)
+    # ROS marks a quantity that the sensor does not measure by a covariance of -1.
     if said.linear_acceleration_covariance[0] == -1:
         return np.full(3, np.nan)
     return np.array([getattr(said.linear_acceleration, axis) for axis in "xyz"], np.float64)
 
 
 def read_float(data: bytes, source: Path | str) -> float:
-    """Return `std_msgs/Float32` as the decimal number it was written as. Raises InputError if cut short."""
+    """Return a `std_msgs/Float32` as its shortest decimal value.
+
+    Raises
+    ------
+    InputError
+        If the message is truncated.
+    """
     if len(data) < 4:
-        raise InputError(RECORDING_DAMAGED, "a number is cut short.", source)
-    # 0.001 in single precision is 0.0010000000474974513, which nobody meant.
+        raise InputError(RECORDING_DAMAGED, "a number is truncated.", source)
+    # 0.001 in single precision is 0.0010000000474974513; the shortest decimal is the intended value.
     return float(str(np.frombuffer(data, "<f4", 1)[0]))

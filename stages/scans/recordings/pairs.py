@@ -1,7 +1,8 @@
-"""The pair of an ordinary ROS recording without depth: a left and a right topic of images.
+"""Stereo pair of a ROS recording without depth.
 
-Rectified images (`image_rect`) have the projections P of their `camera_info`; others K and D, with R and the
-right camera's P for how the two stand. Drivers that leave the baseline out of P send it by `/tf_static`.
+Rectified images (`image_rect`) use the projection matrices P of their `camera_info`. Raw images use K
+and D, with R and the right camera's P for the extrinsics. Drivers that omit the baseline from P publish
+it in `/tf_static`.
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ from scanloom.stages.scans.recordings.topics import (
 from scanloom.stages.scans.streams.clocked_streams import Pair
 from scanloom.stages.scans.streams.stereo_rigs import stated_rig
 
-# RealSense numbers its infrared cameras; the left one is the first.
+# RealSense numbers its infrared cameras; the first is the left one.
 _SIDES = (("left", "right"), ("infra1", "infra2"), ("infrared1", "infrared2"), ("cam0", "cam1"))
 
 
 def topic_pair(recording: Recording, options: ReadingParams) -> Pair | None:
-    """Return the pair of a ROS recording; None where no two topics are left and right.
+    """Return the stereo pair of a ROS recording, or None.
 
     Raises
     ------
     InputError
-        If what it says of its cameras is missing or wrong.
+        If the calibration of the cameras is missing or invalid.
     """
     couples = _couples(image_topics(recording))
     if not couples:
@@ -54,7 +55,9 @@ def topic_pair(recording: Recording, options: ReadingParams) -> Pair | None:
     if len(couples) > 1:
         emit(
             RECORDING_TOPIC_CHOSEN.warning(
-                "of {count} pairs of topics, {name} is used", count=len(couples), name=left.name
+                "{count} pairs of topics could be stereo pairs; {name} is used",
+                count=len(couples),
+                name=left.name,
             )
         )
     first, second = (topic_images(one.name, one.topic) for one in (left, right))
@@ -74,7 +77,7 @@ def _couples(found: Sequence[ImageTopic]) -> list[tuple[ImageTopic, ImageTopic]]
 
 
 def _unlikeness(couple: tuple[ImageTopic, ImageTopic]) -> tuple[bool, bool, bool]:
-    """Return by what pairs are ordered, the best first."""
+    """Return the sort key of candidate pairs: the preferred pair sorts first."""
     left, _ = couple
     return not left.is_rectified, left.is_compressed, "gray" in left.name
 
@@ -92,8 +95,8 @@ def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: Rea
                 raise InputError(
                     CAMERA_PAIR_UNCALIBRATED,
                     (
-                        "how far apart {left_name} and {right_name} are is neither in the right "
-                        "one's camera_info (P[0,3]) nor in /tf_static"
+                        "the baseline between {left_name} and {right_name} is neither in the right "
+                        "camera_info (P[0,3]) nor in /tf_static"
                     ),
                     recording.path,
                     remedy="set scan.baseline=METRES.",
@@ -111,13 +114,14 @@ def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: Rea
         rig = rig_calibration.read_rig(
             recording.path, first.width, first.height, document=document, baseline=options.baseline
         )
-    # Names of topics say whether images are rectified, and metres are the unit: nothing is assumed.
+    # Topic names state whether images are rectified and ROS uses metres, so the reader's warnings about
+    # assumptions do not apply.
     emit(*(one for one in diagnostics if one.code != CAMERA_CALIBRATION_ASSUMED.name))
     return rig
 
 
 def _table(message: CameraMessage, *, is_rectified: bool = False) -> dict[str, Any]:
-    """Return a camera under the names that calibration files have."""
+    """Return a camera as a table with the keys of calibration files."""
     return {
         "width": message.width,
         "height": message.height,

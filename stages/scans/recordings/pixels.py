@@ -1,4 +1,4 @@
-"""Unpack the pixels of ROS images, whatever their encoding, into RGB colour or a raw depth map."""
+"""Decoding of ROS images into RGB colour or raw depth maps."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from scanloom.stages.scans.codes import RECORDING_ENCODING_UNKNOWN
 from scanloom.stages.scans.model.scan import ColorImage
 from scanloom.stages.scans.recordings.messages import ImageMessage, read_compressed, read_image
 
-# In ROS 1 `sensor_msgs/CompressedImage`, in ROS 2 `sensor_msgs/msg/CompressedImage`.
+# Type name suffix: `sensor_msgs/CompressedImage` in ROS 1, `sensor_msgs/msg/CompressedImage` in ROS 2.
 _COMPRESSED = "CompressedImage"
 _QUANTIZATION = struct.Struct("<iff")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _DEPTHS = {"mono16": "u2", "16uc1": "u2", "z16": "u2", "32fc1": "f4"}
-# Bytes a pixel, and which of OpenCV's conversions makes RGB of it; None for what is RGB.
+# Bytes per pixel, and the OpenCV conversion to RGB (None if already RGB).
 _COLORS: dict[str, tuple[int, str | None]] = {
     "rgb8": (3, None),
     "bgr8": (3, "COLOR_BGR2RGB"),
@@ -33,7 +33,7 @@ _COLORS: dict[str, tuple[int, str | None]] = {
     "mono8": (1, "COLOR_GRAY2RGB"),
     "8uc1": (1, "COLOR_GRAY2RGB"),
     "y8": (1, "COLOR_GRAY2RGB"),
-    # ROS's yuv422 has the colour first; RealSense calls the other order by its camera's name.
+    # ROS's yuv422 is UYVY. The YUYV order is yuv422_yuy2 in ROS, and yuyv or yuy2 in RealSense files.
     "yuv422": (2, "COLOR_YUV2RGB_UYVY"),
     "uyvy": (2, "COLOR_YUV2RGB_UYVY"),
     "yuv422_yuy2": (2, "COLOR_YUV2RGB_YUYV"),
@@ -43,28 +43,28 @@ _COLORS: dict[str, tuple[int, str | None]] = {
 
 
 def is_depth(encoding: str) -> bool:
-    """Say whether images of an encoding can be depth maps."""
+    """Return True if images of this encoding can be depth maps."""
     return encoding.lower() in _DEPTHS
 
 
 def is_color(encoding: str) -> bool:
-    """Say whether images of an encoding can be shown as colour or grey."""
+    """Return True if images of this encoding are colour or greyscale."""
     return encoding.lower() in _COLORS
 
 
 def color_in(data: bytes, kind: str, source: Path | str, *, is_cdr: bool = False) -> ColorImage:
-    """Return the image of a message as (h, w, 3) uint8 RGB.
+    """Decode an image message to (h, w, 3) uint8 RGB.
 
     Parameters
     ----------
-    kind : the message type; compressed images are told by it.
-    source : stands in messages.
-    is_cdr : it is ROS 2's.
+    kind : message type; distinguishes compressed from raw images.
+    source : location in error messages.
+    is_cdr : True for ROS 2.
 
     Raises
     ------
     InputError
-        If the message is damaged, the encoding is not known, or the data is not of the stated size.
+        If the message is damaged, the encoding is unknown, or the data does not have the stated size.
     """
     if kind.endswith(_COMPRESSED):
         return decode_color(read_compressed(data, source, is_cdr=is_cdr)[1], source)
@@ -72,7 +72,10 @@ def color_in(data: bytes, kind: str, source: Path | str, *, is_cdr: bool = False
 
 
 def depth_in(data: bytes, kind: str, source: Path | str, *, is_cdr: bool = False) -> NDArray[Any]:
-    """Return the depth map of a message, (h, w) uint16 or float32 as stored; for the rest as `color_in`."""
+    """Decode a depth message to (h, w) uint16 or float32, as stored.
+
+    Parameters and errors as for `color_in`.
+    """
     if kind.endswith(_COMPRESSED):
         return _compressed_depth(*read_compressed(data, source, is_cdr=is_cdr), source)
     return _depth(read_image(data, source, is_cdr=is_cdr), source)
@@ -85,9 +88,9 @@ def _color(image: ImageMessage, source: Path | str) -> ColorImage:
     if known is None:
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "colour is encoded as {encoding!r}, which is not known",
+            "unknown colour encoding {encoding!r}",
             source,
-            remedy="record it as rgb8.",
+            remedy="record colour as rgb8.",
             encoding=image.encoding[:20],
         )
     size, conversion = known
@@ -97,7 +100,7 @@ def _color(image: ImageMessage, source: Path | str) -> ColorImage:
     if size == 2 and image.width % 2:
         raise InputError(
             RECORDING_DAMAGED,
-            "a {encoding} image cannot be {image_width} pixels wide.",
+            "the width of a {encoding} image must be even, but it is {image_width} pixels.",
             source,
             encoding=image.encoding,
             image_width=image.width,
@@ -110,7 +113,7 @@ def _depth(image: ImageMessage, source: Path | str) -> NDArray[Any]:
     if kind is None:
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "depth is encoded as {encoding!r}; 16-bit (16UC1, mono16) or float (32FC1) is expected.",
+            "unknown depth encoding {encoding!r}; 16-bit (16UC1, mono16) or float (32FC1) is expected.",
             source,
             encoding=image.encoding[:20],
         )
@@ -120,23 +123,28 @@ def _depth(image: ImageMessage, source: Path | str) -> NDArray[Any]:
 
 
 def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any]:
-    # Before the PNG stand a code and two numbers that only float depth is packed with.
+    # `compressedDepth` puts a format code and two quantisation parameters before the PNG; the parameters
+    # matter only for float depth.
     start = data.find(_PNG, 0, 64)
     if start < 0:
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "depth is compressed as {form!r}; `compressedDepth png` is known.",
+            "unknown depth compression {form!r}; only `compressedDepth png` is supported.",
             source,
-            remedy="Record it uncompressed.",
+            remedy="Record depth uncompressed.",
             form=form[:40],
         )
     stored = decode_depth(data[start:], source)
     if "32fc1" not in form.lower():
         return stored
     if start != _QUANTIZATION.size or stored.dtype != np.uint16:
-        raise InputError(RECORDING_DAMAGED, "the depth's quantization is missing before its image.", source)
+        raise InputError(
+            RECORDING_DAMAGED,
+            "the quantisation parameters before the compressed depth are missing or damaged.",
+            source,
+        )
     _, factor, offset = _QUANTIZATION.unpack_from(data)
-    # What is stored is factor / depth + offset, 0 where depth is missing.
+    # The encoder stores factor / depth + offset, and 0 for missing depth.
     with np.errstate(all="ignore"):
         inverse = stored.astype(np.float32) - np.float32(offset)
         depth: NDArray[np.float32] = np.float32(factor) / np.where(inverse > 0, inverse, np.float32(1))
@@ -145,12 +153,12 @@ def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any
 
 
 def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint8]:
-    """Return (h, w · size) bytes, what fills up the rows left out."""
+    """Return the pixel bytes (h, w · size) uint8 without row padding."""
     width, height, used = image.width, image.height, image.width * size
     if not 0 < width * height <= MAX_PIXELS:
         raise InputError(
             RECORDING_DAMAGED,
-            "the image claims to be {width}×{height} pixels; it is damaged.",
+            "the stated image size {width}×{height} pixels is invalid; the message is damaged.",
             source,
             width=width,
             height=height,
@@ -158,7 +166,7 @@ def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint
     if image.step < used or len(image.data) < image.step * height:
         raise InputError(
             RECORDING_DAMAGED,
-            "the image does not hold the {width}×{height} pixels of {size} bytes that it claims.",
+            "the message is too short for the stated {width}×{height} pixels of {size} bytes.",
             source,
             width=width,
             height=height,

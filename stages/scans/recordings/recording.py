@@ -1,4 +1,4 @@
-"""The messages of a recording, by topic, whichever kind of file holds them: a bag, a `.db3`, an MCAP."""
+"""Messages of a recording by topic, independent of the container format."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import zstd_blocks
 from scanloom.stages.files.codes import RECORDING_DAMAGED
 
-# No camera makes a larger image.
+# Bytes. No camera image is larger.
 LARGEST_MESSAGE = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """The messages of a topic.
+    """Messages of one topic.
 
     Attributes
     ----------
-    kind : the message type as ROS 1 calls it, such as `sensor_msgs/Image`.
-    times : (n,) int64 nanoseconds at which they were recorded.
-    is_cdr : they are serialised as ROS 2 does.
-    read : returns the bytes of the n-th, or only the first so many; raises InputError where it is damaged.
-    file : returns which file the n-th is in.
+    kind : message type as ROS 1 names it, such as `sensor_msgs/Image`.
+    times : (n,) int64 recording times, nanoseconds.
+    is_cdr : True if the messages are serialised as CDR (ROS 2).
+    read : return the bytes of message `i`, or its first `n` bytes; raises InputError if it is damaged.
+    file : return the file that contains message `i`.
     """
 
     kind: str
@@ -39,12 +39,13 @@ class Messages:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The topics of a recording, by name; each has messages.
+    """Topics of a recording.
 
     Attributes
     ----------
-    path : what messages call the recording: its file, or its folder.
-    fault : why a part of it could not be read, or None.
+    path : file or folder of the recording, for messages.
+    topics : messages by topic name.
+    fault : reason why part of the recording could not be read, or None.
     """
 
     path: Path
@@ -53,19 +54,26 @@ class Recording:
 
 
 def as_ros_1(kind: str) -> str:
-    """Return a message type as ROS 1 calls it: without what ROS 2 puts in its middle."""
+    """Convert a ROS 2 message type to its ROS 1 name.
+
+    `sensor_msgs/msg/Image` becomes `sensor_msgs/Image`.
+    """
     return kind.replace("/msg/", "/")
 
 
 def unpacked(message: bytes, called: str, path: Path) -> bytes:
-    """Return a message of ROS 2, which it and some of RealSense's recorders can pack each for itself.
+    """Decompress a message that is compressed individually.
 
-    `called` is what the error calls it.
+    ROS 2 and some RealSense recorders do so. Uncompressed messages are returned unchanged.
+
+    Parameters
+    ----------
+    called : name of the message in the error.
 
     Raises
     ------
     InputError
-        If it is packed and damaged.
+        If a compressed message is damaged.
     """
     if not message.startswith(zstd_blocks.MAGIC):
         return message
@@ -73,12 +81,18 @@ def unpacked(message: bytes, called: str, path: Path) -> bytes:
         return zstd_blocks.unpacked(message, LARGEST_MESSAGE)
     except ValueError as error:
         raise InputError(
-            RECORDING_DAMAGED, "{called} does not decompress; it is damaged.", path, called=called
+            RECORDING_DAMAGED, "{called} does not decompress: the message is damaged.", path, called=called
         ) from error
 
 
 def joined(path: Path, parts: Sequence[Recording]) -> Recording:
-    """Return one recording of several files that a recorder wrote one after the other."""
+    """Concatenate the files of a recording that was split by the recorder.
+
+    Parameters
+    ----------
+    path : folder of the recording, for messages.
+    parts : files in recording order.
+    """
     kinds: dict[str, tuple[str, bool]] = {}
     for part in parts:
         for name, topic in part.topics.items():

@@ -1,6 +1,7 @@
-"""Read ScanNet's `.sens` files: a whole scan in one, colour and depth of each frame compressed for itself.
+"""Reader of ScanNet `.sens` files: all frames of a scan, individually compressed.
 
-The file is indexed without reading the images; each is read when asked for. Little-endian throughout.
+The file is indexed without reading the images; images are read on demand. All numbers are
+little-endian.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ _SETTINGS = struct.Struct("<iiIIIIfQ")
 _FRAME = struct.Struct("<16fQQQQ")
 _RAW_COLOR, _PNG_COLOR, _JPEG_COLOR = 0, 1, 2
 _RAW_DEPTH, _ZLIB_DEPTH = 0, 1
-# Between units of a kilometre and of a nanometre; other numbers are damaged.
+# Depth units per metre, for units from 1 km down to 1 nm; other values are damaged.
 _SCALES = (1e-3, 1e9)
-# No coder makes an image much larger than its pixels; a blob that claims more is damaged.
+# Maximum bytes per pixel and fixed overhead of an encoded image; a larger blob is damaged.
 _LARGEST_PIXEL, _LARGEST_OVERHEAD = 8, 1 << 20
 
 
 @dataclass(frozen=True)
 class Blob:
-    """Where the bytes of an image are."""
+    """Byte range of an image in the file."""
 
     start: int
     size: int
@@ -47,12 +48,12 @@ class Blob:
 
 @dataclass(frozen=True, eq=False)
 class SensFrame:
-    """One frame of the index.
+    """Index entry of one frame.
 
     Attributes
     ----------
-    pose : (4, 4) float64 as stored, world-from-camera; -inf where tracking was lost.
-    color, depth : where the images are; a colour of size 0 is none.
+    pose : (4, 4) float64 world-from-camera as stored; -inf if tracking was lost.
+    color, depth : byte ranges of the images; a colour blob of size 0 means no image.
     """
 
     pose: NDArray[np.float64]
@@ -62,16 +63,16 @@ class SensFrame:
 
 @dataclass(frozen=True, eq=False)
 class Sens:
-    """What a `.sens` file holds.
+    """Header and frame index of a `.sens` file.
 
     Attributes
     ----------
-    color_matrix, depth_matrix : (4, 4) float64 camera matrices, for images of `color_size` and `depth_size`.
-    color_extrinsic, depth_extrinsic : (4, 4) float64, the identity in the data set.
-    color_coder, depth_coder : how images are compressed, by the format's numbers.
+    color_matrix, depth_matrix : (4, 4) float64 intrinsics, for images of `color_size` and `depth_size`.
+    color_extrinsic, depth_extrinsic : (4, 4) float64; the identity in the data set.
+    color_coder, depth_coder : compression of the images, by the numbers of the format.
     color_size, depth_size : (width, height), pixels.
-    depth_scale : what one metre is in the depth maps' units.
-    promised : number of frames the header states; `frames` are those that are whole.
+    depth_scale : depth units per metre.
+    promised : frame count stated in the header; `frames` holds only the complete frames.
     """
 
     path: Path
@@ -89,15 +90,15 @@ class Sens:
 
 
 def read_sens(path: Path) -> Sens:
-    """Read the header and the index of a `.sens` file.
+    """Read the header and the frame index of a `.sens` file.
 
-    Frames after the first that is cut off or damaged cannot be found, and are left out.
+    Frames after the first truncated or damaged frame cannot be located and are ignored.
 
     Raises
     ------
     InputError
-        If the file cannot be read, its header is cut short or damaged, it is compressed in a way that is not
-        known, or not one frame is whole.
+        If the file cannot be read, its header is truncated or damaged, or its compression is unknown.
+        Also if the file has no complete frame.
     """
     try:
         with opened(path) as file:
@@ -109,12 +110,16 @@ def read_sens(path: Path) -> Sens:
 
 
 def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
-    """Return a colour image, (h, w, 3) uint8 RGB; `name` stands in messages.
+    """Read a colour image, (h, w, 3) uint8 RGB.
+
+    Parameters
+    ----------
+    name : name of the image in messages.
 
     Raises
     ------
     InputError
-        If it cannot be read or does not decode.
+        If the image cannot be read or does not decode.
     """
     data = _bytes(sens.path, blob, name)
     if sens.color_coder != _RAW_COLOR:
@@ -123,7 +128,7 @@ def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
     if len(data) != 3 * width * height:
         raise InputError(
             RECORDING_DAMAGED,
-            "the image does not hold {width}×{height} pixels.",
+            "the data does not match the image size {width}×{height} pixels.",
             f"{sens.path}: {name}",
             width=width,
             height=height,
@@ -132,28 +137,35 @@ def read_color(sens: Sens, blob: Blob, name: str) -> ColorImage:
 
 
 def read_depth(sens: Sens, blob: Blob, name: str) -> NDArray[np.uint16]:
-    """Return a depth map, (h, w) uint16 in the file's own unit; `name` stands in messages.
+    """Read a depth map, (h, w) uint16 in the file's unit.
+
+    Parameters
+    ----------
+    name : name of the image in messages.
 
     Raises
     ------
     InputError
-        If it cannot be read or does not decompress to the size the header states.
+        If the image cannot be read or does not decompress to the size stated in the header.
     """
     data = _bytes(sens.path, blob, name)
     width, height = sens.depth_size
     size = 2 * width * height
     if sens.depth_coder == _ZLIB_DEPTH:
         try:
-            # One byte more shows that there is more; a blob of nothing but zeros could fill the memory.
+            # Request one byte more than expected to detect excess data, but no more: a blob of zeros could
+            # fill the memory.
             data = zlib.decompressobj().decompress(data, size + 1)
         except zlib.error as error:
             raise InputError(
-                RECORDING_DAMAGED, "the depth map does not decompress; it is damaged.", f"{sens.path}: {name}"
+                RECORDING_DAMAGED,
+                "the depth map does not decompress: the data is damaged.",
+                f"{sens.path}: {name}",
             ) from error
     if len(data) != size:
         raise InputError(
             RECORDING_DAMAGED,
-            "the depth map does not hold {width}×{height} pixels.",
+            "the data does not match the depth map size {width}×{height} pixels.",
             f"{sens.path}: {name}",
             width=width,
             height=height,
@@ -166,7 +178,7 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     if version != _FORMAT_VERSION:
         raise InputError(
             RECORDING_WRONG_KIND,
-            "version {format_version} of the format is expected, and this states {version}.",
+            "unsupported format version {version}; version {format_version} is expected.",
             path,
             format_version=_FORMAT_VERSION,
             version=version,
@@ -174,7 +186,7 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     if name_size > _LONGEST_NAME:
         raise InputError(
             RECORDING_DAMAGED,
-            "its header is damaged: a sensor name of {name_size} bytes.",
+            "the header is damaged: the sensor name has {name_size} bytes.",
             path,
             name_size=name_size,
         )
@@ -187,14 +199,14 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     if color_coder not in (_RAW_COLOR, _PNG_COLOR, _JPEG_COLOR):
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "colour is compressed in way {color_coder}; raw, PNG and JPEG are known.",
+            "unknown colour compression {color_coder}; raw (0), PNG (1) and JPEG (2) are supported.",
             path,
             color_coder=color_coder,
         )
     if depth_coder not in (_RAW_DEPTH, _ZLIB_DEPTH):
         raise InputError(
             RECORDING_ENCODING_UNKNOWN,
-            "depth is compressed in way {depth_coder}; raw and zlib are known.",
+            "unknown depth compression {depth_coder}; raw (0) and zlib (1) are supported.",
             path,
             depth_coder=depth_coder,
         )
@@ -202,8 +214,8 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
         raise InputError(
             RECORDING_DAMAGED,
             (
-                "its header is damaged: colour of {color_width}×{color_height} and depth of "
-                "{width}×{height} pixels."
+                "the header is damaged: invalid image sizes, colour {color_width}×{color_height} and "
+                "depth {width}×{height} pixels."
             ),
             path,
             color_width=color_width,
@@ -213,7 +225,7 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
         )
     if not _SCALES[0] <= scale <= _SCALES[1]:
         raise InputError(
-            RECORDING_DAMAGED, "its header is damaged: {scale:g} depth units a metre.", path, scale=scale
+            RECORDING_DAMAGED, "the header is damaged: {scale:g} depth units per metre.", path, scale=scale
         )
     limits = [
         _LARGEST_PIXEL * pixels + _LARGEST_OVERHEAD for pixels in (color_width * color_height, width * height)
@@ -222,9 +234,9 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     if not frames:
         raise InputError(
             RECORDING_DAMAGED,
-            "of {promised} frames it promises, not one is whole",
+            "none of the {promised} frames stated in the header is complete",
             path,
-            remedy="copy it again.",
+            remedy="copy the file again.",
             promised=promised,
         )
     return Sens(
@@ -244,7 +256,10 @@ def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
 
 
 def _frames(file: BinaryIO, file_size: int, promised: int, limits: Sequence[int]) -> list[SensFrame]:
-    """Return the frames up to the first that is not whole, or whose colour or depth is above its limit."""
+    """Index the complete frames, up to the first damaged one.
+
+    `limits` are the maximum sizes of a colour and a depth image, bytes.
+    """
     frames: list[SensFrame] = []
     while len(frames) < promised:
         header = file.read(_FRAME.size)
@@ -268,7 +283,9 @@ def _matrix(data: bytes) -> NDArray[np.float64]:
 def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
     data = file.read(size)
     if len(data) < size:
-        raise InputError(RECORDING_DAMAGED, "the file ends within its header", path, remedy="copy it again.")
+        raise InputError(
+            RECORDING_DAMAGED, "the file is truncated within its header", path, remedy="copy the file again."
+        )
     return data
 
 
@@ -285,5 +302,5 @@ def _bytes(path: Path, blob: Blob, name: str) -> bytes:
             strerror=error.strerror,
         ) from error
     if len(data) < blob.size:
-        raise InputError(MACHINE_BUSY, "the file was cut short since it was opened.", f"{path}: {name}")
+        raise InputError(MACHINE_BUSY, "the file was truncated while it was being read.", f"{path}: {name}")
     return data

@@ -1,7 +1,9 @@
-"""Which topics of an ordinary ROS recording are depth and colour: images with a `camera_info` beside them.
+"""Selection of the depth and colour topics of a ROS recording.
 
-Depth is 16-bit millimetres or float metres, as ROS has it. Depth that is aligned to colour wins; otherwise
-`/tf_static` says how the two cameras stand.
+Only images with a `camera_info` are used.
+
+Depth is 16-bit in millimetres or float in metres, as ROS defines. Depth that is aligned to colour is
+preferred; otherwise the extrinsics come from `/tf_static`.
 """
 
 from __future__ import annotations
@@ -33,28 +35,36 @@ from scanloom.stages.scans.streams.clocked_streams import (
     stated_depth_camera,
 )
 
-# What the drivers of RealSense, Kinect and ZED call depth as the colour camera sees it.
+# Topic name parts that the drivers of RealSense, Kinect and ZED use for depth registered to the colour
+# camera.
 _ALIGNED = ("aligned_depth", "depth_registered", "depth_to_rgb")
 _LIKE_OPENCV = ("plumb_bob", "rational_polynomial", "none", "")
 _FISHEYE = ("equidistant", "fisheye")
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-# A fisheye bends lines without coefficients, too.
+# A fisheye model without coefficients still distorts: its coefficients are 0.
 _UNBENT = (0.0, 0.0, 0.0, 0.0)
-# Grey images in 16 bits are depth only where the name says so: infrared has them too.
+# Encodings that always are depth. mono16 counts as depth only with a matching topic name: infrared images use
+# it, too.
 _SURELY_DEPTH = ("16uc1", "32fc1")
 _NOT_DEPTH = ("infra", "/ir", "confidence", "disparity")
 _NOT_COLOR = (*_NOT_DEPTH, "depth")
-# The Kinect's colour moved to the depth camera, where its depth can see it.
+# Topic of the Azure Kinect driver: colour resampled into the view of the depth camera.
 _COLOR_IN_DEPTH = "rgb_to_depth"
 
 
 def topic_streams(recording: Recording, options: ReadingParams) -> Streams | None:
-    """Return depth and colour of a ROS recording; None where it has no images of depth.
+    """Select the depth and colour topics of a ROS recording.
+
+    Returns None if it has no depth images.
+
+    Parameters
+    ----------
+    options : intrinsics, calibration and depth scale given by the user take precedence.
 
     Raises
     ------
     InputError
-        If what it says of its cameras is missing or wrong.
+        If the calibration of the cameras is missing or invalid.
     """
     found = image_topics(recording)
     depths = [one for one in found if _is_depth(one)]
@@ -64,7 +74,7 @@ def topic_streams(recording: Recording, options: ReadingParams) -> Streams | Non
     if len(depths) > 1:
         emit(
             RECORDING_TOPIC_CHOSEN.warning(
-                "of {count} topics of depth, {name} is used", count=len(depths), name=depth.name
+                "{count} topics contain depth; {name} is used", count=len(depths), name=depth.name
             )
         )
     scale = options.depth_scale or (1.0 if depth.encoding.lower() == "32fc1" else 1000.0)
@@ -115,9 +125,12 @@ def _is_color(images: ImageTopic) -> bool:
 
 
 def _unlikeness(color: ImageTopic, depth: ImageTopic) -> tuple[object, ...]:
-    """Return by what topics of colour are ordered, the one that goes with the depth first."""
+    """Return the sort key of colour topics for a depth topic.
+
+    The topic that fits the depth best sorts first.
+    """
     return (
-        # Of several cameras, the colour is that of the depth's: their topics begin alike.
+        # With several cameras, topics of the same camera share a prefix.
         -_shared(color.name.split("/"), depth.name.split("/")),
         color.frame != depth.frame,
         "right" in color.name,
@@ -128,14 +141,14 @@ def _unlikeness(color: ImageTopic, depth: ImageTopic) -> tuple[object, ...]:
 
 
 def _shared(name: list[str], other: list[str]) -> int:
-    """Return how many parts of two names are the same before they part."""
+    """Return the length of the common prefix of two split topic names."""
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(name, other, strict=False)))
 
 
 def _recorded_camera(recording: Recording, images: ImageTopic) -> Camera:
-    """Return the camera of a topic as the `camera_info` beside it states it."""
+    """Return the camera of a topic from its `camera_info`."""
     message = camera_message(recording, images)
-    # K and D are of the image as it was taken, P of the rectified one.
+    # K and D belong to the raw image, P to the rectified one.
     is_rectified = images.is_rectified and message.projection.any()
     matrix = message.projection if is_rectified else message.matrix
     distortion = () if is_rectified or not any(message.distortion) else message.distortion
@@ -144,8 +157,8 @@ def _recorded_camera(recording: Recording, images: ImageTopic) -> Camera:
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
-                "the lens of {images_name} is described as {model!r}; plumb_bob, "
-                "rational_polynomial and equidistant are known."
+                "unknown lens model {model!r} of {images_name}; plumb_bob, rational_polynomial and "
+                "equidistant are supported."
             ),
             recording.path,
             images_name=images.name,
@@ -156,7 +169,8 @@ def _recorded_camera(recording: Recording, images: ImageTopic) -> Camera:
     if len(distortion) not in ((len(_UNBENT),) if is_fisheye else _COEFFICIENTS):
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "the lens of {images_name} has {distortion_count} coefficients, not 4, 5, 8, 12 or 14.",
+            "the lens model of {images_name} has {distortion_count} coefficients; 4, 5, 8, 12 or 14 "
+            "are supported.",
             recording.path,
             images_name=images.name,
             distortion_count=len(distortion),

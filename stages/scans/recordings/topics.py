@@ -1,4 +1,4 @@
-"""What a ROS recording says of its topics of images: what they show, their cameras, and how these stand."""
+"""Image topics of a ROS recording: encodings, cameras and transforms."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ from scanloom.stages.scans.recordings.pixels import is_depth
 from scanloom.stages.scans.recordings.recording import Messages, Recording
 from scanloom.stages.scans.streams.clocked_streams import Accelerometer
 
-# A tree of frames is sent anew now and then; a robot has some hundreds of them.
+# Maximum number of `/tf_static` messages to read. The tree is republished now and then; a robot has some
+# hundreds of frames.
 _MOST_TRANSFORMS = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class ImageTopic:
-    """A topic of images, what its first one is encoded as, and the frame its camera stands in."""
+    """Image topic with its first image's encoding and its coordinate frame."""
 
     name: str
     topic: Messages
@@ -45,23 +46,23 @@ class ImageTopic:
 
     @property
     def is_compressed(self) -> bool:
-        """Whether images have to be decoded."""
+        """True if the images are compressed."""
         return self.topic.kind == COMPRESSED_IMAGE
 
     @property
     def place(self) -> str:
-        """The name without what is done to the images: what `camera_info` stands beside."""
+        """Topic namespace that contains `camera_info`: the name without the image transport parts."""
         name = self.name.rpartition("/")[0] if self.is_compressed else self.name
         return name.rpartition("/")[0]
 
     @property
     def is_rectified(self) -> bool:
-        """Whether the name says so: `image_rect_color`, `color/rect/image`."""
+        """True if the topic name marks rectified images: `image_rect_color`, `color/rect/image`."""
         return re.search(r"[/_]rect", "/".join(self.name.split("/")[-3:])) is not None
 
 
 def image_topics(recording: Recording) -> Sequence[ImageTopic]:
-    """Return the topics of images whose first can be read, by name."""
+    """Return the image topics whose first image is readable, sorted by name."""
     found = (_image_topic(recording, name, topic) for name, topic in sorted(recording.topics.items()))
     return [one for one in found if one is not None]
 
@@ -77,7 +78,7 @@ def _image_topic(recording: Recording, name: str, topic: Messages) -> ImageTopic
                 name, topic, read_image(first, recording.path, is_cdr=topic.is_cdr).encoding, frame
             )
         form, _ = read_compressed(first, recording.path, is_cdr=topic.is_cdr)
-        # `16UC1; compressedDepth png`, or `rgb8; jpeg compressed bgr8`, or only `jpeg`.
+        # Formats: `16UC1; compressedDepth png`, `rgb8; jpeg compressed bgr8`, or only `jpeg`.
         encoding = form.split(";")[0].strip()
         return ImageTopic(name, topic, encoding if is_depth(encoding) else "bgr8", frame)
     except InputError:
@@ -85,23 +86,23 @@ def _image_topic(recording: Recording, name: str, topic: Messages) -> ImageTopic
 
 
 def has_camera(recording: Recording, images: ImageTopic) -> bool:
-    """Say whether a `camera_info` stands beside a topic of images."""
+    """Return True if the recording has a `camera_info` for an image topic."""
     return f"{images.place}/camera_info" in recording.topics
 
 
 def camera_message(recording: Recording, images: ImageTopic) -> CameraMessage:
-    """Return the `camera_info` beside a topic of images.
+    """Return the `camera_info` of an image topic.
 
     Raises
     ------
     InputError
-        If there is none or it is damaged.
+        If there is no `camera_info` or it is damaged.
     """
     info = recording.topics.get(f"{images.place}/camera_info")
     if info is None:
         raise InputError(
             CAMERA_INTRINSICS_GUESSED,
-            "there is no {place}/camera_info, which would say what camera {images_name} is of",
+            "the topic {place}/camera_info with the intrinsics of {images_name} is missing",
             recording.path,
             remedy="set scan.intrinsics=fx,fy,cx,cy.",
             place=images.place,
@@ -111,7 +112,11 @@ def camera_message(recording: Recording, images: ImageTopic) -> CameraMessage:
 
 
 def between(recording: Recording, first: str, second: str) -> Pose | None:
-    """Return what takes points of the first frame to the second, by `/tf_static`; None if it does not say.
+    """Return second_from_first (4, 4) from `/tf_static`, or None if not connected.
+
+    Parameters
+    ----------
+    first, second : names of coordinate frames.
 
     Raises
     ------
@@ -132,9 +137,14 @@ def between(recording: Recording, first: str, second: str) -> Pose | None:
 
 
 def accelerometer_beside(recording: Recording, frame: str) -> Accelerometer | None:
-    """Return the accelerometer of a recording; the camera that stands in `frame` is the one it is beside.
+    """Return the accelerometer of a recording relative to a camera, or None.
 
-    Of several topics it is one that says so in its name, or the first.
+    Of several IMU topics, a topic with "accel" in its name is preferred, then "gyro", then the first by
+    name.
+
+    Parameters
+    ----------
+    frame : coordinate frame of the camera.
     """
     topics = {name: one for name, one in recording.topics.items() if one.kind == IMU}
     if not topics:
@@ -152,12 +162,21 @@ def accelerometer_beside(recording: Recording, frame: str) -> Accelerometer | No
 
 
 def acceleration(topic: Messages, number: int) -> NDArray[np.float64]:
-    """Return a reading of an accelerometer's topic; InputError where it is damaged."""
+    """Return reading `number` of an accelerometer topic, (3,) m/s².
+
+    Raises
+    ------
+    InputError
+        If the message is damaged.
+    """
     return read_acceleration(topic.read(number, None), topic.file(number), is_cdr=topic.is_cdr)
 
 
 def _root(frame: str, parents: dict[str, tuple[str, Pose]]) -> tuple[str, Pose] | None:
-    """Return the root of a frame's tree, and what takes points of the frame to it; None if it is a ring."""
+    """Return the root of a frame, and root_from_frame (4, 4).
+
+    None if the tree has a cycle.
+    """
     root_from_frame: Pose = np.eye(4)
     seen = {frame}
     while frame in parents:

@@ -1,1 +1,1 @@
-"""Streams of images that layouts and recordings share: stereo rigs, and streams with clocks."""
+"""Image streams shared by layouts and recordings: stereo rigs and timestamped streams."""

@@ -1,4 +1,4 @@
-"""The two streams of a recording that make up a scan, whoever recorded it, and in whatever kind of file."""
+"""Timestamped streams of a scan, independent of recorder and file format."""
 
 from __future__ import annotations
 
@@ -19,16 +19,18 @@ from scanloom.stages.scans.model.scan import Camera, ColorImage, Pose, StereoRig
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """The images of a topic, by their number; all that reads raises InputError where the file is damaged.
+    """Images of one stream, by index.
+
+    The callables raise InputError if the file is damaged.
 
     Attributes
     ----------
-    name : of the stream, for messages.
-    recorded : (n,) int64 nanoseconds at which the recorder wrote them.
-    stamp : returns when an image was taken, nanoseconds by its camera's clock.
-    color : returns an image as (h, w, 3) uint8 RGB.
-    depth : returns an image as a raw depth map, (h, w) uint16 or float32.
-    file : returns which file an image is in.
+    name : name of the stream, for messages.
+    recorded : (n,) int64 nanoseconds at which the recorder wrote the images.
+    stamp : return the capture time of an image, nanoseconds on the clock of its camera.
+    color : return an image as (h, w, 3) uint8 RGB.
+    depth : return an image as a raw depth map, (h, w) uint16 or float32.
+    file : return the file that contains an image.
     """
 
     name: str
@@ -41,16 +43,16 @@ class Images:
 
 @dataclass(frozen=True, eq=False)
 class Accelerometer:
-    """The readings of an accelerometer, by their number.
+    """Readings of an accelerometer, by index.
 
     Attributes
     ----------
-    name : for messages.
-    recorded : (n,) int64 nanoseconds at which the recorder wrote them.
-    read : returns a reading (3,), m/s², in its own axes: at rest it points up; raises InputError where the
-        file is damaged.
-    camera_from_it : (3, 3) float64, turns its axes to those of the camera whose images are frames; None where
-        the recording does not say.
+    name : name of the sensor, for messages.
+    recorded : (n,) int64 nanoseconds at which the recorder wrote the readings.
+    read : return a reading (3,) in m/s², in the axes of the sensor. At rest it points up. Raises InputError
+        if the file is damaged.
+    camera_from_it : (3, 3) float64 rotation from the sensor axes to the axes of the frames' camera; None if
+        the recording does not contain it.
     """
 
     name: str
@@ -61,7 +63,7 @@ class Accelerometer:
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """Images and the camera that took them."""
+    """Images and the camera that captured them."""
 
     images: Images
     camera: Camera
@@ -69,14 +71,14 @@ class Stream:
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """The streams of a recording that make up a scan.
+    """Depth stream and optional colour stream of a scan.
 
     Attributes
     ----------
-    depth, color : colour may show what an infrared camera saw, or be None.
-    depth_scale : what one metre is in the depth maps' units.
-    color_from_depth : (4, 4) float64, metres; None where both stand in one place or the file does not say.
-    accelerometer : beside them, if there is one.
+    depth, color : `color` may hold infrared images, or be None.
+    depth_scale : depth units per metre.
+    color_from_depth : (4, 4) float64, metres; None if both cameras coincide or the file does not state it.
+    accelerometer : accelerometer of the recording, or None.
     """
 
     depth: Stream
@@ -88,11 +90,11 @@ class Streams:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The two streams of a recording that make up a scan without depth.
+    """Left and right stream of a stereo recording without depth.
 
     Attributes
     ----------
-    accelerometer : beside them, if there is one.
+    accelerometer : accelerometer of the recording, or None.
     """
 
     left: Images
@@ -102,7 +104,15 @@ class Pair:
 
 
 def stated_depth_camera(depth: Images, folder: Path, options: ReadingParams) -> Camera | None:
-    """Return the depth camera that the person states, for the size of the first depth map; None if not."""
+    """Return the depth camera given by the user, or None.
+
+    The camera is sized for the first depth map.
+
+    Raises
+    ------
+    InputError
+        If the calibration file or the first depth map cannot be read.
+    """
     if options.intrinsics is None and options.calibration is None:
         return None
     height, width = depth.depth(0).shape
@@ -110,10 +120,15 @@ def stated_depth_camera(depth: Images, folder: Path, options: ReadingParams) -> 
 
 
 def extrinsics_unknown(depth: str, color: str) -> Diagnostic:
-    """Return the warning for cameras that nothing in the recording relates."""
+    """Create the warning for a recording without extrinsics between its cameras.
+
+    Parameters
+    ----------
+    depth, color : names of the streams.
+    """
     return SCAN_ASSUMED.warning(
-        "how the camera of {color} stands to that of {depth} is not in the file: both are taken to stand in "
-        "one place, so that colours may be displaced",
+        "the recording does not contain the extrinsics between {color} and {depth}: the cameras "
+        "are assumed to coincide, so colours may be displaced",
         color=color,
         depth=depth,
     )

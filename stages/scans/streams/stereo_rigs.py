@@ -1,4 +1,4 @@
-"""The rig of a pair layout: from its calibration file, or from what the person states."""
+"""Stereo rig of a layout, from calibration files or the user."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from scanloom.stages.scans.model.scan import Camera, StereoRig
 from scanloom.stages.scans.streams.clocked_streams import Images
 
 _OPENCV_FILES = ("intrinsics.yml", "extrinsics.yml")
-# ROS's calibrator writes a file a camera.
+# ROS's camera calibrator writes one file per camera.
 _ROS_FILES = (
     ("left.yaml", "right.yaml"),
     ("left_camera_info.yaml", "right_camera_info.yaml"),
@@ -41,13 +41,24 @@ _ROS_FILES = (
 def rig_of(
     folder: Path, options: ReadingParams, size: tuple[int, int], names: Sequence[str]
 ) -> tuple[StereoRig, tuple[Diagnostic, ...]]:
-    """Return the rig, and the diagnostics of a calibration that is missing.
+    """Find and read the stereo calibration of a folder.
+
+    Sources, in this order:
+
+    - the file given by the user, or one of `names`
+    - intrinsics and baseline given by the user
+    - calibrations split over several files
+    - any other file in or near the folder that holds a rig
 
     Parameters
     ----------
-    folder, options : of the scan.
-    size : of the images, (width, height) in pixels.
-    names : calibration files to look for in the folder, the preferred first.
+    size : image size (width, height) in pixels.
+    names : names of calibration files to look for in the folder, the preferred first.
+
+    Returns
+    -------
+    rig : the stereo rig; with NaN entries if the calibration is missing.
+    missing : diagnostics of the missing calibration; empty if there is one.
 
     Raises
     ------
@@ -69,26 +80,26 @@ def rig_of(
         rig, path, diagnostics = found[0]
         if len(found) > 1:
             lacking = calibration_missing(
-                "{files} all state one",
-                remedy="name the right one with scan.calibration=FILE",
+                "several files contain one: {files}",
+                remedy="choose one with scan.calibration=FILE",
                 files=", ".join(one.name for _, one, _ in found[:5]),
             )
             return uncalibrated(size), (lacking,)
         note(path)
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the calibration is read from {file}, which lies beside the images",
+                "the calibration is read from {file}, which was found in the scan folder",
                 file=path.relative_to(folder).as_posix(),
             ),
             *diagnostics,
         )
     else:
         warn_of_rejected(folder, *size, rig_calibration.read_rig)
-        half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
+        half = "; intrinsics.yml exists, but extrinsics.yml does not" if has(folder, "intrinsics.yml") else ""
         lacking = calibration_missing(
             "{file} is missing{half}",
-            remedy="name one with scan.calibration=FILE, or set scan.intrinsics=fx,fy,cx,cy and "
-            "scan.baseline=METRES for a rectified pair",
+            remedy="name a calibration with scan.calibration=FILE, or for rectified pairs set "
+            "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES",
             file=names[0],
             half=half,
         )
@@ -97,7 +108,10 @@ def rig_of(
 
 
 def _in_halves(folder: Path) -> tuple[dict[str, Any], Path] | None:
-    """Return a calibration in two files, as OpenCV's sample and ROS write it, and the second of them."""
+    """Read a calibration that OpenCV's sample or ROS split into two files.
+
+    Returns the merged document and the path of the second file, or None.
+    """
     for place in places_of_calibrations(folder):
         for pair in (_OPENCV_FILES, *_ROS_FILES):
             if has(place, *pair):
@@ -114,7 +128,10 @@ def _in_halves(folder: Path) -> tuple[dict[str, Any], Path] | None:
 
 
 def _in_parts(folder: Path) -> tuple[dict[str, Any], Path] | None:
-    """Return a calibration of which each matrix is a file, and the folder of these."""
+    """Read a calibration that stores each matrix in a separate file.
+
+    Returns the merged document and the folder of the files, or None.
+    """
     for place in places_of_calibrations(folder):
         with only_looking():
             table, files = parts_of_calibration(place)
@@ -123,7 +140,7 @@ def _in_parts(folder: Path) -> tuple[dict[str, Any], Path] | None:
                 note(path)
             emit(
                 CAMERA_CALIBRATION_ASSUMED.warning(
-                    "the calibration is read from {files}, a matrix each",
+                    "the calibration is read from {files} (one matrix per file)",
                     files=", ".join(path.relative_to(folder).as_posix() for path in files),
                 )
             )
@@ -132,7 +149,12 @@ def _in_parts(folder: Path) -> tuple[dict[str, Any], Path] | None:
 
 
 def _with_other_half(path: Path) -> dict[str, Any] | None:
-    """Return what a calibration and the file of its other half say, where OpenCV wrote them as two files."""
+    """Read OpenCV's intrinsics and extrinsics files as one document.
+
+    `path` is either of the two files.
+
+    Returns None if the file is not one of such a pair.
+    """
     for half, other in (("extrinsics", "intrinsics"), ("intrinsics", "extrinsics")):
         beside = path.with_name(path.name.replace(half, other))
         if half in path.name and path.is_file() and beside.is_file():
@@ -141,12 +163,12 @@ def _with_other_half(path: Path) -> dict[str, Any] | None:
 
 
 def stated_rig(left: Images, folder: Path, options: ReadingParams) -> StereoRig | None:
-    """Return the rig of a recorded pair that the user states; None if not.
+    """Return the rig that the user gives for a recording, or None.
 
     Raises
     ------
     InputError
-        If the calibration file cannot be read, or the first left image, whose size it is for.
+        If the calibration file, or the first left image (for its size), cannot be read.
     """
     if options.calibration is None and (options.intrinsics is None or options.baseline is None):
         return None
@@ -156,6 +178,9 @@ def stated_rig(left: Images, folder: Path, options: ReadingParams) -> StereoRig 
 
 
 def uncalibrated(size: tuple[int, int]) -> StereoRig:
-    """Return the rig of pairs of which only the size is known: every other number is NaN."""
+    """Create a placeholder rig of which only the image size is known.
+
+    All other numbers are NaN.
+    """
     camera = Camera(*size, math.nan, math.nan, math.nan, math.nan)
     return StereoRig(camera, camera, np.full((4, 4), math.nan), rectified=False)

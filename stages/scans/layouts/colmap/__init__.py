@@ -1,1 +1,1 @@
-"""The layout of COLMAP folders, and its model files."""
+"""COLMAP workspaces and model files."""

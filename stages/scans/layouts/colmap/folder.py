@@ -1,8 +1,8 @@
-"""COLMAP: a sparse model (cameras and images, text or binary), with the depth maps of its dense workspace.
+"""COLMAP: a sparse model, optionally with dense depth maps.
 
-images/                                    the images, undistorted in a dense workspace
-sparse/cameras.bin, images.bin             or .txt; also in sparse/0/, beside images/, in colmap/sparse/0/ …
-sparse/points3D.bin                        or .txt: how far away is what each image shows
+images/                                    the images; undistorted in a dense workspace
+sparse/cameras.bin, images.bin             or .txt; also in sparse/0/, next to images/, in colmap/sparse/0/ …
+sparse/points3D.bin                        or .txt: determines the depth range of each image
 stereo/depth_maps/<name>.geometric.bin     or .photometric.bin; without any, the images are single views
 """
 
@@ -36,14 +36,14 @@ from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
 from scanloom.stages.scans.trajectory import files as trajectories
 
-# nerfstudio keeps the model below colmap/. Models that did not grow together are in folders with numbers.
+# nerfstudio stores the model below colmap/. Numbered subfolders hold disconnected models.
 _MODELS = ("sparse", ".", "colmap/sparse", "colmap")
-# Where COLMAP's own scripts put the dense workspace, beside the folder itself.
+# Dense workspace locations of COLMAP's own scripts, relative to the scan folder.
 _WORKSPACES = (".", "dense", "dense/0")
 _KINDS = ("geometric", "photometric")
-# Sizes are rounded to whole pixels when COLMAP makes images smaller.
+# Relative tolerance of the aspect ratio: COLMAP rounds sizes to whole pixels when it downscales images.
 _LARGEST_STRETCH = 0.02
-# Views that tell whether the images beside a model are those it was made of.
+# Number of views whose images are checked against the cameras of the model.
 _LOOKED_AT = 8
 
 
@@ -57,7 +57,10 @@ def _workspaces(folder: Path) -> list[Path]:
 
 
 def _models(folder: Path) -> list[Path]:
-    """Return the models of the first place that has any; of several, each is of a part of the images."""
+    """Return the models at the first location that has any.
+
+    Several models are disconnected reconstructions of parts of the images.
+    """
     for place in (folder / name for name in _MODELS):
         if colmap.has_model(place):
             return [place]
@@ -69,15 +72,15 @@ def _models(folder: Path) -> list[Path]:
 
 
 def _largest(models: Sequence[Path]) -> Path:
-    """Return the model with the most images, with a warning about the others."""
+    """Return the model with the most images, and warn about the others."""
     if len(models) == 1:
         return models[0]
     counts = [colmap.count_images(model) for model in models]
     largest = models[counts.index(max(counts))]
     emit(
         SCAN_ASSUMED.warning(
-            "of {count} models, {largest}/ is read: it has the most images ({sizes}). They have no common "
-            "world",
+            "the folder has {count} models without a common world frame: {largest}/ is read, which "
+            "has the most images ({sizes})",
             count=len(models),
             largest=largest.name,
             sizes=", ".join(f"{one.name}/ ({n})" for one, n in zip(models, counts, strict=True)),
@@ -91,7 +94,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not places:
         raise InputError(
             SCAN_FILES_MISSING,
-            "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.",
+            "a COLMAP model (cameras and images, .bin or .txt) is required in the folder, in sparse/ "
+            "or in sparse/0/.",
             folder,
         )
     workspace = _workspace(folder, places)
@@ -114,7 +118,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 frames.append(single_view(name, camera, images / view.name, pose, points=found))
                 continue
             if depth is None:
-                raise InputError(FRAME_IMAGE_MISSING, "it has no depth map.")
+                raise InputError(FRAME_IMAGE_MISSING, "its depth map is missing.")
             frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
             skipped.append(SkippedFrame(name, error.diagnostic))
@@ -122,28 +126,28 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if alone and not points:
         emit(
             DEPTH_RANGE_UNKNOWN.warning(
-                "there are no points (points3D.bin or .txt): how far away things are follows from the images "
-                "alone",
-                remedy="depth.min_depth and depth.max_depth state it",
+                "the model has no points (points3D.bin or .txt): the depth range is estimated from the "
+                "images alone",
+                remedy="set depth.min_depth and depth.max_depth if that fails",
             )
         )
-    # A trajectory that is given is in metres; depth maps stay in the unit of the model.
+    # Poses given by the user are in metres. Depth maps stay in the unit of the model.
     is_metric = options.depth_scale is not None or (alone and options.poses is not None)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), is_metric=is_metric)
 
 
 def _workspace(folder: Path, places: Sequence[Path]) -> Path:
-    """Return the folder to read of those that have a model.
+    """Choose the folder to read among those with a model.
 
-    One with depth maps is preferred, and one whose images are there and of the shape of its cameras.
+    Folders whose images exist and match the cameras are preferred, then those with depth maps.
     """
     fitting = [one for one in places if _fits(one)] or places
     workspace = next((one for one in fitting if (one / "stereo" / "depth_maps").is_dir()), fitting[0])
     if places[0] not in fitting:
         emit(
             SCAN_ASSUMED.warning(
-                "the images of {model}/ are not there, or of another shape: {other}/ is read, which has its "
-                "own",
+                "the images of {model}/ are missing or have another shape: {other}/, whose images match, "
+                "is read instead",
                 model=_models(places[0])[0].relative_to(folder).as_posix(),
                 other=workspace.relative_to(folder).as_posix(),
             )
@@ -152,7 +156,10 @@ def _workspace(folder: Path, places: Sequence[Path]) -> Path:
 
 
 def _fits(workspace: Path) -> bool:
-    """Say whether the images of some of a model's views are there, and can be of their cameras."""
+    """Return True if the images of a model match its cameras.
+
+    A sample is tested: the first image that exists must have the shape of its camera.
+    """
     try:
         with collecting(forward=False):
             model = _largest(_models(workspace))
@@ -164,7 +171,7 @@ def _fits(workspace: Path) -> bool:
                 camera = view.camera
                 return math.isclose(width / camera.width, height / camera.height, rel_tol=_LARGEST_STRETCH)
     except InputError:
-        pass  # It is told when it is read.
+        pass  # Reported when the model is read.
     return False
 
 
@@ -173,7 +180,10 @@ def _images(workspace: Path) -> Path:
 
 
 def _stated(camera: Camera, options: ReadingParams) -> Camera:
-    """Return the camera with the numbers that the person states: a lens that is a fisheye's stays one."""
+    """Return the camera with the intrinsics given by the user.
+
+    A fisheye camera keeps its lens model and distortion coefficients.
+    """
     stated = options.camera(camera.width, camera.height)
     if stated is None or not camera.fisheye:
         return stated or camera
@@ -183,7 +193,10 @@ def _stated(camera: Camera, options: ReadingParams) -> Camera:
 def _own_points(
     points: Mapping[int, NDArray[np.float64]], view: View, options: ReadingParams
 ) -> NDArray[np.float64] | None:
-    """Return the points that were found in a view, in metres; None where the poses are of another world."""
+    """Return the points (n, 3) observed in a view, metres, or None.
+
+    None if the user gave the poses: their world frame differs from the frame of the points.
+    """
     if options.poses is not None or view.identity not in points:
         return None
     return points[view.identity] / (options.depth_scale or 1.0)
@@ -196,24 +209,33 @@ def _depth_map(workspace: Path, view: View) -> Path | None:
 
 
 def _poses(folder: Path, views: Sequence[View], options: ReadingParams) -> Sequence[Pose | None]:
-    """Return the poses in metres."""
+    """Return the camera-to-world poses of the views.
+
+    In metres if the scale is known.
+    """
     given = options.file("poses", folder)
     if given is not None:
         return trajectories.match(trajectories.read_trajectory(given), [view.name for view in views], given)
-    # Lengths of a model have the unit of its depth maps.
+    # Model lengths and depth maps have the same unit, so `depth_scale` applies to both.
     return [in_metres(view.world_from_camera, options.depth_scale) for view in views]
 
 
 def _frame(
     name: str, view: View, full: Camera, pose: Pose | None, color: Path, depth: Path, options: ReadingParams
 ) -> Frame:
-    """Return a frame with depth; InputError where its depth map cannot be one of its camera."""
+    """Create a frame with depth.
+
+    Raises
+    ------
+    InputError
+        If the depth map is unreadable or its shape differs from the shape of its camera.
+    """
     width, height = colmap.depth_map_size(depth)
     if not math.isclose(width / full.width, height / full.height, rel_tol=_LARGEST_STRETCH):
         raise InputError(
             FILE_COLMAP_INVALID,
             (
-                "the depth map is {width}×{height}, which is not the shape of its camera's "
+                "the depth map is {width}×{height} pixels, which differs in shape from its camera with "
                 "{full_width}×{full_height}."
             ),
             depth,
@@ -233,12 +255,12 @@ def _frame(
 
 
 def _check_depths(frames: Sequence[Frame]) -> None:
-    """Warn of depth maps that may be of another model, and of unconfirmed ones."""
+    """Warn about depth maps of another model, and about photometric ones."""
     if any(frame.camera.distortion and frame.depth is not None for frame in frames):
         emit(
             SCAN_ASSUMED.warning(
-                "the cameras have lens distortion, which those of COLMAP's own depth maps never have: is "
-                "this the model of the dense workspace?"
+                "the cameras have lens distortion, but COLMAP computes depth maps only for undistorted "
+                "images: the model may not belong to the depth maps"
             )
         )
     unchecked = sum(
@@ -247,7 +269,8 @@ def _check_depths(frames: Sequence[Frame]) -> None:
     if unchecked:
         emit(
             SCAN_ASSUMED.warning(
-                "{count} depth maps are photometric: no other view confirms them, and they are noisier",
+                "{count} depth maps are photometric, without a geometric consistency check: expect more "
+                "noise",
                 count=unchecked,
             )
         )
@@ -255,7 +278,7 @@ def _check_depths(frames: Sequence[Frame]) -> None:
 
 LAYOUT = Layout(
     name="colmap",
-    text="cameras and images .bin|txt (also in sparse/ …), images/, perhaps stereo/depth_maps/ (COLMAP)",
+    text="cameras and images .bin|txt (also in sparse/ …), images/, optionally stereo/depth_maps/ (COLMAP)",
     matches=_matches,
     read=_read,
 )

@@ -1,7 +1,7 @@
-"""Read COLMAP's sparse models (text and binary), their points, and its depth maps.
+"""Reader of COLMAP's sparse models, their points, and depth maps.
 
-A model's own conventions stay in here: world-to-camera poses with the scalar of the quaternion first, and
-pixels counted from the corner of the top left one.
+Converts COLMAP's conventions: world-to-camera poses, quaternions with the scalar first, and pixel
+coordinates relative to the corner of the top left pixel.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from scanloom.stages.scans.model.scan import Camera, Pose
 
 @dataclass(frozen=True)
 class _Model:
-    """A camera model: its name, how many parameters it has, and which of them become OpenCV's.
+    """COLMAP camera model: name, parameter count, and mapping to OpenCV parameters.
 
-    `matrix` are the positions of fx, fy, cx, cy; `distortion` those of k1, k2, p1, p2 …, None for 0; a
-    fisheye's are k1 to k4 of OpenCV's fisheye model.
+    `matrix` holds the parameter indices of fx, fy, cx, cy; `distortion` those for k1, k2, p1, p2 …, with
+    None for a coefficient of 0. For a fisheye, they are k1 to k4 of OpenCV's fisheye model.
     """
 
     name: str
@@ -45,7 +45,7 @@ class _Model:
     fisheye: bool = False
 
 
-# In the order of COLMAP's numbers. Those without a matrix are neither pinhole cameras nor OpenCV's fisheye.
+# In the order of COLMAP's model IDs. Models without `matrix` have no OpenCV equivalent.
 _MODELS = (
     _Model("SIMPLE_PINHOLE", 3, (0, 0, 1, 2)),
     _Model("PINHOLE", 4, (0, 1, 2, 3)),
@@ -63,26 +63,26 @@ _MODELS = (
 _STEMS = ("cameras", "images")
 _ENDS = (".bin", ".txt")
 _LONGEST_NAME = 4096
-# Points beyond this many units are none.
+# Points beyond this many units are outliers and ignored.
 _FARTHEST = 1e9
 _POINT_BYTES = 24
-# A point of a binary model: number, place, colour, error, and how many images see it; then each of these.
+# Binary point record: ID, position, colour, error, track length; then 8 bytes per track element.
 _POINT, _SEEN_BYTES = "<Q3d3BdQ", 8
-# The three numbers of a depth map's header; no more than this is looked at for them.
+# Header of a depth map: width, height, channels. Only the first 64 bytes are searched.
 _DEPTH_HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
 _DEPTH_HEADER_BYTES = 64
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """An image of a model.
+    """Registered image of a model.
 
     Attributes
     ----------
-    identity : its number in the model.
-    name : its path below the folder of images, with `/`.
-    camera : with pixel centres at whole numbers.
-    world_from_camera : (4, 4) float64, in the model's own unit of length; None where it is not finite.
+    identity : image ID in the model.
+    name : path relative to the image folder, with `/`.
+    camera : pixel centres at integer coordinates.
+    world_from_camera : (4, 4) float64, in the unit of the model; None if it is not finite.
     """
 
     identity: int
@@ -92,23 +92,26 @@ class View:
 
 
 def has_model(folder: Path) -> bool:
-    """Say whether a folder holds the cameras and images of a model, as text or binary."""
+    """Return True if a folder holds a model: cameras and images."""
     return any(all((folder / f"{stem}{end}").is_file() for stem in _STEMS) for end in _ENDS)
 
 
 def read_model(folder: Path) -> list[View]:
-    """Read the images of a model with their cameras, in the order of the file; binary files go first.
+    """Read the images of a model with their cameras, in file order.
+
+    Binary files are preferred to text files.
 
     Raises
     ------
     InputError
-        If a file cannot be read, is cut short or damaged, or a camera is neither a pinhole camera with
-        OpenCV's distortion nor its fisheye.
+        If a file cannot be read, is truncated or damaged, or a camera model has no OpenCV equivalent.
     """
     end = next((end for end in _ENDS if all((folder / f"{stem}{end}").is_file() for stem in _STEMS)), None)
     if end is None:
         raise InputError(
-            FILE_COLMAP_INVALID, "a model's cameras and images (both .txt or both .bin) are needed.", folder
+            FILE_COLMAP_INVALID,
+            "the cameras and images of a model (both .txt or both .bin) are required.",
+            folder,
         )
     cameras_path, images_path = (folder / f"{stem}{end}" for stem in _STEMS)
     if end == ".bin":
@@ -117,7 +120,13 @@ def read_model(folder: Path) -> list[View]:
 
 
 def count_images(folder: Path) -> int:
-    """Return how many images a model holds. Raises InputError as `read_model` does."""
+    """Return the number of images in a model.
+
+    Raises
+    ------
+    InputError
+        As for `read_model`.
+    """
     path = folder / "images.bin"
     if not (path.is_file() and (folder / "cameras.bin").is_file()):
         return len(read_model(folder))
@@ -126,15 +135,18 @@ def count_images(folder: Path) -> int:
 
 
 def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
-    """Read the points of a model: for the number of each image, those (n, 3) that were found in it.
+    """Read the observed points of each image of a model.
 
-    Their unit is the model's own. Without points3D.bin or .txt, or where the file holds none, nothing is in
-    the result.
+    Returns
+    -------
+    dict
+        By image ID, (n, 3) float64 points in the unit of the model. Empty if there is no points3D.bin or
+        .txt, or it contains no points.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is cut short or damaged.
+        If the file cannot be read, is truncated or damaged.
     """
     path = next((folder / f"points3D{end}" for end in _ENDS if (folder / f"points3D{end}").is_file()), None)
     if path is None:
@@ -166,7 +178,7 @@ def depth_map_size(path: Path) -> tuple[int, int]:
     Raises
     ------
     InputError
-        If the file cannot be read, or is not as long as its header says.
+        If the file cannot be read, or its length does not match its header.
     """
     try:
         with opened(path) as file:
@@ -180,9 +192,9 @@ def depth_map_size(path: Path) -> tuple[int, int]:
     if size != offset + 4 * width * height:
         raise InputError(
             FILE_DAMAGED,
-            "the depth map is not as long as its {width}×{height} pixels",
+            "the file length does not match the stated {width}×{height} pixels",
             path,
-            remedy="copy it again.",
+            remedy="copy the file again.",
             width=width,
             height=height,
         )
@@ -190,12 +202,14 @@ def depth_map_size(path: Path) -> tuple[int, int]:
 
 
 def read_depth_map(path: Path) -> NDArray[np.float32]:
-    """Return a depth map, (h, w) float32 in the model's unit of length, 0 where missing.
+    """Read a depth map, (h, w) float32 in model units.
+
+    Missing depth is 0.
 
     Raises
     ------
     InputError
-        As `depth_map_size` does.
+        As for `depth_map_size`.
     """
     width, height = depth_map_size(path)
     try:
@@ -206,12 +220,12 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
         ) from error
     values = data[-4 * width * height :]
     if len(values) != 4 * width * height:
-        raise InputError(MACHINE_BUSY, "the depth map was cut short since it was opened.", path)
+        raise InputError(MACHINE_BUSY, "the depth map was truncated while it was being read.", path)
     return np.frombuffer(values, "<f4").reshape(height, width).astype(np.float32)
 
 
 def _depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
-    """Return width, height and where the values begin."""
+    """Parse a depth map header: width, height, and offset of the values."""
     header = _DEPTH_HEADER.match(start)
     if header is None:
         raise InputError(
@@ -221,7 +235,7 @@ def _depth_header(start: bytes, path: Path) -> tuple[int, int, int]:
     if channels != 1 or not 0 < width * height <= MAX_PIXELS:
         raise InputError(
             FILE_DAMAGED,
-            "its header is damaged: {width}×{height} pixels with {channels} values each.",
+            "the header is damaged: {width}×{height} pixels with {channels} channels.",
             path,
             width=width,
             height=height,
@@ -237,9 +251,8 @@ def _camera(
         raise InputError(
             CAMERA_LENS_UNKNOWN,
             (
-                "camera {identity} is of the model {model_name}, which is not known here; "
-                "undistort the images with COLMAP's image_undistorter and give the folder it "
-                "writes."
+                "camera {identity} has the unsupported model {model_name}; undistort the images with "
+                "COLMAP's image_undistorter and give its output folder."
             ),
             path,
             identity=identity,
@@ -248,7 +261,7 @@ def _camera(
     if not 0 < width * height <= MAX_PIXELS:
         raise InputError(
             FILE_COLMAP_INVALID,
-            "camera {identity} claims to have {width}×{height} pixels.",
+            "camera {identity} states an invalid size of {width}×{height} pixels.",
             path,
             identity=identity,
             width=width,
@@ -269,11 +282,18 @@ def _view(
     cameras: Mapping[int, Camera],
     path: Path,
 ) -> View:
-    """Return an image of its quaternion w x y z and translation, both world-to-camera."""
+    """Create a view from a world-to-camera quaternion and translation.
+
+    `numbers` are qw qx qy qz tx ty tz.
+    """
     w, *rest = numbers
     if camera not in cameras:
         raise InputError(
-            FILE_COLMAP_INVALID, "image {name}: there is no camera {camera}.", path, name=name, camera=camera
+            FILE_COLMAP_INVALID,
+            "image {name} refers to camera {camera}, which does not exist.",
+            path,
+            name=name,
+            camera=camera,
         )
     documents.require_inside(name, path, "an image")
     pose = pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
@@ -281,14 +301,14 @@ def _view(
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
-    """Yield cameras by their numbers from lines `id model width height parameters…`."""
+    """Yield cameras by ID from lines `id model width height parameters…`."""
     for number, text in documents.lines(path):
         words = text.split()
         model = next((one for one in _MODELS if one.name in words[1:2]), None)
         if model is None:
             raise InputError(
                 FILE_TEXT_INVALID,
-                "line {number} names no camera model of COLMAP (as `id MODEL width height …`).",
+                "line {number} does not name a camera model of COLMAP (as in `id MODEL width height …`).",
                 path,
                 number=number,
             )
@@ -305,7 +325,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
         if len(values) != model.count:
             raise InputError(
                 FILE_TEXT_INVALID,
-                "line {number}: {model_name} has {model_count} parameters.",
+                "line {number}: {model_name} requires {model_count} parameters.",
                 path,
                 number=number,
                 model_name=model.name,
@@ -315,11 +335,16 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
 
 
 def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
-    """Yield images from lines `id qw qx qy qz tx ty tz camera name`, each followed by a line of points."""
+    """Yield the images of images.txt.
+
+    Lines are `id qw qx qy qz tx ty tz camera name`.
+
+    Each line is followed by a line of points, which is skipped.
+    """
     after_image = False
     for number, line in enumerate(documents.read_text(path).splitlines(), 1):
         text = line.strip()
-        # The line of points may be empty; some tools leave it out.
+        # The line of points may be empty; some tools omit it.
         if after_image and (not text or _are_points(text)):
             after_image = False
             continue
@@ -341,7 +366,7 @@ def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
 
 
 def _are_points(text: str) -> bool:
-    """Say whether a line is `x y point` again and again."""
+    """Return True if a line repeats `x y point_id`."""
     words = text.split()
     return len(words) % 3 == 0 and all(re.fullmatch(r"[-+\d.eE]+|-?nan|-?inf", word) for word in words[-3:])
 
@@ -354,7 +379,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
         if not 0 <= number < len(_MODELS):
             raise InputError(
                 CAMERA_LENS_UNKNOWN,
-                "camera {identity} is of model {number}, which is not known.",
+                "camera {identity} has the unknown model {number}.",
                 path,
                 identity=identity,
                 number=number,
@@ -372,25 +397,31 @@ def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
         end = data.find(b"\0", at, at + _LONGEST_NAME)
         if end < 0:
             raise InputError(
-                FILE_DAMAGED, "the file is cut short or damaged: the name of an image has no end.", path
+                FILE_DAMAGED, "the file is truncated or damaged: an image name is not terminated.", path
             )
         try:
             name = data[at:end].decode()
         except UnicodeDecodeError as error:
             raise InputError(
-                FILE_DAMAGED, "the file is damaged: the name of an image is no text.", path
+                FILE_DAMAGED, "the file is damaged: an image name is not valid UTF-8.", path
             ) from error
         (points,), at = _unpacked("<Q", data, end + 1, path)
         at += _POINT_BYTES * points
         if at > len(data):
             raise InputError(
-                FILE_DAMAGED, "the file is cut short or damaged: image {name} lacks points.", path, name=name
+                FILE_DAMAGED,
+                "the file is truncated or damaged: points of image {name} are missing.",
+                path,
+                name=name,
             )
         yield _view(identity, name, numbers, camera, cameras, path)
 
 
 def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
-    """Yield points, and the numbers of their images, from lines `id x y z r g b error (image place)…`."""
+    """Yield the points of points3D.txt, and the IDs of their images.
+
+    Lines are `id x y z r g b error (image index)…`.
+    """
     for number, text in documents.lines(path):
         words = text.split()
         try:
@@ -401,7 +432,7 @@ def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int
         if len(words) < 8 or len(words) % 2 or not point:
             raise InputError(
                 FILE_TEXT_INVALID,
-                "line {number} is not `id x y z r g b error (image place)…`.",
+                "line {number} is not `id x y z r g b error (image index)…`.",
                 path,
                 number=number,
             )
@@ -415,13 +446,18 @@ def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.i
         (_, x, y, z, *_, seen), at = _unpacked(_POINT, data, at, path)
         end = at + _SEEN_BYTES * seen
         if end > len(data):
-            raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")
+            raise InputError(
+                FILE_DAMAGED, "the file is truncated or damaged", path, remedy="copy the file again."
+            )
         yield (x, y, z), np.frombuffer(data[at:end], "<u4")[::2].astype(np.int64)
         at = end
 
 
 def _mapped(path: Path) -> mmap.mmap | bytes:
-    """Return a file's bytes; the points of large models are gigabytes that nobody reads."""
+    """Return the bytes of a file, memory-mapped.
+
+    The point lists of large models are gigabytes, most of which are not read.
+    """
     try:
         with opened(path) as file:
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if path.stat().st_size else b""
@@ -432,8 +468,10 @@ def _mapped(path: Path) -> mmap.mmap | bytes:
 
 
 def _unpacked(form: str, data: mmap.mmap | bytes, at: int, path: Path) -> tuple[tuple[Any, ...], int]:
-    """Return the values at an offset and the offset after them."""
+    """Unpack values at an offset; returns the values and the next offset."""
     end = at + struct.calcsize(form)
     if end > len(data):
-        raise InputError(FILE_DAMAGED, "the file is cut short or damaged", path, remedy="copy it again.")
+        raise InputError(
+            FILE_DAMAGED, "the file is truncated or damaged", path, remedy="copy the file again."
+        )
     return struct.unpack_from(form, data, at), end

@@ -1,1 +1,1 @@
-"""Layouts of the KITTI data sets, their calibration and navigation files."""
+"""KITTI data sets: layouts, calibration files, and navigation data."""

@@ -1,14 +1,15 @@
-"""Poses of KITTI's raw recordings: a file a frame of what the car's navigation unit (GPS and IMU) measured.
+"""Poses of KITTI raw recordings from the car's GPS/IMU unit.
 
     oxts/data/0000000000.txt      latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad), …
-    calib_imu_to_velo.txt         R, T: takes points of the unit to the laser scanner
-    calib_velo_to_cam.txt         R, T: takes points of the scanner to camera 0, before it is rectified
+    calib_imu_to_velo.txt         R, T: from the unit to the laser scanner
+    calib_velo_to_cam.txt         R, T: from the scanner to the unrectified camera 0
     calib_cam_to_cam.txt          R_rect_00: rectifies camera 0
 
-The world has x east, y north, z up, and its origin where the first file says that the unit is.
+There is one oxts file per frame. World axes: x east, y north, z up. The origin is the first position of
+the unit.
 
 Reference: Geiger, Lenz, Stiller, Urtasun, Vision meets Robotics: The KITTI Dataset, IJRR 2013, and the
-data set's development kit (Mercator projection at the latitude of the first file).
+development kit of the data set (Mercator projection at the latitude of the first file).
 """
 
 from __future__ import annotations
@@ -28,21 +29,27 @@ from scanloom.stages.scans.model.poses import inverted, rigid
 from scanloom.stages.scans.model.scan import Pose
 
 _DATA = "oxts/data"
-# Metres, of the equator.
+# Equatorial radius, metres.
 _EARTH_RADIUS = 6378137.0
-# The Mercator projection has no poles.
+# Degrees; the Mercator projection diverges at the poles.
 _FARTHEST_LATITUDE = 85.0
 _READ = 6
 
 
 def unit_poses(folder: Path, names: Sequence[str], cameras: Path) -> tuple[list[Pose | None] | None, str]:
-    """Return world_from_cam0 (rectified) of each frame, None where a file is missing; or what is lacking.
+    """Read world_from_cam0 (rectified camera 0) of each frame.
 
     Parameters
     ----------
-    folder : of the drive; the calibration stands in it or, for all drives of a day, above.
-    names : of the frames, numbered as the files.
+    folder : drive folder; its calibration files are in it or, shared by all drives of a day, in its parent.
+    names : frame names, with the same numbers as the oxts files.
     cameras : calib_cam_to_cam.txt.
+
+    Returns
+    -------
+    poses : poses (4, 4) in metres, None for a frame without an oxts file; None instead of the list if a
+        file is missing.
+    reason : the missing file, or "".
 
     Raises
     ------
@@ -56,11 +63,11 @@ def unit_poses(folder: Path, names: Sequence[str], cameras: Path) -> tuple[list[
     for name in ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt"):
         path = first_existing(folder, name, f"../{name}")
         if path is None:
-            return None, f"{_DATA}/ is there, but {name}, which says how the camera stands to it, is missing"
+            return None, f"{_DATA}/ exists, but {name}, which relates it to the cameras, is missing"
         found[name] = _place(path)
     turn = _numbers(cameras, "R_rect_00", 9)
     if turn is None:
-        return None, f"{_DATA}/ is there, but {cameras.name} has no R_rect_00"
+        return None, f"{_DATA}/ exists, but {cameras.name} has no R_rect_00"
     rectified = _rigid(turn.reshape(3, 3), np.zeros(3), cameras)
     cam0_from_unit = rectified @ found["calib_velo_to_cam.txt"] @ found["calib_imu_to_velo.txt"]
     files = sorted(data.glob("*.txt"), key=lambda path: (numbers(path.stem), path.name))
@@ -73,7 +80,7 @@ def unit_poses(folder: Path, names: Sequence[str], cameras: Path) -> tuple[list[
 
 
 def _unit_poses(files: Sequence[Path]) -> dict[tuple[int, ...], Pose]:
-    """Return world_from_unit by the numbers in the files' names."""
+    """Read world_from_unit of each file, by the numbers in its name."""
     from scipy.spatial.transform import Rotation
 
     poses: dict[tuple[int, ...], Pose] = {}
@@ -82,14 +89,15 @@ def _unit_poses(files: Sequence[Path]) -> dict[tuple[int, ...], Pose]:
         latitude, longitude, altitude, roll, pitch, yaw = _measured(file)
         if not poses:
             scale = math.cos(math.radians(latitude))
-        # Lengths of the projection are those of the equator: they are true at the latitude of the scale.
+        # The Mercator projection stretches lengths by 1 / cos(latitude); `scale` undoes this at the latitude
+        # of the first file.
         east = math.radians(longitude)
         north = math.log(math.tan(math.radians(90 + latitude) / 2))
         place = np.array([scale * _EARTH_RADIUS * east, scale * _EARTH_RADIUS * north, altitude])
         if not poses:
             origin = place
         pose = np.eye(4)
-        # Roll about x first, then pitch about y, then yaw about z, each about the world's axis.
+        # Extrinsic rotations: roll about x, then pitch about y, then yaw about z.
         pose[:3, :3] = Rotation.from_euler("xyz", (roll, pitch, yaw)).as_matrix()
         pose[:3, 3] = place - origin
         poses[numbers(file.stem)] = pose
@@ -104,13 +112,13 @@ def _measured(file: Path) -> list[float]:
     if len(values) != _READ or not all(math.isfinite(value) for value in values):
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "it does not begin with six numbers: latitude, longitude, … yaw.",
+            "the file must begin with six numbers: latitude, longitude, altitude, roll, pitch, yaw.",
             file,
         )
     if abs(values[0]) > _FARTHEST_LATITUDE:
         raise InputError(
             POSE_TRAJECTORY_UNREADABLE,
-            "a latitude of {values:g} degrees cannot be right.",
+            "the latitude of {values:g}° is invalid; ±85° are supported.",
             file,
             values=values[0],
         )
@@ -118,11 +126,11 @@ def _measured(file: Path) -> list[float]:
 
 
 def _place(path: Path) -> Pose:
-    """Return the relation that R and T of a file state."""
+    """Read the rigid transform R, T of a calibration file."""
     turn, shift = _numbers(path, "R", 9), _numbers(path, "T", 3)
     if turn is None or shift is None:
         raise InputError(
-            POSE_TRAJECTORY_UNREADABLE, "rows `R: …` of 9 numbers and `T: …` of 3 are expected.", path
+            POSE_TRAJECTORY_UNREADABLE, "rows `R: …` with 9 numbers and `T: …` with 3 are required.", path
         )
     return _rigid(turn.reshape(3, 3), shift, path)
 
@@ -130,12 +138,12 @@ def _place(path: Path) -> Pose:
 def _rigid(turn: NDArray[np.float64], shift: NDArray[np.float64], path: Path) -> Pose:
     pose = rigid(np.column_stack([turn, shift]), path)
     if pose is None:
-        raise InputError(POSE_TRAJECTORY_UNREADABLE, "its numbers are not finite.", path)
+        raise InputError(POSE_TRAJECTORY_UNREADABLE, "the transform contains NaN or infinity.", path)
     return pose
 
 
 def _numbers(path: Path, key: str, count: int) -> NDArray[np.float64] | None:
-    """Return the numbers of the row `key: …`; None where there is no such row."""
+    """Return the numbers of the row `key: …`, or None."""
     for line in documents.read_text(path).splitlines():
         name, _, text = line.partition(":")
         if name.strip() == key:
@@ -145,7 +153,7 @@ def _numbers(path: Path, key: str, count: int) -> NDArray[np.float64] | None:
                 values = np.empty(0)
             if values.size != count:
                 raise InputError(
-                    POSE_TRAJECTORY_UNREADABLE, "{key} is not {count} numbers.", path, key=key, count=count
+                    POSE_TRAJECTORY_UNREADABLE, "{key} must be {count} numbers.", path, key=key, count=count
                 )
             return values
     return None

@@ -1,4 +1,4 @@
-"""KITTI's calibration files: a projection matrix for each camera, of rectified images."""
+"""KITTI calibration files: projection matrices of the rectified cameras."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIB
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, StereoRig
 
-# Images that were made smaller are smaller than so, as a share of the stated width.
+# Maximum width of downscaled images, as a ratio of the stated width. A smaller difference means the
+# calibration of another day.
 _SMALLER = 0.9
 
 
 def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
-    """Return the 3x4 projection matrices by number: rows `P0: …` or `P_rect_00: …`, or bare ones in order.
+    """Read the projection matrices (3, 4), by camera number.
+
+    Rows are `P0: …` or `P_rect_00: …`; rows without a name are numbered in file order.
 
     Raises
     ------
@@ -47,7 +50,7 @@ def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
         if row.size != 12 or not np.isfinite(row).all():
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "line {number} ({key}) is not 12 numbers.",
+                "line {number} ({key}) must be 12 finite numbers.",
                 calib,
                 number=number,
                 key=key,
@@ -57,21 +60,30 @@ def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
 
 
 def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
-    """Return the size of rectified images that the file is for: theirs, or that of larger ones.
+    """Return the rectified image size that a calibration file is for.
+
+    Parameters
+    ----------
+    size : size (width, height) of the images.
+
+    Returns
+    -------
+    (width, height)
+        `size` itself, or the larger stated size if the images were downscaled.
 
     Raises
     ------
     InputError
-        If it states another size: these are then not rectified. Cameras of other days have nearly one size,
-        and a little smaller is another day's.
+        If the stated size differs otherwise. The images are then unrectified, or from a day with another
+        calibration, whose sizes differ only slightly.
     """
     stated = re.findall(r"^S_rect_0\d:\s*(\S+)\s+(\S+)\s*$", documents.read_text(calib), re.MULTILINE)
     try:
         sizes = [(round(float(width)), round(float(height))) for width, height in stated]
     except (ValueError, OverflowError) as error:
-        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is not two numbers.", calib) from error
+        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect must be two numbers.", calib) from error
     if any(not 1 <= side <= LARGEST_SIDE for one in sizes for side in one):
-        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is no size of images.", calib)
+        raise InputError(CAMERA_CALIBRATION_INVALID, "S_rect is not a valid image size.", calib)
     if not sizes or size in sizes:
         return size
     width, height = sizes[0]
@@ -79,11 +91,11 @@ def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "it is for rectified images of {width}×{height}, but these are "
-                "{size}×{size_2}: they are not rectified."
+                "the calibration is for rectified images of {width}×{height} pixels, but the images have "
+                "{size}×{size_2}, so they are not rectified."
             ),
             calib,
-            remedy="Give the synchronised and rectified ones.",
+            remedy="Use the synchronised and rectified images.",
             width=width,
             height=height,
             size=size[0],
@@ -99,17 +111,18 @@ def projected_camera(
     calib: Path,
     stated: tuple[int, int] | None = None,
 ) -> tuple[Camera, NDArray[np.float64]]:
-    """Return the camera of a projection K [I | t], and camera_from_cam0: t takes camera 0 to its camera.
+    """Return the camera of a projection K [I | t], and camera_from_cam0.
 
     Parameters
     ----------
     projection : (3, 4) float64.
-    size, stated : of the images, and of those that the projection is for; (width, height) in pixels.
+    size : image size (width, height) in pixels.
+    stated : image size that the projection is for; None for `size`.
 
     Raises
     ------
     InputError
-        If the matrix is singular, or none of a camera.
+        If the matrix is singular or not a camera projection.
     """
     k = projection[:, :3]
     camera = matrix_camera(k, (), *(stated or size), calib)
@@ -129,17 +142,18 @@ def projected_rig(
     calib: Path,
     stated: tuple[int, int] | None = None,
 ) -> tuple[StereoRig, NDArray[np.float64]]:
-    """Return the rig and left_from_cam0: in a projection K [I | t], t takes camera 0 to its camera.
+    """Return the rig of two projections K [I | t], and left_from_cam0.
 
     Parameters
     ----------
     left, right : (3, 4) float64 projections.
-    size, stated : of the images, and of those that the projections are for; (width, height) in pixels.
+    size : image size (width, height) in pixels.
+    stated : image size that the projections are for; None for `size`.
 
     Raises
     ------
     InputError
-        If a matrix is singular, or the second camera does not stand right of the first.
+        If a matrix is singular, or the second camera is not right of the first.
     """
     cameras, offsets = zip(
         *(projected_camera(matrix, size, options, calib, stated) for matrix in (left, right)), strict=True
@@ -148,10 +162,7 @@ def projected_rig(
     if right_from_left[0, 3] >= 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            (
-                "the second camera is not right of the first (its P[0,3] must be smaller); "
-                "are the rows swapped?"
-            ),
+            ("the second camera is not right of the first (P[0,3] must be smaller); are the rows swapped?"),
             calib,
         )
     if options.baseline is not None:

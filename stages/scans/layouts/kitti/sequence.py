@@ -1,7 +1,8 @@
-"""KITTI odometry: rectified pairs in numbered folders, calib.txt with projection matrices, a pose a line.
+"""KITTI odometry: rectified pairs in numbered folders, calib.txt, one pose per line.
 
-The raw recordings have the same pairs in image_02/data/ and image_03/data/, calib_cam_to_cam.txt in the
-folder above, and poses of the car in oxts/. Images of one camera alone are single views.
+Raw recordings have the same pairs in image_02/data/ and image_03/data/, calib_cam_to_cam.txt in the
+parent folder, and poses of the car in oxts/. If only one camera is present, its images are single
+views.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
 from scanloom.stages.scans.streams.stereo_rigs import uncalibrated
 from scanloom.stages.scans.trajectory import files as trajectories
 
-# Left folder, right folder, the number of the left projection matrix. Colour is preferred.
+# Left folder, right folder, number of the left projection matrix. Colour cameras are preferred.
 _CAMERAS = (
     ("image_2", "image_3", 2),
     ("image_02/data", "image_03/data", 2),
@@ -49,7 +50,7 @@ _CAMERAS = (
     ("image_00/data", "image_01/data", 0),
     ("image_l", "image_r", 0),
 )
-# The raw recordings keep one calibration for all drives of a day.
+# Raw recordings share one calibration between all drives of a day.
 _CALIBRATIONS = ("calib.txt", "calib_cam_to_cam.txt", "../calib_cam_to_cam.txt")
 
 
@@ -63,13 +64,13 @@ def _matches(folder: Path) -> str | None:
     try:
         alone = _alone(folder, read_projections(calib))
     except InputError:
-        # Other layouts have files of this name.
+        # Other layouts also have files of this name.
         return None
     return None if alone is None else f"{alone[0]}/ with {calib.name}"
 
 
 def _alone(folder: Path, projections: Collection[int]) -> tuple[str, int] | None:
-    """Return the folder of one camera whose projection is there, and the number of that."""
+    """Return the image folder and number of a single calibrated camera."""
     for left, right, at in _CAMERAS:
         for name, number in ((left, at), (right, at + 1)):
             if has(folder, name) and number in projections:
@@ -93,7 +94,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if left is None or right is None:
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            "it states no two projection matrices for a pair of image folders.",
+            "the calibration has no two projection matrices for a pair of image folders.",
             calib or folder,
         )
     pairs, skipped = pair(images(folder / left), images(folder / right), f"{left}/", f"{right}/", folder)
@@ -128,12 +129,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
-    """Read a sequence of which the images of one camera alone are there: as single views."""
+    """Read a sequence of only one camera as single views."""
     projections = read_projections(calib)
     alone = _alone(folder, projections)
     if alone is None:
         raise InputError(
-            CAMERA_PAIR_UNCALIBRATED, "it states no projection matrix for a folder of images.", calib
+            CAMERA_PAIR_UNCALIBRATED, "the calibration has no projection matrix for an image folder.", calib
         )
     place, number = alone
     colors = images(folder / place)
@@ -159,11 +160,11 @@ def _read_views(folder: Path, options: ReadingParams, calib: Path) -> Scan:
 def _poses(
     folder: Path, options: ReadingParams, place: str, names: list[str], calib: Path | None
 ) -> tuple[list[Pose | None], WorldUp | None, tuple[Diagnostic, ...]]:
-    """Return world-from-camera 0 of each frame, the up direction, and the diagnostics of missing poses."""
+    """Return world_from_cam0 of each frame, the up direction, and missing-pose diagnostics."""
     poses: list[Pose | None] = [None] * len(names)
     path = options.file("poses", folder) or _pose_file(folder)
     if path is not None:
-        # Of trajectories in a file the first camera is the world.
+        # In trajectory files, the first camera is the world frame, so the up direction is unknown.
         return trajectories.match(trajectories.read_trajectory(path), names, path), None, ()
     if place.endswith("/data") and calib is not None:
         found, reason = unit_poses(folder, names, calib)
@@ -173,14 +174,17 @@ def _poses(
         return poses, None, (poses_missing("{reason}", remedy=remedy, reason=reason),)
     lacking = poses_missing(
         "poses.txt (or ../../poses/{name}.txt) is missing",
-        remedy="name one with scan.poses=FILE",
+        remedy="name a trajectory with scan.poses=FILE",
         name=folder.resolve().name,
     )
     return poses, None, (lacking,)
 
 
 def _times(folder: Path, left: str, names: list[str]) -> list[int | None]:
-    """Return the nanoseconds of each frame: times.txt in seconds, or the raw recordings' dates."""
+    """Read the timestamp of each frame, nanoseconds.
+
+    From times.txt (seconds), or from timestamps.txt (dates) of raw recordings.
+    """
     dates = folder / Path(left).parent / "timestamps.txt"
     if left.endswith("/data") and dates.exists():
         moments = [_nanoseconds(text, number, dates) for number, text in documents.lines(dates)]
@@ -189,19 +193,22 @@ def _times(folder: Path, left: str, names: list[str]) -> list[int | None]:
 
 
 def _nanoseconds(text: str, number: int, path: Path) -> int:
-    """Return the time of a line such as `2011-09-26 13:02:25.964389445`."""
+    """Parse a line such as `2011-09-26 13:02:25.964389445` into nanoseconds."""
     whole, _, fraction = text.partition(".")
     try:
         moment = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=timezone.utc)
         return int(moment.timestamp()) * 10**9 + int(fraction[:9].ljust(9, "0"))
     except ValueError as error:
         raise InputError(
-            SCAN_TABLE_DAMAGED, "line {number} is no date and time.", path, number=number
+            SCAN_TABLE_DAMAGED, "line {number} is not a date and time.", path, number=number
         ) from error
 
 
 def _pose_file(folder: Path) -> Path | None:
-    """Return the poses: poses.txt in the sequence, or poses/NN.txt as the data set packs them."""
+    """Return the trajectory file, or None.
+
+    Candidates are poses.txt of the sequence and poses/NN.txt of the data set.
+    """
     number = folder.resolve().name
     return first_existing(
         folder,

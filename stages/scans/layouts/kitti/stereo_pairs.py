@@ -1,4 +1,4 @@
-"""KITTI stereo 2012 and 2015: many scenes of two moments each, every scene with its own calibration.
+"""KITTI stereo 2012 and 2015: calibrated scenes of two frames each.
 
 2015: image_2/000000_10.png  image_3/  calib_cam_to_cam/000000.txt
 2012: image_0/000000_10.png  image_1/  (or colored_0/, colored_1/)  calib/000000.txt
@@ -44,7 +44,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if found is None:
         raise InputError(
             SCAN_FILES_MISSING,
-            "two folders image_2/ and image_3/ (or image_0/, image_1/) are needed.",
+            "two folders image_2/ and image_3/ (or image_0/, image_1/) are required.",
             folder,
         )
     left, right, at = found
@@ -57,9 +57,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if len(scenes) != 1:
         raise InputError(
             RECORDING_SEVERAL,
-            "it holds {scenes_count} scenes of one or two pairs each",
+            "the folder has {scenes_count} scenes of one or two pairs each",
             folder,
-            remedy="choose one, such as {pairs_stem} with scan.first=0 and scan.last=0.",
+            remedy="select one: for {pairs_stem}, set scan.first=0 and scan.last=0.",
             scenes_count=len(scenes),
             pairs_stem=pairs[0][0].stem,
         )
@@ -72,17 +72,17 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             CAMERA_PAIR_UNCALIBRATED,
             "calib_cam_to_cam/{scene}.txt is missing",
             folder,
-            remedy="name one with scan.calibration=FILE.",
+            remedy="name a calibration with scan.calibration=FILE.",
             scene=scene,
         )
-    # Those of scenes that are not chosen are no files that nobody knew of.
+    # Mark the calibrations of the other scenes as known, so that they are not reported as unused files.
     for one, _ in pairs:
         note(calib.with_name(f"{one.stem[:6]}.txt"))
     projections = read_projections(calib)
     if not {at, at + 1} <= projections.keys():
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            "it states no projection matrices {at} and {at_2}.",
+            "the projection matrices P{at} and P{at_2} are missing.",
             calib,
             at=at,
             at_2=at + 1,
@@ -90,7 +90,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     size = image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))
     stated = rectified_size(calib, size)
     rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib, stated)
-    # Those of other scenes fall away when the person's choice is applied.
+    # Poses of the other scenes are dropped when the frame selection of the user is applied.
     given = options.file("poses", folder)
     names = [one.stem for one, _ in pairs]
     poses: list[Pose | None] = [None] * len(pairs)
@@ -100,7 +100,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
         for name, (one, other), pose in zip(names, pairs, poses, strict=True)
     ]
-    missing = (poses_missing("the data set has none"),) if given is None else ()
+    missing = (poses_missing("the data set contains no poses"),) if given is None else ()
     return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), missing=missing)
 
 

@@ -1,1 +1,1 @@
-"""What several layouts share: views, phones, gravity."""
+"""Code shared by several layouts: views, phones, gravity."""

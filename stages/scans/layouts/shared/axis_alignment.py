@@ -1,4 +1,7 @@
-"""What ScanNet's own worlds are: z is up, and axisAlignment turns them until walls run along the axes."""
+"""World axes of ScanNet, and its alignment of walls with the axes.
+
+z is up. axisAlignment rotates the world so that walls run along x and y.
+"""
 
 from __future__ import annotations
 
@@ -21,17 +24,20 @@ _LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)
 
 
 def aligned(scan: Scan, folder: Path) -> Scan:
-    """Return a scan whose world is turned as scene*.txt beside it says, and that says so.
+    """Apply the axisAlignment of scene*.txt to the poses of a scan.
+
+    Without poses, the scan is returned unchanged, with a warning.
 
     Raises
     ------
     InputError
-        If no such file is there, or its matrix is not rigid.
+        If no such file exists, or its matrix is not rigid.
     """
     if not scan.has_poses:
         emit(
             SCAN_ASSUMED.warning(
-                "axisAlignment is left aside: it is for the data set's own poses, and there are none"
+                "axisAlignment is not applied: it requires the poses of the data set, and the scan has no "
+                "poses"
             )
         )
         return scan
@@ -42,7 +48,7 @@ def aligned(scan: Scan, folder: Path) -> Scan:
         else replace(frame, world_from_camera=alignment @ frame.world_from_camera)
         for frame in scan.frames
     ]
-    emit(SCAN_ASSUMED.info("the world is turned by the axisAlignment of {file}", file=path.name))
+    emit(SCAN_ASSUMED.info("the world is rotated by the axisAlignment of {file}", file=path.name))
     up = scan.up
     if up is not None:
         x, y, z = (alignment[:3, :3] @ up.direction).tolist()
@@ -51,12 +57,14 @@ def aligned(scan: Scan, folder: Path) -> Scan:
 
 
 def up_of_scannet(place: Path, layout: str) -> WorldUp | None:
-    """Return what is up in a scan of the data set; None where others packed theirs like it.
+    """Return the up direction of an original ScanNet scan, or None.
+
+    Other data packed in ScanNet's layout has an unknown up direction.
 
     Parameters
     ----------
-    place : a folder, or a file.
-    layout : its name.
+    place : scan folder or file.
+    layout : name of the layout.
     """
     beside = place.parent if place.is_file() else place
     is_own = any(_NAME.search(name) for name in (place.name, beside.resolve().name)) or any(
@@ -76,14 +84,14 @@ def _alignment(folder: Path) -> tuple[Path, Pose]:
         except ValueError:
             values = []
         if len(values) != 16:
-            raise InputError(SCAN_ALIGNMENT_MISSING, "its axisAlignment is not 16 numbers.", path)
+            raise InputError(SCAN_ALIGNMENT_MISSING, "axisAlignment must be 16 numbers.", path)
         pose = rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
         if pose is None:
-            raise InputError(SCAN_ALIGNMENT_MISSING, "its axisAlignment is not finite.", path)
+            raise InputError(SCAN_ALIGNMENT_MISSING, "axisAlignment contains NaN or infinity.", path)
         return path, pose
     raise InputError(
         SCAN_ALIGNMENT_MISSING,
-        "there is no scene*.txt with an axisAlignment",
+        "the folder has no scene*.txt with an axisAlignment",
         folder,
-        remedy="leave scan.align_axes out.",
+        remedy="leave out scan.align_axes.",
     )

@@ -1,4 +1,4 @@
-"""Maps of confidence in a folder of their own, beside those of depth; their levels are what they hold."""
+"""Confidence maps in a separate folder next to the depth maps."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from scanloom.stages.scans.model.reading_params import ReadingParams
 
 _FOLDERS = ("confidence", "conf", "confidences")
 _LOOKED_AT = 4
-# Apps write low, medium and high, as 0, 1, 2 or otherwise; more values are a measure without levels.
+# Apps write low, medium and high as 0, 1, 2 or other values. More distinct values are a continuous measure.
 _MOST_LEVELS = 8
 
 
 def confidence_of(
     folder: Path, depths: Sequence[Path], options: ReadingParams
 ) -> tuple[Mapping[Path, Path], int]:
-    """Return each depth map's map of confidence, and the confidence that depth must have.
+    """Return the confidence map of each depth map, and the minimum confidence.
 
-    Only the lowest level is left out where the user says nothing; where there are no levels, nothing is.
+    By default, only the lowest level is discarded; without discrete levels, nothing is.
     """
     place = first_existing(folder, *_FOLDERS)
     if place is None or not place.is_dir():
@@ -39,7 +39,8 @@ def confidence_of(
     if not found:
         emit(
             SCAN_CONFIDENCE.warning(
-                "the images of {folder}/ have none of depth's numbers: they are left aside", folder=place.name
+                "the numbers of the images in {folder}/ match no depth map: the confidence maps are ignored",
+                folder=place.name,
             )
         )
         return {}, 0
@@ -51,8 +52,8 @@ def confidence_of(
     if levels:
         emit(
             SCAN_CONFIDENCE.warning(
-                "{folder}/ holds how far depth is to be trusted, {lowest} to {highest}: "
-                "scan.least_confidence=VALUE leaves out depth of less",
+                "{folder}/ contains continuous depth confidence from {lowest} to {highest}: set "
+                "scan.least_confidence=VALUE to ignore depth below a confidence",
                 folder=place.name,
                 lowest=levels[0],
                 highest=levels[-1],
@@ -61,14 +62,17 @@ def confidence_of(
     else:
         emit(
             SCAN_CONFIDENCE.warning(
-                "{folder}/ holds no maps of 8 bits: they are left aside", folder=place.name
+                "{folder}/ does not contain 8-bit confidence maps: it is ignored", folder=place.name
             )
         )
     return {}, 0
 
 
 def _levels(files: Sequence[Path]) -> list[int]:
-    """Return the values of a few maps, rising; none if they are no maps of 8 bits."""
+    """Return the sorted values of a sample of 8-bit maps.
+
+    Empty if the maps are not 8-bit.
+    """
     found: set[int] = set()
     with only_looking():
         for path in files[:: max(1, len(files) // _LOOKED_AT)][:_LOOKED_AT]:

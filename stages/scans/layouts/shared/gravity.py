@@ -1,6 +1,6 @@
-"""What is up for a camera while it records, by the accelerometer beside it: at rest that measures up.
+"""Up direction per frame from an accelerometer, which measures gravity at rest.
 
-Hands accelerate it, too, but by less than gravity and to all sides: over many frames it is off by little.
+Hand motion adds accelerations, but smaller ones in all directions, which average out over many frames.
 """
 
 from __future__ import annotations
@@ -15,22 +15,29 @@ from scanloom.stages.scans.streams.clocked_streams import Accelerometer
 
 Floats = NDArray[np.float64]
 
-# Readings are taken from all over a file, each for itself: of a long recording some frames know what is up.
+# Maximum total number of readings, spread over the file. Each needs a file access, so that only some frames
+# of a long recording get an up direction.
 _MOST_READINGS = 200
-# For a frame it is the mean of so many readings at most, none of them recorded farther from it, nanoseconds.
+# Maximum number of readings averaged per frame, and their maximum time difference to the frame in
+# nanoseconds.
 _MOST_A_FRAME, _NEAR = 9, 100_000_000
-# What gravity is in the units of drivers (m/s², or g), and the share by which accelerometers are off.
+# Gravity in the units that drivers use (m/s², or g), and the relative tolerance of accelerometers.
 _GRAVITIES, _OFF_SHARE = (9.81, 1.0), 0.12
-# A reading that is off by a larger share of that is of a jolt; one of more (m/s²) is damaged.
+# A reading that deviates from the median by a larger ratio is a jolt; one above 1e4 m/s² is damaged.
 _JOLT, _LARGEST = 0.2, 1e4
 
 
 def ups_of(accelerometer: Accelerometer | None, moments: NDArray[np.int64]) -> list[Floats | None]:
-    """Return the up direction in the axes of the camera, (3,) of length 1, for each frame, or None.
+    """Estimate the up direction of each frame from accelerometer readings.
 
     Parameters
     ----------
-    moments : (n,) nanoseconds at which the frames were recorded.
+    moments : (n,) recording times of the frames, nanoseconds.
+
+    Returns
+    -------
+    list
+        Per frame a unit vector (3,) in camera axes, or None.
     """
     ups: list[Floats | None] = [None] * len(moments)
     if accelerometer is None or not len(accelerometer.recorded):
@@ -38,7 +45,8 @@ def ups_of(accelerometer: Accelerometer | None, moments: NDArray[np.int64]) -> l
     if accelerometer.camera_from_it is None:
         emit(
             SCALE_UP_UNCERTAIN.warning(
-                "how {name} stands to the camera is not in the recording: what it says is up is not used",
+                "the recording does not contain the orientation of {name} relative to the camera: {name} "
+                "is not used for the up direction",
                 name=accelerometer.name,
             )
         )
@@ -68,7 +76,7 @@ def ups_of(accelerometer: Accelerometer | None, moments: NDArray[np.int64]) -> l
 
 
 def _near(accelerometer: Accelerometer, moment: int, most: int) -> Floats:
-    """Return the sound ones (n, 3) of the readings recorded nearest to a moment."""
+    """Return the valid readings (n, 3) closest in time to a frame."""
     off = np.abs(accelerometer.recorded - moment)
     near = np.argsort(off, kind="stable")[:most]
     found = (_reading(accelerometer, number) for number in near[off[near] <= _NEAR].tolist())

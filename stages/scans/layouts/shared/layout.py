@@ -1,4 +1,4 @@
-"""What a layout is, and what its reader returns."""
+"""Interface of a scan layout and its reader."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from scanloom.stages.scans.model.world import Direction
 
 @dataclass(frozen=True)
 class Layout:
-    """One way of packing a scan into a folder.
+    """Scan layout: a way to store a scan in a folder.
 
     Attributes
     ----------
-    name : what `--set scan.layout=` takes.
-    text : one line: the files that make it up.
-    matches : returns why a folder is of this layout, in a few words, or None.
-    read : returns every frame of the folder in order, and emits diagnostics; poses or a calibration that are
-        not there go into `missing`: the caller decides whether the scan is refused.
-    suffixes : of files that are a scan by themselves; `read` takes these as well as folders.
-    up : what is up in the world of its poses, where it is defined so; where only some of its folders tell,
-        `read` sets it.
-    is_level : the device's accelerometer tells `up`, so that each pose tells what is up for its camera.
+    name : value of `scan.layout`.
+    text : one-line list of the files that make up the layout.
+    matches : return a short reason why a folder has this layout, or None.
+    read : return all frames of the folder in order, and emit diagnostics. Missing poses or a missing
+        calibration are added to `missing`; the caller decides whether to reject the scan.
+    suffixes : suffixes of files that are a complete scan; `read` accepts these files as well as folders.
+    up : up direction of the world, if the layout defines it. If only some folders define it, `read` sets
+        `Scan.up` instead.
+    is_level : `up` comes from the device's accelerometer, so that each pose implies the up direction of its
+        camera.
     """
 
     name: str

@@ -1,8 +1,8 @@
-"""imu.csv of Stray Scanner: the phone's accelerometer, which tells what is up where no pose of its own does.
+"""Accelerometer data of Stray Scanner (imu.csv).
 
-A row is a time (of odometry.csv's clock, seconds), three accelerations and three rates of turning, in the
-axes of the phone: x to the right, y up, z out of the screen. Apple's readings point down at rest; they are in
-g, those of older versions in m/s².
+Each row has a time (clock of odometry.csv, seconds), three accelerations and three angular rates, in
+phone axes: x right, y up, z out of the screen. Apple's readings point down at rest; they are in g, or
+in m/s² in older versions.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from scanloom.stages.scans.codes import SCALE_UP_UNCERTAIN
 from scanloom.stages.scans.streams.clocked_streams import Accelerometer
 
 _COLUMNS = ("timestamp", "a_x", "a_y", "a_z")
-# The camera's x goes down the phone, its y to the left, for its images lie on their side: and it looks back.
+# Images are stored in landscape orientation: camera x points down the phone, camera y to its left, and the
+# camera looks out of its back.
 _CAMERA_FROM_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _LATEST_S = 1 << 32
 
 
 def phone_accelerometer(path: Path) -> Accelerometer | None:
-    """Return the readings of imu.csv, None where there are none."""
+    """Read the accelerometer of imu.csv, or return None if there is none."""
     if not path.is_file():
         return None
     lines = list(documents.lines(path))
@@ -31,7 +32,9 @@ def phone_accelerometer(path: Path) -> Accelerometer | None:
     if lacking := [name for name in _COLUMNS if name not in header]:
         emit(
             SCALE_UP_UNCERTAIN.warning(
-                "it is not used: its first line names no column {columns}", path, columns=", ".join(lacking)
+                "the column {columns} is missing: the accelerometer is not used",
+                path,
+                columns=", ".join(lacking),
             )
         )
         return None
@@ -48,7 +51,7 @@ def phone_accelerometer(path: Path) -> Accelerometer | None:
     if len(rows) < len(lines) - 1:
         emit(
             SCALE_UP_UNCERTAIN.warning(
-                "{count} of {line_count} lines are no readings",
+                "{count} of {line_count} lines are not valid readings; they are ignored",
                 path,
                 count=len(lines) - 1 - len(rows),
                 line_count=len(lines) - 1,

@@ -1,4 +1,4 @@
-"""What phones share: a small depth map and a large image of one optical centre, and depth's confidence."""
+"""Phone scans: low-resolution depth registered to colour, with confidence levels."""
 
 from __future__ import annotations
 
@@ -11,30 +11,37 @@ from scanloom.stages.scans.codes import SCAN_CONFIDENCE, SCAN_PHONE_IMAGES
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, scaled
 
-# 1920×1440 and 256×192 agree exactly; 4032×3024 cropped to 16:9 does not.
+# Relative tolerance of the aspect ratio: 1920×1440 and 256×192 agree exactly; 4032×3024 cropped to 16:9
+# differs more.
 _SAME_SHAPE = 0.02
 
 
 def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Camera:
-    """Return the camera of the same view in another size, (width, height) in pixels.
+    """Scale a camera to another image size, same field of view.
+
+    Parameters
+    ----------
+    size : (width, height) in pixels.
+    what : name of the images in the error message.
+    path : file in the error message.
 
     Raises
     ------
     InputError
-        If the size has another shape: the images are then cropped or turned, and their camera is another.
+        If the aspect ratio differs: the images are then cropped or rotated, and have another camera.
     """
     width, height = size
     if abs(width * camera.height / (height * camera.width) - 1) > _SAME_SHAPE:
         turned = (
-            " They are turned by 90°: turn them back."
+            " The images are rotated by 90°: rotate them back."
             if (width < height) != (camera.width < camera.height)
-            else " Export them again without cropping."
+            else " Export the images again without cropping."
         )
         raise InputError(
             SCAN_PHONE_IMAGES,
             (
-                "{what} are {width}×{height}, which is not the shape of the camera's "
-                "{camera_width}×{camera_height}.{turned}"
+                "the size of {what} is {width}×{height} pixels, but the camera has another aspect ratio "
+                "({camera_width}×{camera_height}).{turned}"
             ),
             path,
             what=what,
@@ -48,24 +55,24 @@ def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Cam
 
 
 def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path) -> int:
-    """Return the confidence that depth must have, with a warning about its range.
+    """Return the minimum confidence of valid depth, and report the choice.
 
     Parameters
     ----------
-    levels : that the layout knows: low, medium and high.
+    levels : confidence levels of the layout, ascending (low, medium, high).
 
     Raises
     ------
     InputError
-        If more than the highest is asked for, which would leave nothing.
+        If the user asks for more than the highest level, which would discard all depth.
     """
     least = levels[1] if options.least_confidence is None else options.least_confidence
     if least > levels[-1]:
         raise InputError(
             SCAN_CONFIDENCE,
             (
-                "least_confidence is {least}, but this layout knows {map} only; "
-                "scan.least_confidence={levels} keeps the best."
+                "least_confidence is {least}, but this layout has only the levels {map}; set "
+                "scan.least_confidence={levels} to keep only the highest level."
             ),
             folder,
             least=least,
@@ -74,9 +81,10 @@ def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path
         )
     emit(
         SCAN_CONFIDENCE.warning(
-            "depth of confidence {least} and more (of {levels}) is kept: scan.least_confidence={highest} "
-            "keeps the best only, scan.least_confidence={lowest} all; a phone's depth past 5 m is a guess, "
-            "which fuse.max_depth=5 leaves out",
+            "depth of confidence {least} or higher (levels {levels}) is used: "
+            "scan.least_confidence={highest} keeps only the highest level, "
+            "scan.least_confidence={lowest} keeps everything. Depth of phones is unreliable beyond 5 "
+            "m; fuse.max_depth=5 ignores it",
             least=least,
             levels=", ".join(map(str, levels)),
             highest=levels[-1],

@@ -1,4 +1,4 @@
-"""Posed views without depth: what of a folder becomes a frame, and in which layouts it cannot yet."""
+"""Posed views without depth: frame construction, units and errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scanloom.stages.scans.layouts.shared.phones import seen_in
 from scanloom.stages.scans.model.depth_range import range_of_points
 from scanloom.stages.scans.model.scan import Camera, Frame, Packed, Pose
 
-# Two widths that differ by less are nearly one.
+# Widths that differ by a smaller ratio indicate a cropped or undistorted image, not a downscaled one.
 _NEARLY = 0.1
 
 
@@ -28,19 +28,19 @@ def single_view(
     points: NDArray[np.float64] | None = None,
     mask: Path | Packed | None = None,
 ) -> Frame:
-    """Return the frame of a view without depth.
+    """Create the frame of a view without depth.
 
     Parameters
     ----------
-    camera : of the image in any size: images are often made smaller after their cameras were found.
+    camera : camera at any image size, because images are often downscaled after calibration.
     pose : world-from-camera, metres.
-    points : (n, 3) metres, world, that a reconstruction found in the view.
-    mask : as of a Frame.
+    points : (n, 3) world points observed in the view, metres; they determine the depth range.
+    mask : mask as in `Frame`.
 
     Raises
     ------
     InputError
-        If the image is missing or damaged, or not of the shape of its camera.
+        If the image is missing or damaged, or its aspect ratio differs from the camera's.
     """
     size = image_size(color)
     if size != (camera.width, camera.height):
@@ -53,12 +53,16 @@ def single_view(
 
 
 def _check_nearly(camera: Camera, size: tuple[int, int], color: Path) -> None:
-    """Warn if an image has nearly its camera's size: nobody makes images so little smaller."""
+    """Warn if the image size differs slightly from the camera's.
+
+    Nobody downscales images by a few percent. Rather, the camera belongs to undistorted images.
+    """
     if abs(size[0] / camera.width - 1) < _NEARLY:
         emit(
             CAMERA_CALIBRATION_MISMATCH.warning(
-                "it is {width}×{height} and its camera {camera_width}×{camera_height}: such cameras are of "
-                "images whose lens was straightened, which this may not be; it is scaled",
+                "the image is {width}×{height} but its camera {camera_width}×{camera_height}: such "
+                "cameras usually belong to undistorted images, and this image may not be undistorted. The "
+                "camera is scaled",
                 color,
                 width=size[0],
                 height=size[1],
@@ -69,7 +73,10 @@ def _check_nearly(camera: Camera, size: tuple[int, int], color: Path) -> None:
 
 
 def in_metres(pose: Pose | None, units: float | None) -> Pose | None:
-    """Return a pose in metres, of one in a world of so many `units` a metre (1 if not known)."""
+    """Convert a pose to metres, given the world units per metre.
+
+    `units` is None if the scale is unknown; the pose is then unchanged.
+    """
     if pose is None or units is None:
         return pose
     metric: Pose = pose.copy()
@@ -78,16 +85,16 @@ def in_metres(pose: Pose | None, units: float | None) -> Pose | None:
 
 
 def without_depth(place: Path, advice: str) -> InputError:
-    """Return the error for a folder (or its list of frames) whose posed views have no depth maps.
+    """Create the error for posed views whose depth maps are missing.
 
     Parameters
     ----------
-    place : what the message names.
-    advice : a sentence: where this layout would keep its depth.
+    place : folder or list of frames, named in the message.
+    advice : a sentence that names the usual location of the depth maps.
     """
     return InputError(
         SCAN_DEPTH_MISSING,
-        "its views have no depth, and views of this layout alone cannot be read yet. {advice}",
+        "the views have no depth, and this layout requires depth. {advice}",
         place,
         advice=advice,
     )

@@ -1,1 +1,1 @@
-"""The layout of the TUM RGB-D data set, its cameras and lists."""
+"""TUM RGB-D data set: layout, cameras, and association lists."""

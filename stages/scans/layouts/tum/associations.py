@@ -1,4 +1,4 @@
-"""associations.txt: colour and depth of one moment on a line, `time file time file`, in either order."""
+"""associations.txt: matched colour and depth images, `time file time file` per line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scanloom.stages.scans.trajectory import files as trajectories
 
 @dataclass(frozen=True)
 class Association:
-    """A couple of files, and the times in nanoseconds that stand before them."""
+    """Matched colour and depth image with their timestamps in nanoseconds."""
 
     color_time: int
     color: Path
@@ -22,12 +22,15 @@ class Association:
 
 
 def read_associations(path: Path) -> list[Association]:
-    """Read the couples; which file of a line is depth, its folder says.
+    """Read the matched colour and depth images of a list.
+
+    The depth file of a line is the one in a depth folder; the order of both files may vary.
 
     Raises
     ------
     InputError
-        If a line is of another form, names two files of one kind or one outside the folder, or there is none.
+        If a line is malformed, names two files of one kind or a file outside the folder, or the list is
+        empty.
     """
     found = []
     for number, text in documents.lines(path):
@@ -40,7 +43,7 @@ def read_associations(path: Path) -> list[Association]:
         if is_depth[0] == is_depth[1]:
             raise InputError(
                 SCAN_FILES_MISSING,
-                "line {number} names no file in depth/ beside one in rgb/.",
+                "line {number} must name one file in depth/ and one in another folder, such as rgb/.",
                 path,
                 number=number,
             )
@@ -52,5 +55,5 @@ def read_associations(path: Path) -> list[Association]:
         depth_time, color_time = (trajectories.stamp(words[place], path, number) for place in (at, other))
         found.append(Association(color_time, color, depth_time, depth))
     if not found:
-        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", path)
     return found

@@ -1,4 +1,7 @@
-"""The cameras of TUM's RGB-D data set: its folders hold none, and which recording one is tells its camera."""
+"""Cameras of the TUM RGB-D data set, known by recording name.
+
+The folders of the data set do not contain a calibration.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ _CAMERAS = {
     "freiburg2": ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
 }
-# Which recording a file is of stands in its first lines: `# file: 'rgbd_dataset_freiburg1_rpy.bag'`.
+# The first lines of the lists name the recording: `# file: 'rgbd_dataset_freiburg1_rpy.bag'`.
 _RECORDING = re.compile(r"^#\s*file:\s*['\"]?([^'\"\n]+)", re.MULTILINE)
 _OWN = re.compile(r"rgbd_dataset_freiburg([123])(?!\d)")
 _LIKE_OWN = re.compile(r"(?<![a-z])(?:freiburg|fr)_?[123](?!\d)", re.IGNORECASE)
@@ -28,12 +31,12 @@ _HEAD = 1000
 
 
 def camera_of(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, Path | None]:
-    """Return the camera of a folder for images of this size, and the file that states it.
+    """Return the camera for an image size, and its file or None.
 
     Raises
     ------
     InputError
-        If that file cannot be read.
+        If the calibration file cannot be read.
     """
     path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
     camera = options.camera(width, height)
@@ -48,7 +51,7 @@ def camera_of(folder: Path, options: ReadingParams, width: int, height: int) -> 
         matrix, distortion = _CAMERAS[own]
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the camera is {camera}'s, by {source}", camera=own, source=source
+                "the camera of {camera} is used, according to {source}", camera=own, source=source
             )
         )
         return scaled(Camera(640, 480, *matrix, distortion), width, height), None
@@ -56,32 +59,33 @@ def camera_of(folder: Path, options: ReadingParams, width: int, height: int) -> 
     if path is None and _LIKE_OWN.search(folder.resolve().name):
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
-                "the folder's name is like one of the TUM data set, but nothing in it says that it is: its "
-                "lens is not taken from the name"
+                "the folder is named like a recording of TUM RGB-D, but its files do not confirm it: the "
+                "lens distortion of the data set is not applied"
             )
         )
     return camera, path
 
 
 def is_named_in(path: Path) -> bool:
-    """Say whether a list of a folder names a recording of the data set in its first lines."""
+    """Return True if a list names a recording of TUM in its header."""
     return _OWN.search(documents.read_text(path)[:_HEAD]) is not None
 
 
 def data_set_camera(folder: Path) -> tuple[str | None, str]:
-    """Return which of the data set's cameras took the images, and what says so.
+    """Return the data set's camera of a folder, and how it was identified.
 
-    What the lists say counts. The folder's name does only where they say nothing, and only as the data set
-    gives it: anyone's recording may lie in a folder that is called freiburg1.
+    The camera is None for other cameras. The lists take precedence. The folder name counts only if the
+    lists name no recording, and only in the exact form of the data set: any recording may be in a folder
+    called freiburg1.
     """
     recorded = _recorded_as(folder)
     named = _OWN.match(folder.resolve().name if recorded is None else recorded)
-    source = "the folder's name" if recorded is None else "the name of the recording in its lists"
+    source = "the folder name" if recorded is None else "the recording name in the file lists"
     return (None if named is None else f"freiburg{named[1]}"), source
 
 
 def _recorded_as(folder: Path) -> str | None:
-    """Return the recording that the lists name in their first lines; None where they name none."""
+    """Return the recording named in the header of the lists, or None."""
     for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
         head = documents.read_text(folder / name)[:_HEAD] if (folder / name).is_file() else ""
         if named := _RECORDING.search(head):

@@ -1,4 +1,4 @@
-"""TUM RGB-D: colour and depth as two streams with their own clocks, motion capture as the trajectory."""
+"""TUM RGB-D: colour and depth streams with separate clocks, motion capture trajectory."""
 
 from __future__ import annotations
 
@@ -49,18 +49,18 @@ from scanloom.stages.scans.model.world import Z_UP, WorldUp, up_of_layout
 from scanloom.stages.scans.trajectory import files as trajectories
 from scanloom.stages.scans.trajectory.timed_poses import poses_at
 
-# The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
+# Nanoseconds; the tolerance of the data set's tools, less than a frame at 30 Hz.
 _TOLERANCE = 20_000_000
 _SECOND = 1_000_000_000
 _UNITS_PER_METRE = 5000.0
 _ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
-# How images are named when their lists are lost.
+# Names of images (seconds) if the lists are lost.
 _STAMPED = re.compile(r"\d+\.\d+")
 
 
 @dataclass(frozen=True)
 class _Stream:
-    """The images of a stream, in the order they are listed: times in nanoseconds, and files."""
+    """Timestamps (n,) in nanoseconds and files of a stream, in list order."""
 
     times: NDArray[np.int64]
     files: list[Path]
@@ -73,7 +73,7 @@ def _matches(folder: Path) -> str | None:
         found = f"rgb/ and {listed.name}"
     elif (stamped := _stamped(folder)) is not None:
         color, depth = (stream.files[0].parent.name for stream in stamped)
-        found = f"{color}/ and {depth}/ with times for names"
+        found = f"{color}/ and {depth}/ with timestamps as names"
     elif _is_without_depth(folder):
         found = "rgb.txt"
     else:
@@ -82,7 +82,7 @@ def _matches(folder: Path) -> str | None:
 
 
 def _is_without_depth(folder: Path) -> bool:
-    """Say whether a folder has the list of colour alone: what has depth in any form is no folder of views."""
+    """Return True if a folder lists colour but has no depth."""
     return has(folder, "rgb.txt") and first_existing(folder, "depth.txt", *DEPTH_FOLDERS) is None
 
 
@@ -97,19 +97,23 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     frames: list[Frame] = []
     partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE).tolist()
     skipped = [
-        SkippedFrame(color.stem, FRAME_IMAGE_MISSING.warning("no depth frame within 0.02 s"))
+        SkippedFrame(color.stem, FRAME_IMAGE_MISSING.warning("no depth map within 0.02 s"))
         for color, partner in zip(colors, partners, strict=True)
         if partner < 0
     ]
     paired = [number for number, partner in enumerate(partners) if partner >= 0]
-    # The surface is where the depth camera saw it from, so its moment decides.
+    # Poses are interpolated at the depth timestamps, because depth defines the surface.
     moments = [int(depth_stream.times[partners[number]]) for number in paired]
     names = [colors[number].stem for number in paired]
     path, poses = _poses(folder, moments, names, options)
     for number, pose in zip(paired, poses, strict=True):
         color, partner, time = colors[number], partners[number], int(color_stream.times[number])
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(color.stem, FRAME_POSE_MISSING.warning("no pose within 0.02 s")))
+            skipped.append(
+                SkippedFrame(
+                    color.stem, FRAME_POSE_MISSING.warning("the trajectory has no pose within 0.02 s")
+                )
+            )
             continue
         frames.append(
             Frame(
@@ -128,7 +132,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _read_views(folder: Path, options: ReadingParams) -> Scan:
-    """Read a recording whose depth is not there: its photos are single views."""
+    """Read a recording without depth as single views."""
     stream = _listed(folder / "rgb.txt")
     colors = _where_they_are(stream.files, folder)
     camera, _ = camera_of(folder, options, *common_size(colors))
@@ -138,7 +142,11 @@ def _read_views(folder: Path, options: ReadingParams) -> Scan:
     skipped: list[SkippedFrame] = []
     for color, time, pose in zip(colors, moments, poses, strict=True):
         if pose is None and path is not None:
-            skipped.append(SkippedFrame(color.stem, FRAME_POSE_MISSING.warning("no pose within 0.02 s")))
+            skipped.append(
+                SkippedFrame(
+                    color.stem, FRAME_POSE_MISSING.warning("the trajectory has no pose within 0.02 s")
+                )
+            )
             continue
         try:
             frames.append(replace(single_view(color.stem, camera, color, pose), timestamp=time))
@@ -152,7 +160,7 @@ def _read_views(folder: Path, options: ReadingParams) -> Scan:
 def _poses(
     folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
 ) -> tuple[Path | None, list[Pose | None]]:
-    """Return the trajectory's file, and the pose at each moment."""
+    """Return the trajectory file (or None), and the pose at each timestamp."""
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
     if path is not None:
         return path, poses_at(path, moments, names, _TOLERANCE, options)
@@ -166,20 +174,21 @@ def _missing(poses: Path | None) -> tuple[Diagnostic, ...]:
 def _poses_beside(
     folder: Path, moments: Sequence[int], names: Sequence[str], options: ReadingParams
 ) -> tuple[Path, list[Pose | None]] | None:
-    """Return the only file that holds as many poses as frames, and the poses, with a warning.
+    """Find poses in the only file with one pose per frame.
 
-    None without one, and where its times are others than those of the frames, unless these only count them.
+    Returns None if there is no such file, or its times do not match the frames. Frame times that merely
+    count the frames (1 s steps) are ignored, and poses are assigned by order.
     """
     path = trajectory_beside(folder, len(names))
     if path is None:
         return None
     found = POSE_ASSUMED.warning(
-        "the poses are read from {file}, which lies beside the images", file=path.name
+        "the poses are read from {file}, which was found in the scan folder", file=path.name
     )
     if set(np.diff(moments)) == {_SECOND}:
         found = POSE_ASSUMED.warning(
-            "the poses are read from {file}, which lies beside the images; the images' times only count "
-            "them, so poses are taken in their order",
+            "the poses are read from {file}, which was found in the scan folder. The image timestamps "
+            "only count frames, so poses are assigned by order",
             file=path.name,
         )
         options = replace(options, poses_by_order=True)
@@ -192,13 +201,16 @@ def _poses_beside(
 
 
 def _up(folder: Path, trajectory: Path) -> WorldUp | None:
-    """Return what is up in the worlds of the data set's motion capture; None where others use its form."""
+    """Return the up direction of the data set's motion capture, or None.
+
+    None for other recordings in TUM format.
+    """
     is_own = data_set_camera(folder)[0] is not None or is_named_in(trajectory)
     return up_of_layout(LAYOUT.name, Z_UP) if is_own else None
 
 
 def _streams(folder: Path) -> tuple[_Stream, _Stream]:
-    """Return colour and depth."""
+    """Return the colour and the depth stream."""
     if has(folder, "rgb.txt", "depth.txt"):
         color, depth = (_listed(folder / name) for name in ("rgb.txt", "depth.txt"))
     elif (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
@@ -208,20 +220,22 @@ def _streams(folder: Path) -> tuple[_Stream, _Stream]:
     elif (stamped := _stamped(folder)) is not None:
         emit(
             SCAN_ASSUMED.warning(
-                "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
+                "rgb.txt and depth.txt are missing: images are matched by the timestamps in their names"
             )
         )
         return stamped
     else:
         raise InputError(
-            SCAN_FILES_MISSING, "rgb.txt and depth.txt, or images named by their times, are needed.", folder
+            SCAN_FILES_MISSING,
+            "rgb.txt and depth.txt, or images with timestamps as names, are required.",
+            folder,
         )
     colors, depths = (_where_they_are(stream.files, folder) for stream in (color, depth))
     return replace(color, files=colors), replace(depth, files=depths)
 
 
 def _listed(path: Path) -> _Stream:
-    """Return a stream from lines `seconds file`."""
+    """Read a stream from lines `seconds file`."""
     times, files = [], []
     for number, text in documents.lines(path):
         words = re.split(r"[\s;]+|,(?=\s*[^\d\s])", text, maxsplit=1)
@@ -230,19 +244,22 @@ def _listed(path: Path) -> _Stream:
         times.append(trajectories.stamp(words[0].rstrip(","), path, number))
         files.append(_listed_file(words[1].strip(" ,;"), path, number))
     if not files:
-        raise InputError(SCAN_TABLE_DAMAGED, "it lists no images.", path)
+        raise InputError(SCAN_TABLE_DAMAGED, "the file lists no images.", path)
     return _Stream(np.array(times, np.int64), files)
 
 
 def _listed_file(name: str, path: Path, number: int) -> Path:
-    """Return the file that a line names; where its path is one of another computer, by the path's end."""
+    """Resolve a listed file; an absolute path is matched by its end.
+
+    Absolute paths come from another computer.
+    """
     if PurePosixPath(name).is_absolute() or PureWindowsPath(name).is_absolute():
         return found_file(path.parent, name, f"line {number}: {name[:100]!r}", path)
     return path.parent / documents.require_inside(name, path, f"line {number}")
 
 
 def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:
-    """Return the streams of two folders whose images are named by their times in seconds."""
+    """Return colour and depth streams of images named by timestamp, or None."""
     streams = []
     for names, suffixes in ((COLOR_FOLDERS, IMAGES), (DEPTH_FOLDERS, DEPTHS)):
         place = first_existing(folder, *names)
@@ -255,7 +272,7 @@ def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:
 
 
 def _where_they_are(files: list[Path], folder: Path) -> list[Path]:
-    """Return the files of a stream, whose folder may have another name than listed."""
+    """Return the files of a stream, remapped if their folder was renamed."""
     listed = files[0].parent
     if listed.exists():
         return files
@@ -265,7 +282,7 @@ def _where_they_are(files: list[Path], folder: Path) -> list[Path]:
     found = holders[0]
     emit(
         SCAN_ASSUMED.warning(
-            "there is no folder {listed}/, but {found}/ has the images listed in it: they are used",
+            "the folder {listed}/ does not exist: the listed images are read from {found}/",
             listed=listed.name,
             found=found.name,
         )
@@ -274,7 +291,10 @@ def _where_they_are(files: list[Path], folder: Path) -> list[Path]:
 
 
 def _depth_scale(folder: Path, options: ReadingParams, depths: Sequence[Path], calib: Path | None) -> float:
-    """Return the units a metre of depth, which the file of the camera may state."""
+    """Return the depth units per metre.
+
+    They are stated, known for the data set, or inferred from the values.
+    """
     stated = None if calib is None else calibration.read_depth_scale(calib)
     scale = options.depth_scale or stated
     if scale is None and data_set_camera(folder)[0] is not None:
@@ -283,22 +303,22 @@ def _depth_scale(folder: Path, options: ReadingParams, depths: Sequence[Path], c
 
 
 def _scale(depths: Sequence[Path]) -> float:
-    """Return the units a metre of depth that nothing states."""
+    """Infer the depth units per metre from the values, with a warning."""
     units = told_units(depths)
     if units == MILLIMETRES:
         emit(
             SCALE_DEPTH_UNIT_ASSUMED.warning(
-                "depth is taken as millimetres: in TUM's {units:g} units a metre half of it would be nearer "
-                "than a Kinect sees",
-                remedy="where it is, set scan.depth_scale={units:g}",
+                "depth is assumed to be in millimetres: with TUM's {units:g} units per metre, half of it "
+                "would be below the minimum range of a Kinect",
+                remedy="if it is in TUM's unit, set scan.depth_scale={units:g}",
                 units=_UNITS_PER_METRE,
             )
         )
     if units is None:
         emit(
             SCALE_DEPTH_UNIT_ASSUMED.warning(
-                "depth is taken as TUM's {units:g} units a metre",
-                remedy="where it is in millimetres set scan.depth_scale=1000",
+                "depth is assumed to have TUM's {units:g} units per metre",
+                remedy="if it is in millimetres, set scan.depth_scale=1000",
                 units=_UNITS_PER_METRE,
             )
         )
@@ -308,8 +328,8 @@ def _scale(depths: Sequence[Path]) -> float:
 
 LAYOUT = Layout(
     name="tum",
-    text="rgb.txt and depth.txt (or associations.txt, or images named by their times), groundtruth.txt "
-    "(TUM RGB-D)",
+    text="rgb.txt and depth.txt (or associations.txt, or images with timestamps as names), "
+    "groundtruth.txt (TUM RGB-D)",
     matches=_matches,
     read=_read,
 )

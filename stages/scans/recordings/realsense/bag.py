@@ -1,7 +1,8 @@
-"""What a RealSense `.bag` says, which the maker's library wrote up to version 2.57.
+"""RealSense `.bag` files, which librealsense wrote up to version 2.57.
 
-Topics are `/device_0/sensor_0/Depth_0/…`: `image/data`, `info/camera_info` and `tf/0`, which takes points of
-a reference stream to this one; of a sensor `option/Depth_Units/value`, in metres.
+Topics of a stream are below `/device_0/sensor_0/Depth_0/`: `image/data`, `info/camera_info` and `tf/0`,
+the transform from a reference stream to this stream. `option/Depth_Units/value` of the sensor is in
+metres.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data")
 
 
 def realsense_bag(bag: Recording) -> RealSense | None:
-    """Return what a RealSense recording says; None if the bag has no images of one."""
+    """Interpret a bag as a RealSense recording.
+
+    Returns None if it has no RealSense image topics.
+    """
     streams = {}
     for name, topic in bag.topics.items():
         matched = _IMAGES.fullmatch(name)
@@ -55,7 +59,7 @@ def _camera(bag: Recording, name: str) -> CameraMessage | None:
 
 
 def _units(bag: Recording, stream: RealSenseStream) -> list[float]:
-    # Older recorders leave the blank in the option's name.
+    # Older recorders keep the space in the name of the option.
     names = (f"{stream.sensor}/option/{option}/value" for option in ("Depth_Units", "Depth Units"))
     option = next((bag.topics[name] for name in names if name in bag.topics), None)
     if option is not None:

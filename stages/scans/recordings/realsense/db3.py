@@ -1,7 +1,7 @@
-"""What a RealSense `.db3` says, which the maker's library writes since version 2.58.
+"""RealSense `.db3` files, which librealsense writes since version 2.58.
 
-Topics are called as in its `.bag` files. But what describes a camera is text, `name=value;name=value`, and
-when an image was taken stands in such a text recorded together with it.
+Topic names are the same as in its `.bag` files. Cameras are described as text, `name=value;name=value`.
+The capture time of an image is in a metadata message with the same recording time.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data(/co
 
 
 def realsense_db3(recording: Recording) -> RealSense | None:
-    """Return what a RealSense recording says; None if the file has no images of one."""
+    """Interpret a `.db3` as a RealSense recording.
+
+    Returns None if it has no RealSense image topics.
+    """
     streams = {}
     for name, topic in recording.topics.items():
         matched = _IMAGES.fullmatch(name)
@@ -52,13 +55,16 @@ def realsense_db3(recording: Recording) -> RealSense | None:
 
 
 def _stamp(recording: Recording, name: str, topic: Messages, number: int) -> int:
-    """Return when an image was taken: the text recorded at the same time says it, in milliseconds."""
+    """Return the capture time of an image, nanoseconds.
+
+    The metadata message with the same recording time holds the capture time in milliseconds.
+    """
     texts = recording.topics.get(f"{name}/image/metadata")
     at = -1 if texts is None else int(np.searchsorted(texts.times, topic.times[number]))
     if texts is None or at >= len(texts.times) or texts.times[at] != topic.times[number]:
         raise InputError(
             RECORDING_DAMAGED,
-            "nothing says when image {number} of {name} was taken.",
+            "image {number} of {name} has no metadata with its capture time.",
             recording.path,
             number=number,
             name=name,
@@ -68,7 +74,7 @@ def _stamp(recording: Recording, name: str, topic: Messages, number: int) -> int
     if not abs(milliseconds) < 1 << 42:
         raise InputError(
             RECORDING_DAMAGED,
-            "image {number} of {name}: the time {milliseconds:g} ms cannot be right.",
+            "image {number} of {name}: invalid capture time {milliseconds:g} ms.",
             recording.path,
             number=number,
             name=name,
@@ -88,7 +94,7 @@ def _camera(recording: Recording, name: str) -> CameraMessage | None:
     if not (width.is_integer() and height.is_integer()):
         raise InputError(
             RECORDING_DAMAGED,
-            "the images of {name} are said to be {width:g}×{height:g} pixels.",
+            "invalid image size {width:g}×{height:g} pixels of {name}.",
             path,
             name=name,
             width=width,
@@ -115,7 +121,7 @@ def _places(recording: Recording, name: str) -> dict[str, Pose]:
     for topic in recording.topics:
         if topic.startswith(start):
             said = _values(recording, recording.topics[topic], 0)
-            # Column by column, as the maker's library has it.
+            # librealsense stores rotations column-major.
             turn = np.reshape(_numbers(said, "rotation", 9, recording.path), (3, 3)).T
             shift = np.reshape(_numbers(said, "translation", 3, recording.path), (3, 1))
             pose = rigid(np.hstack([turn, shift]), recording.path, topic)
@@ -134,7 +140,7 @@ def _text(recording: Recording, topic: Messages, number: int) -> str:
 
 
 def _numbers(said: dict[str, str], key: str, count: int, path: Path) -> list[float]:
-    """Return the numbers of a value, all finite."""
+    """Parse `count` comma-separated numbers. Raises InputError unless all are finite."""
     try:
         values = [float(word) for word in said.get(key, "").split(",")]
     except ValueError:
@@ -142,7 +148,7 @@ def _numbers(said: dict[str, str], key: str, count: int, path: Path) -> list[flo
     if len(values) != count or not all(math.isfinite(value) for value in values):
         raise InputError(
             RECORDING_DAMAGED,
-            "{key} is {said!r} where {count} numbers are expected.",
+            "{key} is {said!r}; {count} numbers are expected.",
             path,
             key=key,
             said=said.get(key, "")[:40],

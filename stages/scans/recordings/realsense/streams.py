@@ -1,6 +1,6 @@
-"""Which streams of a RealSense recording make up the scan, and how its cameras stand: the file says it all.
+"""Stream selection and calibration of RealSense recordings.
 
-The maker's library has written two kinds of file, with the same names for the same things.
+Common to the `.bag` and `.db3` files of librealsense, which use the same names.
 """
 
 from __future__ import annotations
@@ -44,11 +44,12 @@ from scanloom.stages.scans.streams.clocked_streams import (
 )
 from scanloom.stages.scans.streams.stereo_rigs import stated_rig
 
-# A person changes an option now and then, a damaged file a million times: so many values are read.
+# Maximum number of recorded option values to read: users change an option rarely, a damaged file may claim
+# millions.
 MOST_OPTIONS = 100
-# Millimetres are by far the most frequent, but not what every model records.
+# Metres. Millimetres are the default of nearly all models.
 _USUAL_UNITS = 0.001
-# Metres; a unit of less than a nanometre or more than a kilometre is damaged.
+# Metres. Depth units outside this range are damaged.
 _UNITS = (1e-9, 1e3)
 
 
@@ -57,12 +58,12 @@ _ACCELEROMETER = re.compile(r"(/device_\d+/sensor_\d+/(?:Accel|Motion)_\d+)/imu/
 
 @dataclass(frozen=True, eq=False)
 class RealSenseStream:
-    """A stream of images in a recording.
+    """An image stream of a RealSense recording.
 
     Attributes
     ----------
     kind : `depth`, `color`, `infrared`, ….
-    sensor : the part of the topics' names that streams of one sensor share.
+    sensor : topic name prefix that all streams of one sensor share.
     """
 
     kind: str
@@ -72,15 +73,18 @@ class RealSenseStream:
 
 @dataclass(frozen=True, eq=False)
 class RealSense:
-    """What a recording says, in whichever kind of file; all of it raises InputError where it is damaged.
+    """Contents of a RealSense recording, independent of the file format.
+
+    The callables raise InputError if the file is damaged.
 
     Attributes
     ----------
-    streams : by name.
-    camera : returns that of a stream, or None.
-    units : returns the depth units, in metres, that a stream's sensor had one after the other; or none.
-    places : returns what takes points of a reference to a stream's camera, by the reference's name.
-    accelerometers : the topics of their readings, by name of the stream.
+    streams : image streams, by name.
+    camera : return the camera message of a stream, or None.
+    units : return all depth units, in metres, that the sensor of a stream had during the recording.
+    places : return the transforms (4, 4) from reference frames to the camera of a stream, by name of the
+        reference.
+    accelerometers : accelerometer topics, by name of the stream.
     """
 
     path: Path
@@ -92,18 +96,24 @@ class RealSense:
 
 
 def accelerometers_of(recording: Recording) -> dict[str, Messages]:
-    """Return the topics of accelerometers' readings in either kind of file, by the name of the stream."""
+    """Return the accelerometer topics of a recording, by name of the stream."""
     found = ((_ACCELEROMETER.fullmatch(name), topic) for name, topic in recording.topics.items())
     return {matched[1]: topic for matched, topic in found if matched is not None}
 
 
 def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams | Pair:
-    """Return depth and colour of a recording, or its infrared pair if it holds no depth.
+    """Select the depth and colour streams, or the infrared pair, of a recording.
+
+    The infrared pair is used if there is no depth.
+
+    Parameters
+    ----------
+    options : intrinsics, calibration, depth scale and baseline given by the user take precedence.
 
     Raises
     ------
     InputError
-        If it holds neither, or what it says of its cameras is missing or wrong.
+        If there is neither depth nor an infrared pair, or the calibration is missing or invalid.
     """
     streams = [recording.streams[name] for name in sorted(recording.streams)]
     depth = next((one for one in streams if one.kind == "depth"), None)
@@ -114,7 +124,8 @@ def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams |
     seen = Stream(depth.images, stated or _recorded_camera(recording, name))
     scale = _depth_scale(recording, depth, options)
     beside = _accelerometer(recording, name)
-    # The left infrared camera is the one that depth is seen from.
+    # The depth of RealSense cameras is in the frame of the left infrared camera, so its images are aligned
+    # with depth.
     grey = [one for one in streams if one.kind == "infrared" and one.sensor == depth.sensor]
     color = next((one for one in (*(one for one in streams if one.kind == "color"), *grey)), None)
     if color is None:
@@ -122,7 +133,7 @@ def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams |
     if color.kind != "color":
         emit(
             RECORDING_TOPIC_CHOSEN.warning(
-                "there is no colour stream: the infrared camera's images stand for it"
+                "the recording has no colour stream: infrared images are used instead"
             )
         )
     color_from_depth = _between(recording, name, color.images.name)
@@ -133,15 +144,18 @@ def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams |
 
 
 def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], options: ReadingParams) -> Pair:
-    """Return the images that the maker's depth is computed from; the left camera's come first by name."""
+    """Return the infrared stereo pair of the depth sensor.
+
+    The name of the left stream sorts first.
+    """
     grey = [one for one in streams if one.kind == "infrared"]
     if len(grey) < 2 or grey[0].sensor != grey[1].sensor:
         names = ", ".join(one.images.name for one in streams)
         raise InputError(
             RECORDING_TOPIC_MISSING,
-            "the recording holds no depth, only {names}.",
+            "the recording has no depth stream, only {names}.",
             recording.path,
-            remedy="Record the depth stream too.",
+            remedy="Record the depth stream as well.",
             names=names,
         )
     left, right = (one.images for one in grey[:2])
@@ -153,7 +167,7 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     if right_from_left is None and options.baseline is None:
         raise InputError(
             CAMERA_PAIR_UNCALIBRATED,
-            "how {left_name} and {right_name} stand to each other is not in it",
+            "the recording does not contain the extrinsics between {left_name} and {right_name}",
             recording.path,
             remedy="set scan.baseline=METRES.",
             left_name=left.name,
@@ -170,12 +184,12 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
 
 
 def _recorded_camera(recording: RealSense, name: str) -> Camera:
-    """Return the camera of a stream as the recording states it."""
+    """Return the camera of a stream as recorded."""
     said = recording.camera(name)
     if said is None:
         raise InputError(
             CAMERA_INTRINSICS_GUESSED,
-            "the recording does not say what camera {name} is of (no camera_info)",
+            "the recording has no intrinsics (camera_info) for {name}",
             recording.path,
             remedy="set scan.intrinsics=fx,fy,cx,cy.",
             name=name,
@@ -184,7 +198,7 @@ def _recorded_camera(recording: RealSense, name: str) -> Camera:
     if distortion and not is_like_opencv(said.model):
         raise InputError(
             CAMERA_LENS_UNKNOWN,
-            "the lens of {name} is described as {model!r}, which is not known; Brown-Conrady's models are.",
+            "unknown lens model {model!r} of {name}; only Brown-Conrady models are supported.",
             recording.path,
             name=name,
             model=said.model[:40],
@@ -193,7 +207,7 @@ def _recorded_camera(recording: RealSense, name: str) -> Camera:
 
 
 def _depth_scale(recording: RealSense, depth: RealSenseStream, options: ReadingParams) -> float:
-    """Return the depth units a metre, as stated or as recorded."""
+    """Return the depth scale (units per metre), stated or recorded."""
     if options.depth_scale is not None:
         return options.depth_scale
     units = recording.units(depth)
@@ -201,32 +215,33 @@ def _depth_scale(recording: RealSense, depth: RealSenseStream, options: ReadingP
         units = [_USUAL_UNITS]
         emit(
             SCALE_DEPTH_UNIT_ASSUMED.warning(
-                "the recording does not say its depth unit: millimetres are assumed",
-                remedy="scan.depth_scale=VALUE states how many units are one metre",
+                "the recording does not state its depth unit: millimetres are assumed",
+                remedy="set scan.depth_scale=UNITS_PER_METRE if that is wrong",
             )
         )
     last = units[-1]
     if len(set(units)) > 1:
         emit(
             SCALE_DEPTH_UNIT_ASSUMED.warning(
-                "the depth unit changes within the recording; the last, {last:g} m, is used for all of it.",
-                remedy="scan.depth_scale=VALUE states another, in units a metre",
+                "the depth unit changes within the recording: the last value, {last:g} m, is used for all "
+                "frames.",
+                remedy="Set scan.depth_scale=UNITS_PER_METRE if that is wrong.",
                 last=last,
             )
         )
     if not _UNITS[0] <= last <= _UNITS[1]:
         raise InputError(
             SCALE_DEPTH_UNIT_ASSUMED,
-            "its depth unit is {last:g} m, which cannot be right",
+            "the depth unit is {last:g} m, outside the valid range (1 nm to 1 km)",
             recording.path,
-            remedy="scan.depth_scale=VALUE states how many units are one metre.",
+            remedy="set scan.depth_scale=UNITS_PER_METRE.",
             last=last,
         )
     return 1 / last
 
 
 def _accelerometer(recording: RealSense, camera: str) -> Accelerometer | None:
-    """Return the accelerometer of a recording, beside the camera of a stream."""
+    """Return the accelerometer relative to the camera of a stream, or None."""
     name = min(recording.accelerometers, default=None)
     if name is None:
         return None
@@ -234,14 +249,15 @@ def _accelerometer(recording: RealSense, camera: str) -> Accelerometer | None:
         stands = _between(recording, name, camera)
     except InputError:
         stands = None
-    # The maker's library turns readings to the axes of the depth camera before it records them.
+    # Without extrinsics the axes are taken as equal: librealsense rotates readings to the axes of the depth
+    # camera before recording.
     turn = np.eye(3) if stands is None else stands[:3, :3]
     topic = recording.accelerometers[name]
     return Accelerometer(name, topic.times, partial(acceleration, topic), turn)
 
 
 def _between(recording: RealSense, depth: str, color: str) -> Pose | None:
-    """Return color_from_depth, by the reference that both streams state their place to; None without one."""
+    """Return color_from_depth (4, 4), or None without a common reference frame."""
     of_depth, of_color = recording.places(depth), recording.places(color)
     shared = min(of_depth.keys() & of_color.keys(), default=None)
     return None if shared is None else np.asarray(of_color[shared] @ inverted(of_depth[shared]))

@@ -103,6 +103,6 @@ def test_an_angle_of_view_that_is_not_that_of_the_focal_length(tmp_path, tiny):
     frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}
     table = {"fl_x": 100, "fl_y": 100, "cx": 16.5, "cy": 12.5, "w": 32, "h": 24, "camera_angle_x": 0.4}
     (tmp_path / "transforms.json").write_text(json.dumps(table | {"frames": [frame, frame]}))
-    said = "states a focal length of 100 px (fl_x) and one of 78.93 px (camera_angle_x, for 32 px)"
+    said = "the focal length 100 px (fl_x) contradicts 78.93 px (camera_angle_x, for 32 px)"
     scan = read_scan(tmp_path, ScanParams(), complete=False)
     assert sum(said in text for text in map(str, scan.diagnostics)) == 1

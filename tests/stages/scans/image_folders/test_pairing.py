@@ -36,7 +36,7 @@ def test_what_has_no_partner_is_left_out_on_either_side():
 
 
 def test_counts_that_differ_are_never_paired_in_order():
-    with pytest.raises(InputError, match="left/ holds 2 images and right/ 3"):
+    with pytest.raises(InputError, match="left/ has 2 images and right/ has 3"):
         paired(["dawn", "noon"], ["x", "y", "z"])
 
 
@@ -50,6 +50,6 @@ def test_a_number_that_agrees_by_chance_pairs_nothing():
     # Two clocks: of twenty names one ends alike.
     left = [f"{100 + i}-{7000 + i}" for i in range(20)]
     right = [f"{300 + i}-{9000 + i}" for i in range(18)] + ["318-7004"]
-    with pytest.raises(InputError, match="left/ holds 20 images and right/ 19"):
+    with pytest.raises(InputError, match="left/ has 20 images and right/ has 19"):
         paired(left, right)
     assert paired(left[:19], right) == (list(zip(left[:19], right, strict=True)), [])

@@ -65,9 +65,9 @@ def test_tenths_of_millimetres_are_of_values_turned_back(tmp_path, stated, is_tu
     scan = read_scan(tmp_path, ScanParams(depth_scale=stated), complete=False)
     values = depth if is_turned else rotated(depth)
     np.testing.assert_allclose(read_depth(scan.frames[2]), values / stated, atol=1e-6)
-    told = [text for text in map(str, scan.diagnostics) if "are turned back" in text]
+    told = [text for text in map(str, scan.diagnostics) if "are decoded" in text]
     assert len(told) == is_turned
-    assert all(text.endswith("10000 units are then a metre") for text in told)
+    assert all(text.endswith("with 10000 units per metre") for text in told)
 
 
 def test_our_own_form_is_taken_at_its_word(tmp_path):

@@ -69,7 +69,9 @@ def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
     (scan_folder / "lowres_wide.traj").write_text(TRAJECTORY.replace("9.504", "9.506"))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == [DEPTHS[1]]
-    assert [(one.name, one.reason) for one in scan.skipped] == [(DEPTHS[0], "no pose within 0.005 s")]
+    assert [(one.name, one.reason) for one in scan.skipped] == [
+        (DEPTHS[0], "the trajectory has no pose within 0.005 s")
+    ]
 
 
 @pytest.mark.parametrize(

@@ -90,21 +90,21 @@ def test_views_without_depth_are_single_views(scan_folder):
 
 def test_what_belongs_to_no_image_is_told(scan_folder, tiny):
     write(scan_folder, {"3": entry(tiny.identity), "10": entry(tiny.second), "11": entry(tiny.second)})
-    told = "scene_camera.json has entries for 1 images that are not there"
+    told = "scene_camera.json has entries for 1 images that do not exist; they are ignored"
     assert [str(one) for one in assert_known_points(scan_folder, tiny).diagnostics] == [told]
 
 
 @pytest.mark.parametrize(
     ("table", "why"),
     [
-        (None, "has no entry for it"),
-        (entry(np.eye(4), cam_K=[1, 2]), "cam_K is not a list of 9 numbers"),
+        (None, "has no entry for this image"),
+        (entry(np.eye(4), cam_K=[1, 2]), "cam_K must be a list of 9 numbers"),
         (entry(np.eye(4), cam_t_w2c=[0, 0, 10**400]), "cam_t_w2c is not a matrix of numbers"),
         (entry(np.eye(4), depth_scale="fine"), "depth_scale is 'fine'"),
         (entry(np.eye(4), depth_scale=0), "depth_scale is 0; it must be positive"),
-        (entry(), "it has no pose"),
+        (entry(), "the frame has no pose"),
         (entry(np.eye(4), cam_R_w2c=[1.0] * 9), "the pose is not rigid"),
-        (entry(cam_R_w2c=[1, 0, 0, 0, 1, 0, 0, 0, 1]), "cam_t_w2c is not a list of 3 numbers"),
+        (entry(cam_R_w2c=[1, 0, 0, 0, 1, 0, 0, 0, 1]), "cam_t_w2c must be a list of 3 numbers"),
     ],
 )
 def test_what_is_wrong_with_one_image_costs_that_image(scan_folder, tiny, table, why):

@@ -103,9 +103,9 @@ def test_poses_of_the_other_direction_and_of_a_trajectory(scan_folder, tiny, mat
 def test_a_frame_without_depth_is_left_out(scan_folder):
     (scan_folder / "frame-000001.depth.png").unlink()
     scan = read_scan(scan_folder)
-    assert [(one.name, one.reason) for one in scan.skipped] == [("frame-000001", "it has no depth map")]
+    assert [(one.name, one.reason) for one in scan.skipped] == [("frame-000001", "its depth map is missing")]
     (scan_folder / "frame-000000.depth.png").unlink()
-    with pytest.raises(InputError, match="no depth map of any of its 2 frames, such as frame-000000"):
+    with pytest.raises(InputError, match="none of the 2 listed frames has a depth map, such as frame-000000"):
         read_scan(scan_folder)
 
 
@@ -133,5 +133,5 @@ def test_headings_with_tabs_and_a_text_that_is_empty(scan_folder, tiny):
     path.write_text(path.read_text().replace(" ", "\t"))
     np.testing.assert_allclose([seen(one) for one in read_scan(scan_folder).frames], tiny.points, atol=1e-6)
     path.write_text("# Environment: shelf\n")
-    with pytest.raises(InputError, match="it has no heading with the pose of a frame"):
+    with pytest.raises(InputError, match="the file has no heading for the pose of a frame"):
         read_scan(scan_folder)

@@ -190,7 +190,7 @@ def test_tum_vi_has_fisheye_cameras_and_wide_images(tum_vi, chain):
 
 def test_a_narrow_image_among_wide_ones_is_told(tum_vi):
     cv2.imwrite(str(tum_vi / "mav0" / "cam0" / "data" / f"{SECOND}.png"), np.zeros((24, 32), np.uint8))
-    with pytest.raises(InputError, match=r"16 bits is expected"):
+    with pytest.raises(InputError, match=r"16-bit greyscale image is expected"):
         read_color(read_scan(tum_vi).frames[1])
 
 
@@ -262,7 +262,9 @@ def test_a_damaged_line_of_readings_is_named(scan_folder):
     write_readings(scan_folder)
     path = scan_folder / "mav0" / "imu0" / "data.csv"
     path.write_text(path.read_text() + "\n12,0.1,none\n")
-    with pytest.raises(InputError, match=r"imu0/data\.csv: line \d+ is not nanoseconds, three rates"):
+    with pytest.raises(
+        InputError, match=r"imu0/data\.csv: line \d+ is not a timestamp \(ns\), three angular rates"
+    ):
         read_scan(scan_folder)
 
 

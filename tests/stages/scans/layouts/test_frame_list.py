@@ -45,8 +45,8 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny, form):
     [
         ({"depth_image": "../a.png"}, "frame 0: depth_image is not a path inside the folder"),
         ({"depth_scale": 0}, "depth_scale is 0; it must be a positive number"),
-        ({"depth_bias": "a"}, "depth_bias is a; metres that are added to depth are expected"),
-        ({"depth_bias": 12}, "depth_bias is 12; metres that are added to depth are expected"),
+        ({"depth_bias": "a"}, "depth_bias is a; it must be an offset in metres"),
+        ({"depth_bias": 12}, "depth_bias is 12; it must be an offset in metres"),
         ({"depth_max": -1}, "depth_max is -1; it must be a positive number"),
         ({"kcam": 7}, "a camera matrix must be 3x3"),
         ({"rt_cam": None}, "frame 0: rt_cam"),
@@ -60,7 +60,9 @@ def test_what_is_damaged_is_told(scan_folder, tiny, changed, message):
 
 def test_a_frame_without_depth_is_told(scan_folder):
     (scan_folder / "frame_00001_depth.png").unlink()
-    with pytest.raises(InputError, match="frame 1 names no depth map, and there is none of its number"):
+    with pytest.raises(
+        InputError, match="frame 1 names no depth map, and the folder has none with this number"
+    ):
         read_scan(scan_folder)
 
 
@@ -85,7 +87,7 @@ def test_what_is_beyond_the_sensor_is_missing_and_told(scan_folder, tiny):
     depth = read_depth(scan.frames[0])
     assert (depth[0, 1], depth[5, 5]) == (0, 2)
     assert [str(one) for one in scan.diagnostics] == [
-        "0.1% of the depth looked at lies beyond the depth_max of frames.json, 2.25 m: it is left out"
+        "0.1% of the sampled depth exceeds depth_max in frames.json (2.25 m) and is ignored"
     ]
 
 
@@ -94,8 +96,8 @@ def test_a_limit_that_takes_most_of_the_depth_is_asked_about(scan_folder, tiny):
     scan = read_scan(scan_folder)
     assert read_depth(scan.frames[0])[5, 5] == 2
     (said,) = map(str, scan.diagnostics)
-    assert "100% of the depth" in said
-    assert "it is not applied; fuse.max_depth=METRES" in said
+    assert "100% of the sampled depth" in said
+    assert "depth_max is not applied; set fuse.max_depth=METRES" in said
 
 
 @pytest.mark.parametrize("damage", [lambda text: text[:-20], lambda text: text.replace("0.0005", "0,0005")])

@@ -31,7 +31,9 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert scan.layout == "icl-nuim"
     assert [frame.name for frame in scan.frames] == ["1", "2"]
-    assert [(one.name, one.reason) for one in scan.skipped] == [("0", "no pose of its number")]
+    assert [(one.name, one.reason) for one in scan.skipped] == [
+        ("0", "the trajectory has no pose with its number")
+    ]
     for frame, point in zip(scan.frames, (tiny.points[0], TURNED_POINT), strict=True):
         assert frame.color.stem == frame.depth.stem
         np.testing.assert_allclose(tiny.seen(frame), point, atol=1e-6)

@@ -52,11 +52,11 @@ def test_the_places_of_the_car_are_no_poses_and_that_is_told(scan_folder):
     (scan_folder / "poses.txt").unlink()
     (scan_folder / "insdata.txt").write_text("1.0 49.01 8.43 112 0 0 0 0.01 0.02 1.5\n" * 2)
     (lacking,) = read_scan(scan_folder, complete=False).missing
-    assert "insdata.txt has the places of the car" in str(lacking)
+    assert "insdata.txt has positions of the car" in str(lacking)
     assert "scan.poses=FILE" in str(lacking)
 
 
 def test_a_damaged_projection(scan_folder):
     (scan_folder / "calib.txt").write_text(CALIB.replace("-50", "fifty"))
-    with pytest.raises(InputError, match="P2_roi is not 12 numbers"):
+    with pytest.raises(InputError, match="P2_roi must be 12 finite numbers"):
         read_scan(scan_folder)

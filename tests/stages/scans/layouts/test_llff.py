@@ -64,7 +64,9 @@ def test_masks_beside_the_photos(scan_folder):
 def test_rows_that_are_no_views(scan_folder):
     file = scan_folder / "poses_bounds.npy"
     np.save(file, np.zeros((2, 16)))
-    with pytest.raises(InputError, match=r"rows of 17 numbers are expected; this is \(2, 16\)"):
+    with pytest.raises(
+        InputError, match=r"rows of 17 numbers are expected, but the array has shape \(2, 16\)"
+    ):
         read_scan(scan_folder)
     np.save(file, np.zeros((3, 17)))
     with pytest.raises(InputError, match="it holds 3 rows, but the scan has 2 frames"):

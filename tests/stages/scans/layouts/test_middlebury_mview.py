@@ -83,10 +83,10 @@ def test_stated_values_win(scan_folder, tiny):
     ("text", "message"),
     [
         ("", "no images"),
-        (PAR.replace("2\n", "3\n", 1), "promises 3 images and lists 2"),
+        (PAR.replace("2\n", "3\n", 1), "states 3 images but lists 2"),
         (PAR[:-20], "line 3 .*21 numbers"),
         (PAR.replace(" -1\n", " x\n"), "line 3 .*21 numbers"),
-        (PAR.replace("100 0 16", "100 5 16", 1), "sheared"),
+        (PAR.replace("100 0 16", "100 5 16", 1), "skew"),
         (PAR.replace("100 0 16", "-100 0 16", 1), "focal length"),
         (PAR.replace("100 0 16", "nan 0 16", 1), "not finite"),
         (PAR.replace("1 0 0 0 1 0 0 0 1 0 0 0", "1 0 0 0 1 0 0 0 -1 0 0 0", 1), "mirrors"),
@@ -102,7 +102,7 @@ def test_damaged_camera_files_are_told(scan_folder, text, message):
 
 def test_two_camera_files_are_one_too_many(scan_folder):
     (scan_folder / "b_par.txt").write_text(PAR)
-    with pytest.raises(InputError, match="there are 2"):
+    with pytest.raises(InputError, match="the folder has 2"):
         read_scan(scan_folder)
 
 

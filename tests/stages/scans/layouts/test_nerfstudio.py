@@ -117,7 +117,7 @@ def test_a_camera_half_given_is_refused(scan_folder, tiny, everywhere):
     value = content["fl_x"] if everywhere else content.pop("fl_x")
     content["frames"][1]["fl_x"] = value
     write(scan_folder, content)
-    with pytest.raises(InputError, match=r"transforms\.json: fl_x is given by frame 10"):
+    with pytest.raises(InputError, match=r"transforms\.json: frame 10 states fl_x"):
         read_scan(scan_folder)
 
 
@@ -192,9 +192,9 @@ def test_distortion_has_opencvs_order(scan_folder, tiny):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"camera_model": "FISHEYE624"}, "camera_model 'FISHEYE624' is neither a pinhole camera's"),
-        ({"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' is neither .* Rectify the images"),
-        ({"camera_model": ["OPENCV"]}, "is neither a pinhole camera's"),
+        ({"camera_model": "FISHEYE624"}, "unsupported camera_model 'FISHEYE624'"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR': .* Undistort the images"),
+        ({"camera_model": ["OPENCV"]}, "unsupported camera_model"),
         ({"k4": 0.1}, "k4 is not 0"),
         ({"fl_x": "wide"}, "fl_x is 'wide'"),
         ({"fl_x": -5}, "both must be positive"),
@@ -202,13 +202,13 @@ def test_distortion_has_opencvs_order(scan_folder, tiny):
         ({"fl_x": None, "fl_y": None}, "no focal length"),
         ({"w": 10.5}, "whole number"),
         ({"w": 10**400}, "w is '1000"),
-        ({"h": 72, "cy": 30}, "not the shape of the camera's 128×72"),
+        ({"h": 72, "cy": 30}, "another aspect ratio \\(128×72\\)"),
         ({"applied_scale": 0}, "applied_scale"),
         ({"applied_transform": np.diag((1.0, 1, -1, 1)).tolist()}, "applied_transform.*mirrors"),
         ({"applied_transform": None}, "applied_transform is not a 4x4"),
         ({"integer_depth_scale": 0}, "integer_depth_scale is 0"),
         ({"frames": []}, "no list of frames"),
-        ({"frames": [1]}, "frame 0 is not a table"),
+        ({"frames": [1]}, "frame 0 is not an object"),
         ({"frames": [{"file_path": "a.png", "depth_file_path": "../b.png"}]}, "not a path inside the folder"),
         ({"frames": [{"file_path": "/a.png", "depth_file_path": "b.png"}]}, "not a path inside the folder"),
         ({"frames": [{"file_path": "a.png", "depth_file_path": ""}]}, "not a path inside the folder"),
@@ -310,7 +310,7 @@ def test_single_views_each_of_its_size(scan_folder, tiny):
     tiny.color(scan_folder / "images" / "2.png", (100, 30))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10"]
-    assert "not the shape of the camera's" in scan.skipped[0].reason
+    assert "the camera has another aspect ratio" in scan.skipped[0].reason
 
 
 @pytest.mark.parametrize("with_depth", [True, False])
@@ -352,7 +352,9 @@ def test_frames_without_depth_are_left_out(scan_folder, tiny):
     write(scan_folder, content)
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10"]
-    assert [(one.name, one.reason) for one in scan.skipped] == [("2", "it has no depth_file_path")]
+    assert [(one.name, one.reason) for one in scan.skipped] == [
+        ("2", "it has no depth_file_path or depth_path")
+    ]
 
 
 def test_a_frame_whose_pose_is_lost_is_left_out(scan_folder, tiny):
@@ -391,10 +393,8 @@ def test_paths_of_another_computer_are_found_by_their_names(scan_folder, tiny, m
         entry["depth_file_path"] = f"/home/me/scan/depth/{number}.png"
     write(scan_folder, content)
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
-    (said,) = [
-        text for text in map(str, read_scan(scan_folder).diagnostics) if "found by their names" in text
-    ]
-    assert said.startswith("the paths of 2 images in transforms.json lead elsewhere")
+    (said,) = [text for text in map(str, read_scan(scan_folder).diagnostics) if "found by name" in text]
+    assert said.startswith("2 image paths in transforms.json point outside the scan")
     assert said.endswith("(images/2.png)")
 
 
@@ -438,13 +438,14 @@ def test_photos_of_nearly_the_size_of_their_camera_are_told(scan_folder, tiny):
     for entry in content["frames"]:
         del entry["depth_file_path"]
     write(scan_folder, content)
-    assert not any("straightened" in text for text in map(str, read_scan(scan_folder).diagnostics))
+    assert not any("undistorted images" in text for text in map(str, read_scan(scan_folder).diagnostics))
     write(scan_folder, content | {"w": 124.0, "h": 93.0})
-    (told,) = [text for text in map(str, read_scan(scan_folder).diagnostics) if "straightened" in text]
+    (told,) = [text for text in map(str, read_scan(scan_folder).diagnostics) if "undistorted images" in text]
     said = (
-        f"{scan_folder / 'images' / '2.png'}: it is 128×96 and its camera 124×93: such cameras are of images"
+        f"{scan_folder / 'images' / '2.png'}: the image is 128×96 but its camera 124×93: "
+        "such cameras usually belong to undistorted images"
     )
     assert told.startswith(said)
-    assert told.endswith("it is scaled (and 1 more files)")
+    assert told.endswith("The camera is scaled (and 1 more files)")
     write(scan_folder, content | {"w": 64 * FACTOR, "h": 48 * FACTOR})
-    assert not any("straightened" in text for text in map(str, read_scan(scan_folder).diagnostics))
+    assert not any("undistorted images" in text for text in map(str, read_scan(scan_folder).diagnostics))

@@ -64,7 +64,7 @@ def test_known_points_with_a_trajectory_of_ones_own(scan_folder, tiny):
 
 
 def test_poses_are_said_to_be_missing(scan_folder):
-    with pytest.raises(InputError, match=r"no poses: the data set has none.*scan\.poses"):
+    with pytest.raises(InputError, match=r"no poses: the data set contains no poses.*scan\.poses"):
         read_scan(scan_folder)
 
 
@@ -91,7 +91,7 @@ def test_one_stream_alone_is_no_scan(scan_folder):
         (scan_folder / name).unlink()
     with pytest.raises(InputError, match="unknown layout"):
         read_scan(scan_folder)
-    with pytest.raises(InputError, match=r"d-.*\.pgm and r-.*\.ppm are needed"):
+    with pytest.raises(InputError, match=r"d-.*\.pgm and r-.*\.ppm are required"):
         read_scan(scan_folder, ScanParams(layout="nyu"))
 
 

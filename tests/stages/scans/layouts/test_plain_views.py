@@ -38,7 +38,7 @@ def rows(xs):
 def test_poses_in_the_order_of_the_photos(photos):
     (photos / "where.txt").write_text(rows((1, 2, 3)))
     layout, why = recognise(photos)
-    assert (layout.name, why) == ("plain-views", "images/ and where.txt, a pose for each")
+    assert (layout.name, why) == ("plain-views", "images/ and where.txt, one pose per image")
     scan = read_scan(photos)
     assert scan.is_views
     assert scan.is_metric
@@ -59,7 +59,7 @@ def test_poses_by_the_names_of_photos_and_one_without(photos):
     scan = read_scan(photos)
     assert places(scan) == [1, 3]
     assert [(one.name, one.reason) for one in scan.skipped] == [
-        ("frame_000012", "it has no pose in poses.json")
+        ("frame_000012", "poses.json has no pose for it")
     ]
 
 
@@ -87,7 +87,7 @@ def test_what_is_lacking_is_told(photos):
     assert places(read_scan(photos, ScanParams(poses=str(elsewhere)))) == [1, 2, 3]
     (photos / "lens.json").unlink()
     given = ScanParams(poses=str(elsewhere))
-    with pytest.raises(InputError, match="no calibration: no file beside the images states their camera"):
+    with pytest.raises(InputError, match="no calibration: no file in the scan folder states the camera"):
         read_scan(photos, given)
     assert read_scan(photos, given, complete=False).missing
     assert (
@@ -101,7 +101,8 @@ def test_of_two_trajectories_none_is_taken(photos):
     (photos / "two.txt").write_text(rows((4, 5, 6)))
     scan = read_scan(photos, complete=False)
     assert any(
-        "one.txt, two.txt all have poses for the images" in said for said in map(str, scan.diagnostics)
+        "several files have poses for the images: one.txt, two.txt" in said
+        for said in map(str, scan.diagnostics)
     )
     assert scan.missing[0].code == "pose.missing"
     assert places(read_scan(photos, ScanParams(poses="two.txt"))) == [4, 5, 6]

@@ -107,7 +107,7 @@ def test_unequal_counts_without_common_numbers_stop(scan_folder, tiny):
     for path in (scan_folder / "color").iterdir():
         path.rename(path.with_name(f"9{path.name}"))
     tiny.color(scan_folder / "color" / "95.jpg")
-    with pytest.raises(InputError, match="2 images and color/ 3"):
+    with pytest.raises(InputError, match="2 images and color/ has 3"):
         read_scan(scan_folder)
 
 
@@ -196,7 +196,7 @@ def test_images_that_share_no_numbers_are_paired_in_order_and_told(scan_folder, 
     assert [(f.color.name, f.depth.name) for f in scan.frames] == [("a.jpg", "2.png"), ("b.jpg", "10.png")]
     assert any("depth/ and color/ share no numbers" in text for text in map(str, scan.diagnostics))
     tiny.color(scan_folder / "color" / "c.jpg")
-    with pytest.raises(InputError, match="2 images and color/ 3"):
+    with pytest.raises(InputError, match="2 images and color/ has 3"):
         read_scan(scan_folder)
 
 
@@ -294,7 +294,7 @@ def test_confidence_beside_depth_leaves_out_the_lowest(scan_folder, levels, leas
     assert [frame.least_confidence for frame in scan.frames] == [least] * len(names)
     depth = read_depth(scan.frames[0])
     assert (depth[5, 5] == 0, depth[5, 6] > 0) == (True, True)
-    assert any(f"depth of confidence {least} and more" in text for text in map(str, scan.diagnostics))
+    assert any(f"depth of confidence {least} or higher" in text for text in map(str, scan.diagnostics))
     best = read_depth(read_scan(scan_folder, ScanParams(least_confidence=levels[2])).frames[0])
     assert best[5, 6] == 0
 
@@ -307,7 +307,7 @@ def test_confidence_without_levels_is_asked_about(scan_folder):
         assert cv2.imwrite(str(scan_folder / "confidence" / name), trust)
     scan = read_scan(scan_folder)
     assert scan.frames[0].confidence is None
-    assert any("0 to 255: scan.least_confidence=VALUE" in text for text in map(str, scan.diagnostics))
+    assert any("0 to 255: set scan.least_confidence=VALUE" in text for text in map(str, scan.diagnostics))
     asked = read_scan(scan_folder, ScanParams(least_confidence=200))
     assert read_depth(asked.frames[0])[0, 10] == 0
 
@@ -328,7 +328,7 @@ def test_poses_beside_the_images_are_found_under_any_name(scan_folder, tiny, nam
     (scan_folder / "notes.txt").write_text("we walked around\n")
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
     warnings = [str(one) for one in read_scan(scan_folder).diagnostics]
-    assert warnings == [f"the poses are read from {name}, which lies beside the images"]
+    assert warnings == [f"the poses are read from {name}, which was found in the scan folder"]
     # Two files, or one of another count: nobody knows which is meant.
     (scan_folder / "other.txt").write_text("0 0 0 0 0 0 1\n" * 2)
     assert read_scan(scan_folder, complete=False).missing
@@ -344,7 +344,7 @@ def test_camera_and_poses_as_arrays_beside_the_images(scan_folder, tiny):
     np.save(scan_folder / "poses.npy", np.stack([tiny.identity, tiny.second]))
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
     assert [str(one) for one in read_scan(scan_folder).diagnostics] == [
-        "the poses are read from poses.npy, which lies beside the images",
+        "the poses are read from poses.npy, which was found in the scan folder",
         "the camera is read from K.npy, which lies beside the images",
     ]
     # An array of something else is no camera, and nothing is said of it.

@@ -110,7 +110,7 @@ def test_a_missing_pose_or_colour_skips_its_frame_only(scan_folder, tiny):
     assert [frame.name for frame in scan.frames] == ["10"]
     assert {one.name: one.reason for one in scan.skipped} == {
         "2": "pose/2.txt is missing",
-        "11": "color/ has no image of this number",
+        "11": "color/ has no image with this number",
     }
 
 

@@ -24,7 +24,10 @@ def test_the_published_calibration_at_a_third_of_the_size(scan_folder, tiny):
     disparity = 3740 / 3 * 0.16 / 2.0 - 240 / 3
     np.testing.assert_allclose(left - right, (disparity, 0), atol=1e-9)
     np.testing.assert_allclose(left, (229.5 + 3740 / 30, 184.5 + 3740 / 60))
-    assert any("published for Middlebury" in t and "scan.intrinsics" in t for t in map(str, scan.diagnostics))
+    assert any(
+        "published calibration of Middlebury" in t and "scan.intrinsics" in t
+        for t in map(str, scan.diagnostics)
+    )
     assert any("single frame without a pose" in t for t in map(str, scan.diagnostics))
 
 
@@ -54,7 +57,7 @@ def test_without_dmin_or_of_another_size_the_calibration_is_asked_for(scan_folde
 @pytest.mark.parametrize("text", ["", "nan", "1 2", "1e9", "x"])
 def test_a_damaged_dmin_is_told(scan_folder, text):
     (scan_folder / "dmin.txt").write_text(text)
-    with pytest.raises(InputError, match=r"dmin\.txt: one number"):
+    with pytest.raises(InputError, match=r"dmin\.txt: the file must contain one number"):
         read_scan(scan_folder)
 
 

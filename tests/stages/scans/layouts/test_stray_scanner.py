@@ -96,12 +96,14 @@ def test_depth_of_little_confidence_is_left_out(scan_folder, least, kept):
     scan = read_scan(scan_folder, ScanParams(least_confidence=least))
     assert read_depth(scan.frames[0])[3, 4:7].tolist() == kept
     assert any(
-        f"confidence {1 if least is None else least} and more" in text for text in map(str, scan.diagnostics)
+        f"confidence {1 if least is None else least} or higher" in text for text in map(str, scan.diagnostics)
     )
 
 
 def test_more_confidence_than_there_is_would_leave_nothing(scan_folder):
-    with pytest.raises(InputError, match="least_confidence is 255, but this layout knows 0, 1, 2"):
+    with pytest.raises(
+        InputError, match="least_confidence is 255, but this layout has only the levels 0, 1, 2"
+    ):
         read_scan(scan_folder, ScanParams(least_confidence=255))
 
 
@@ -109,7 +111,7 @@ def test_rows_beyond_the_video_are_left_out(scan_folder, tiny):
     write_video(scan_folder / "rgb.mp4", [tiny.dotted(FACTOR)])
     scan = read_scan(scan_folder)
     assert [(one.name, one.reason) for one in scan.skipped] == [("000001", "the video has only 1 frames")]
-    assert any("1 frames and odometry.csv 2 rows" in text for text in map(str, scan.diagnostics))
+    assert any("1 frames but odometry.csv has 2 rows" in text for text in map(str, scan.diagnostics))
 
 
 def test_a_row_without_depth_is_left_out(scan_folder):
@@ -120,13 +122,13 @@ def test_a_row_without_depth_is_left_out(scan_folder):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "no column x, y, z"),
-        (HEADER, "holds no poses"),
-        ("timestamp, frame, x, y, z, qx, qy, qz\n1,2,3,4,5,6,7,8\n", "no column qw"),
-        (HEADER + "10.5, 0, 0, 0, 0, 0, 0\n", "line 2 does not hold 9 numbers"),
-        (HEADER + ROWS + "10.7, 2, here, 0, 0, 0, 0, 0, 1\n", "line 4 does not hold 9 numbers"),
+        ("", "column x, y, z"),
+        (HEADER, "has no poses"),
+        ("timestamp, frame, x, y, z, qx, qy, qz\n1,2,3,4,5,6,7,8\n", "column qw is missing"),
+        (HEADER + "10.5, 0, 0, 0, 0, 0, 0\n", "line 2 does not have 9 numbers"),
+        (HEADER + ROWS + "10.7, 2, here, 0, 0, 0, 0, 0, 1\n", "line 4 does not have 9 numbers"),
         (HEADER + "10.5, 0, 0, 0, 0, 0, 0, 0, 9\n", "line 2: the quaternion has length 9"),
-        (HEADER + "10.5, nan, 0, 0, 0, 0, 0, 0, 1\n", "line 2: the frame number"),
+        (HEADER + "10.5, nan, 0, 0, 0, 0, 0, 0, 1\n", "line 2: invalid frame number"),
         (HEADER + "nan, 0, 0, 0, 0, 0, 0, 0, 1\n", "line 2: the time"),
         (HEADER + "1, 0, inf, 0, 0, 0, 0, 0, 1\n", "line 2: the pose holds a value that is not finite"),
     ],
@@ -155,13 +157,13 @@ def test_without_its_video_the_reason_is_said(scan_folder):
 def test_without_depth_the_reason_is_said(scan_folder):
     for file in (scan_folder / "depth").iterdir():
         file.unlink()
-    with pytest.raises(InputError, match=r"views of this layout alone cannot be read yet"):
+    with pytest.raises(InputError, match=r"this layout requires depth"):
         read_scan(scan_folder)
 
 
 def test_a_video_of_another_shape_is_refused(scan_folder, tiny):
     write_video(scan_folder / "rgb.mp4", [np.rot90(tiny.dotted(FACTOR)).copy()] * 2)
-    with pytest.raises(InputError, match="turned by 90°"):
+    with pytest.raises(InputError, match="rotated by 90°"):
         read_scan(scan_folder)
 
 
@@ -206,8 +208,8 @@ def test_the_poses_of_the_phone_tell_it_better(scan_folder):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("time, ax, ay, az\n1, 2, 3, 4\n", "names no column timestamp, a_x, a_y, a_z"),
-        (readings(0, -1, 0) + "10.7, 0.0, -1", "1 of 21 lines are no readings"),
+        ("time, ax, ay, az\n1, 2, 3, 4\n", "the column timestamp, a_x, a_y, a_z is missing"),
+        (readings(0, -1, 0) + "10.7, 0.0, -1", "1 of 21 lines are not valid readings"),
         (readings(0, -0.3, 0), "which is not gravity: it is not used"),
     ],
 )

@@ -56,14 +56,14 @@ def test_plain_values_are_told_and_read(scan_folder):
     cv2.imwrite(str(scan_folder / "depth" / "0001170-000039188214.png"), millimetres)
     scan = read_scan(scan_folder)
     np.testing.assert_allclose(read_depth(scan.frames[0])[0, :3], (1.0, 1.001, 1.002))
-    assert any("not rotated" in text for text in map(str, scan.diagnostics))
+    assert any("not stored with rotated bits" in text for text in map(str, scan.diagnostics))
 
 
 def test_a_sequence_without_poses_says_so(scan_folder, tiny):
     tiny.color(scan_folder / "image" / "0001171-000039216598.jpg")
     write_rotated(scan_folder / "depth" / "0001171-000039221582.png", 2000)
     (scan_folder / "extrinsics" / "20150118235401.txt").unlink()
-    with pytest.raises(InputError, match=r"no poses: a file of them in extrinsics/"):
+    with pytest.raises(InputError, match=r"no poses: extrinsics/ has no pose file"):
         read_scan(scan_folder)
 
 

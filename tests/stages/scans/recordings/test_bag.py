@@ -17,11 +17,11 @@ from scanloom.stages.scans.read import read_scan
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"", "no ROS bag"),
-        (b"a shopping bag\n" * 9, "no ROS bag"),
+        (b"", "not a ROS bag"),
+        (b"a shopping bag\n" * 9, "not a ROS bag"),
         (b"#ROSBAG V1.2\n" + bytes(99), "another version"),
-        (b"#ROSBAG V2.0\n", "not one message"),
-        (b"#ROSBAG V2.0\n" + b"\xff" * 99, "not one message.*byte 13 of 112"),
+        (b"#ROSBAG V2.0\n", "no message in the recording is readable"),
+        (b"#ROSBAG V2.0\n" + b"\xff" * 99, "no message in the recording is readable.*byte 13 of 112"),
     ],
 )
 def test_files_that_are_no_bag(tmp_path, data, words):

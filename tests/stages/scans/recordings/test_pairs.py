@@ -97,7 +97,7 @@ def test_a_baseline_that_only_the_tree_of_frames_says(tmp_path):
 
 def test_a_baseline_that_nothing_says(tmp_path):
     file = pair(tmp_path, {}, {})
-    with pytest.raises(InputError, match=r"how far apart /cam/left/.* scan\.baseline"):
+    with pytest.raises(InputError, match=r"the baseline between /cam/left/.* scan\.baseline"):
         read_scan(file, complete=False)
     rig = read_scan(file, ScanParams(baseline=0.07), complete=False).rig
     np.testing.assert_allclose(rig.right_from_left[:3, 3], (-0.07, 0, 0))
@@ -105,7 +105,7 @@ def test_a_baseline_that_nothing_says(tmp_path):
 
 def test_what_is_stated_wins(tmp_path):
     file = pair(tmp_path, {"intrinsics": None}, {"intrinsics": None})
-    with pytest.raises(InputError, match=r"no /cam/left/camera_info.*scan\.intrinsics"):
+    with pytest.raises(InputError, match=r"the topic /cam/left/camera_info.*scan\.intrinsics"):
         read_scan(file, complete=False)
     rig = read_scan(file, ScanParams(intrinsics="80,81,15,11", baseline=0.07), complete=False).rig
     assert (rig.left.fx, rig.right.fy, rig.baseline, rig.rectified) == (80, 81, 0.07, True)

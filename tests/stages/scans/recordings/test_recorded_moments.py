@@ -31,7 +31,7 @@ def test_images_of_one_moment_are_paired_whatever_was_dropped(tmp_path):
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     seen = [(round(10 * read_depth(one)[9, 9] - 10), read_color(one)[0, 0, 0] // 10) for one in scan.frames]
     assert seen == [(0, 0), (1, 1), (2, 2), (5, 5)]
-    assert [text for text in doubts(scan) if "4 of 5 depth maps and of 5 colour images" in text]
+    assert [text for text in doubts(scan) if "4 of 5 depth maps and 5 colour images" in text]
 
 
 def test_streams_of_other_rates(tmp_path):

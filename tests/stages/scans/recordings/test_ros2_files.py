@@ -91,7 +91,12 @@ def test_messages_that_stand_in_no_chunk(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "words"), [(b"", "no MCAP file"), (b"\x89MCAP0\r\n", "not one message"), (b"x" * 99, "no MCAP")]
+    ("data", "words"),
+    [
+        (b"", "not an MCAP file"),
+        (b"\x89MCAP0\r\n", "no message in the recording is readable"),
+        (b"x" * 99, "not an MCAP"),
+    ],
 )
 def test_files_that_are_no_mcap(tmp_path, data, words):
     (tmp_path / "take.mcap").write_bytes(data)

@@ -107,8 +107,8 @@ def test_a_trajectory_that_is_named_wins(drive):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("calib_imu_to_velo.txt", "no poses: oxts/data/ is there, but calib_imu_to_velo"),
-        ("calib_velo_to_cam.txt", "no poses: oxts/data/ is there, but calib_velo_to_cam"),
+        ("calib_imu_to_velo.txt", "no poses: oxts/data/ exists, but calib_imu_to_velo"),
+        ("calib_velo_to_cam.txt", "no poses: oxts/data/ exists, but calib_velo_to_cam"),
     ],
 )
 def test_calibrations_that_are_missing(drive, name, words):
@@ -120,7 +120,7 @@ def test_calibrations_that_are_missing(drive, name, words):
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("../calib_imu_to_velo.txt", "R: 1 0\nT: 0 0 0\n", "R is not 9 numbers"),
+        ("../calib_imu_to_velo.txt", "R: 1 0\nT: 0 0 0\n", "R must be 9 numbers"),
         ("../calib_imu_to_velo.txt", "T: 0 0 0\n", "rows `R"),
         ("../calib_velo_to_cam.txt", UNIT.replace("R: 1", "R: 2"), "not a rotation"),
         ("../calib_velo_to_cam.txt", UNIT.replace("-1 0 -0.5", "nan nan nan"), "not finite"),

@@ -112,7 +112,7 @@ def test_no_calibration(scan_folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("P0: 1 2 3\n", r"line 1 \(P0\) is not 12 numbers"),
+        ("P0: 1 2 3\n", r"line 1 \(P0\) must be 12 finite numbers"),
         ("P0: 100 0 16 0 0 100 12 0 0 0 1 0\n", "no two projection matrices"),
         (CALIB.replace("-50", "50"), "not right of the first"),
         (CALIB.replace("P1: 100", "P1: 0"), "focal length"),

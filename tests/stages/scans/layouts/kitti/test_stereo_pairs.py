@@ -39,12 +39,12 @@ def test_a_scene_has_its_own_calibration(scan_folder, tiny, position, name, base
 
 
 def test_scenes_are_not_mixed(scan_folder):
-    with pytest.raises(InputError, match=r"2 scenes.*000000_10 with scan\.first=0 and scan\.last=0"):
+    with pytest.raises(InputError, match=r"2 scenes.*000000_10, set scan\.first=0 and scan\.last=0"):
         read_scan(scan_folder)
 
 
 def test_the_two_moments_of_a_scene_lack_poses(scan_folder):
-    with pytest.raises(InputError, match="no poses: the data set has none"):
+    with pytest.raises(InputError, match="no poses: the data set contains no poses"):
         read_scan(scan_folder, ScanParams(first=2, last=3))
 
 
@@ -69,12 +69,12 @@ def test_the_older_set_names_its_folders_otherwise(scan_folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (calib(0.5).replace("32 24", "32000000 24"), "S_rect is no size of images"),
+        (calib(0.5).replace("32 24", "32000000 24"), "S_rect is not a valid image size"),
         (None, "calib_cam_to_cam/000000.txt is missing"),
-        ("", "no projection matrices 2 and 3"),
-        ("P_rect_02: 1 2\n", "not 12 numbers"),
+        ("", "projection matrices P2 and P3 are missing"),
+        ("P_rect_02: 1 2\n", "must be 12 finite numbers"),
         (calib(-0.5), "not right of the first"),
-        (calib(0.5).replace("32 24", "1e400 24"), "S_rect is not two numbers"),
+        (calib(0.5).replace("32 24", "1e400 24"), "S_rect must be two numbers"),
     ],
 )
 def test_wrong_calibrations_are_told(scan_folder, text, message):

@@ -84,7 +84,8 @@ def test_a_unit_that_nothing_joins_to_the_camera_is_told(tmp_path):
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     assert scan.frames[0].up is None
     assert any(
-        "how /imu stands to the camera is not in the recording" in text for text in map(str, scan.diagnostics)
+        "the recording does not contain the orientation of /imu relative to the camera" in text
+        for text in map(str, scan.diagnostics)
     )
 
 

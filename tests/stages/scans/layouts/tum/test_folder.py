@@ -62,7 +62,7 @@ def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
     (scan_folder / "groundtruth.txt").write_text("\n".join(lines[:3]))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["10.000000"]
-    assert any(one.reason.startswith("no pose within") for one in scan.skipped)
+    assert any(one.reason.startswith("the trajectory has no pose within") for one in scan.skipped)
 
 
 def test_an_excerpt_may_keep_the_lists_of_the_whole(scan_folder):
@@ -76,7 +76,10 @@ def test_a_folder_of_another_name_is_found_and_told(scan_folder, tiny):
     (scan_folder / "depth").rename(scan_folder / "depths")
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
-    assert any("no folder depth/, but depths/ has" in text for text in map(str, scan.diagnostics))
+    assert any(
+        "folder depth/ does not exist: the listed images are read from depths/" in text
+        for text in map(str, scan.diagnostics)
+    )
 
 
 def test_two_folders_that_could_be_meant_are_not_guessed_at(scan_folder, tiny):
@@ -121,7 +124,7 @@ def test_what_the_lists_say_counts_and_not_the_folders_name(scan_folder):
     rgb.write_text("# color images\n# file: 'rgbd_dataset_freiburg1_xyz.bag'\n" + listed)
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.distortion == FREIBURG_1
-    assert "the camera is freiburg1's, by the name of the recording in its lists" in map(
+    assert "the camera of freiburg1 is used, according to the recording name in the file lists" in map(
         str, scan.diagnostics
     )
     rgb.write_text("# color images\n# file: 'lab.bag'\n" + listed)
@@ -133,7 +136,9 @@ def test_a_stranger_in_a_folder_of_the_data_sets_name(scan_folder, name):
     scan = read_scan(scan_folder.rename(scan_folder.with_name(name)))
     assert scan.frames[0].camera.fx == 26.25
     assert scan.up is None
-    assert any("its lens is not taken from the name" in text for text in map(str, scan.diagnostics))
+    assert any(
+        "the lens distortion of the data set is not applied" in text for text in map(str, scan.diagnostics)
+    )
 
 
 def test_settings_of_orb_slam_beside_the_images(scan_folder, tiny):
@@ -209,7 +214,7 @@ def test_poses_beside_images_that_are_only_counted(scan_folder, tiny):
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
     (said,) = (text for text in map(str, scan.diagnostics) if "truth_cam_poses.txt" in text)
-    assert "which lies beside the images; the images' times only count them" in said
+    assert "which was found in the scan folder. The image timestamps only count frames" in said
     assert scan.missing == ()
 
 
@@ -243,7 +248,7 @@ def test_without_lists_the_names_are_the_times(scan_folder, tiny):
     assert scan.layout == "tum"
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
     assert [one.name for one in scan.skipped] == ["11.000000"]
-    assert any("times in their names" in text for text in map(str, scan.diagnostics))
+    assert any("timestamps in their names" in text for text in map(str, scan.diagnostics))
 
 
 def test_associations_stand_in_for_the_lists(scan_folder, tiny):
@@ -344,10 +349,12 @@ def test_a_recording_without_depth_is_views_of_its_own_camera(scan_folder):
     scan = read_scan(without_depth(scan_folder))
     assert (scan.layout, [one.depth for one in scan.frames]) == ("tum", [None, None])
     assert [one.name for one in scan.frames] == ["10.000000", "10.500000"]
-    assert [(one.name, one.reason) for one in scan.skipped] == [("11.000000", "no pose within 0.02 s")]
+    assert [(one.name, one.reason) for one in scan.skipped] == [
+        ("11.000000", "the trajectory has no pose within 0.02 s")
+    ]
     # Of 640x480 pixels to the 32x24 of the images.
     assert scan.frames[0].camera.fx == pytest.approx(535.4 / 20)
-    assert "the camera is freiburg3's, by the folder's name" in map(str, scan.diagnostics)
+    assert "the camera of freiburg3 is used, according to the folder name" in map(str, scan.diagnostics)
     np.testing.assert_allclose(scan.frames[1].world_from_camera[:3, 3], (1, 2, 2), atol=1e-9)
     assert scan.up is not None
     (scan_folder / "groundtruth.txt").unlink()
@@ -374,6 +381,6 @@ def test_real_photos_of_a_recording_without_their_depth(shared_data, tmp_path):
         (tmp_path / name).symlink_to(real / name)
     scan = read_scan(tmp_path)
     assert (len(scan.frames), scan.frames[0].camera.fx) == (24, 517.3)
-    assert "the camera is freiburg1's, by the name of the recording in its lists" in map(
+    assert "the camera of freiburg1 is used, according to the recording name in the file lists" in map(
         str, scan.diagnostics
     )
