@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of fusion, with explanations."""
+"""Diagnostic codes of fusion, with explanations."""
 
 from __future__ import annotations
 

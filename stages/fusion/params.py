@@ -1,4 +1,4 @@
-"""How frames are fused."""
+"""Parameters of fusion."""
 
 from __future__ import annotations
 
