@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of depth from pairs and views, with explanations."""
+"""Diagnostic codes of depth from pairs and views, with explanations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth maps that a scan has already, filled in by a network of single images."""
+"""Completion of existing depth maps with a monocular network."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 1
 
-# Depth is kept in whole steps of 16 bits: millimetres, or those of the scan's own files if they are finer.
+# Depth files have 16-bit steps: 1 mm, or the scan's own unit if it is finer.
 _STEPS = np.iinfo(np.uint16).max
 _COARSEST = 1000
 
@@ -44,23 +44,27 @@ def completed_scan(
     progress: Progress = silent,
     **changes: Unpack[DepthKeywords],
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
-    """Fill in the depth maps of a scan by a network of single images, in the order of its frames.
+    """Fill missing depth of a scan with a monocular network.
 
-    Measured depth stays as it is, with a confidence of 255; what is filled in has 1. Frames keep their
-    photos, poses and cameras, without lens distortion.
+    Measured depth is unchanged and has a confidence of 255; filled depth has 1. Frames keep their photos,
+    poses and cameras, without lens distortion.
 
     Parameters
     ----------
     scan : with depth and colour.
-    params, changes : of the depth stage; `model` must be given.
+    params, changes : parameters of the depth stage; `model` is required.
     progress : called after each frame.
+
+    Returns
+    -------
+    Iterator over the frames in order, each with its depth map or the reason why it was skipped.
 
     Raises
     ------
     InputError
         If the network cannot be run, or more than `max_skipped` of the frames cannot be used.
     UsageError
-        If the network is one of pairs, or none is named.
+        If no network is given, or it is a stereo network.
     """
     params = resolve(DepthParams, params, changes)
     network = network_of(params)
@@ -138,7 +142,7 @@ def _completed_frame(
     whole = replace(whole, diagnostics=tuple(diagnostics))
     mask = None
     if seen is not None:
-        # Where the image shows nothing of the scene there is nothing to fill in.
+        # Masked pixels are not filled.
         inside = np.where(seen, whole.depth, np.float32(0))
         whole = replace(whole, depth=inside, filled=(inside > 0) & (measured.depth == 0))
         mask = 255 * seen.astype(np.uint8)

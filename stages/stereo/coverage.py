@@ -1,4 +1,7 @@
-"""Depth coverage of views: pixels lost at each step, and warnings if little is left."""
+"""Depth coverage of views, with warnings if little is left.
+
+The report counts the pixels lost at each step.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +11,28 @@ from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE, DEPTH_SCENE_INCOMPLETE
 from scanloom.stages.stereo.params import SWEEP, DepthParams
 
-# Depth is little if it covers less than this share of a thing whose outline is known, or of whole images,
-# much of which may lie where no partner looks.
+# Minimum depth coverage: of an object with known outline, and of whole images, where much may be outside of
+# every partner's view.
 _OF_A_THING = 0.5
 _OF_AN_IMAGE = 0.15
-# A step is named if it took at least this share.
+# Minimum ratio of pixels that a step must have removed to be named in the warning.
 _MUCH = 0.1
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Pixels of one view, or of several.
+    """Pixel counts of one view or of several.
 
     Attributes
     ----------
-    all, shown : all, and those that show the scene: not masked out, nor a backdrop.
-    plain : those of them without texture all around, which are taken for background.
-    matched : those of the others that were measured with some partner.
-    kept : those of them that enough other views agree with.
-    filled : those that no view measured, and that lie on the hull of the silhouettes.
-    planar : those that no view measured, and that lie on planes of what is measured around.
-    outlined : pixels of views whose scene is told from the rest by a mask or a backdrop.
+    all : all pixels.
+    shown : pixels of the scene: neither masked out nor backdrop.
+    plain : `shown` pixels without texture, treated as background.
+    matched : remaining `shown` pixels with depth from any partner.
+    kept : `matched` pixels that enough other views agree with.
+    filled : pixels filled from the visual hull.
+    planar : pixels filled from planes.
+    outlined : pixels of views in which a mask or a backdrop separates the object.
     """
 
     all: int = 0
@@ -41,7 +45,7 @@ class Counts:
     outlined: int = 0
 
     def __add__(self, other: Counts) -> Counts:
-        """Return the sum."""
+        """Return the sum of both counts."""
         return Counts(
             self.all + other.all,
             self.shown + other.shown,
@@ -55,7 +59,7 @@ class Counts:
 
 
 def report_coverage(counts: Counts, params: DepthParams) -> None:
-    """Warn if the depth of a scan's views covers little, or if much of it was not measured."""
+    """Warn if depth covers little, or if much of it was filled."""
     _report_low_coverage(counts, params)
     share = _share_of_depth(counts.filled, counts)
     if share >= _MUCH:

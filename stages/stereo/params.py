@@ -1,4 +1,4 @@
-"""How the depth stage matches pairs and views, and what it keeps."""
+"""Parameters of the depth stage."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import check, find_changed, param
 from scanloom.stages.stereo.matching import LARGEST_DISPARITY
 
-# How views are measured.
+# Methods for single views.
 SWEEP, PAIRS = "sweep", "pairs"
-# Our own matcher, and the fast one of OpenCV's.
+# Matchers: automatic choice, the built-in census matcher, and the fast mode of OpenCV.
 AUTO, CENSUS, FAST = "auto", "census", "3way"
-# Section and parameters that our own matcher does not have.
+# Sections and parameters without effect on the census matcher.
 _OF_OTHERS = ("sgbm", "left_right_tolerance", "speckle_size", "speckle_range")
-# From this many pairs on, fusion sees most surfaces several times and drops what a single pair says.
+# From this number of pairs on, fusion observes most surfaces several times and rejects outliers of single
+# pairs.
 SEVERAL = 3
-# Bytes that our own matcher may take where it was not asked for.
+# Memory limit in bytes above which `auto` does not choose the census matcher.
 _LARGEST_VOLUME = 4 << 30
 
 
@@ -93,7 +94,7 @@ class SgbmParams:
 
     @property
     def penalties(self) -> tuple[int, int]:
-        """Return p1 and p2 as used."""
+        """Return p1 and p2 with defaults resolved."""
         area = self.block_size**2
         return 16 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
 
@@ -150,7 +151,7 @@ class DepthParams:
         "it), run by onnxruntime (`scanloom[network]`). One of pairs takes the matcher's place; what left "
         "and right do not agree on is no depth. One of single images fills in depth where none was "
         "measured, with scale and shift as measured depth has them, of confidence 1",
-        # What is in the file and beside it decides, not its name.
+        # The cache key includes the content of the file and its sidecar instead of the name.
         invalidates=False,
         is_path=True,
     )
@@ -301,17 +302,23 @@ class DepthParams:
             self.require_default(_OF_OTHERS, f"matcher {CENSUS}")
 
     def is_own(self, pairs: int, volume: int) -> bool:
-        """Return whether our own matcher measures so many pairs, whose volumes take so many bytes."""
+        """Return True if the census matcher is used.
+
+        Parameters
+        ----------
+        pairs : number of pairs in the scan.
+        volume : bytes of the cost volumes.
+        """
         if self.matcher != AUTO:
             return self.matcher == CENSUS
         return pairs < SEVERAL and volume <= _LARGEST_VOLUME and not self.find_idle(_OF_OTHERS)
 
     def find_idle(self, names: Collection[str]) -> list[str]:
-        """Return the parameters with these names, or in sections of these names, that were set."""
+        """Return changed parameters with these names, or in sections with these names."""
         return [name for name in find_changed(self) if name.partition(".")[0] in names]
 
     def require_default(self, names: Collection[str], place: str) -> None:
-        """Raise UsageError for a parameter that was set and would do nothing."""
+        """Raise UsageError for a changed parameter that would have no effect."""
         if idle := self.find_idle(names):
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
@@ -322,7 +329,7 @@ class DepthParams:
             )
 
 
-# What views that are swept have no use for.
+# Parameters without effect on plane sweeps.
 OF_PAIRS = (
     "max_relative_depth_error",
     "disparity_sigma",

@@ -1,23 +1,25 @@
-"""What a network's file does not say of itself: a page of TOML beside it, FILE.toml of FILE.onnx.
+"""Sidecar of a network file.
+
+FILE.toml states the conventions that FILE.onnx does not store:
 
 kind = "stereo"                       or "monocular"
 color = "rgb"                         "bgr" or "grey"
-range = [0, 255]                      what black and white are
-mean = [0, 0, 0]                      taken away after that, in the order of `color`
-std = [1, 1, 1]                       and divided by
+range = [0, 255]                      values of black and white
+mean = [0, 0, 0]                      subtracted afterwards, in the order of `color`
+std = [1, 1, 1]                       divisor after the subtraction
 layout = "nchw"                       or "nhwc"
-multiple_of = 32                      what width and height must be multiples of, px
-output = "disparity"                  the output that tells depth; of several channels the first
-unit = "px"                           of a pair: "px" of disparity, "normalised" (disparity as a share of
-                                      the width), "depth" or "inverse_depth" in metres; of one image
-                                      "depth" or "inverse_depth" of unknown scale and shift
-sign = 1                              −1 where the output is the negative
-confidence = "certainty"              an output that is 0 to 1, 1 where it is sure; optional
-occlusion = "hidden"                  an output that is 1 where the right image shows nothing; optional
+multiple_of = 32                      required multiple of width and height, px
+output = "disparity"                  name of the depth output; its first channel is used
+unit = "px"                           of a stereo network: "px" of disparity, "normalised" (disparity divided
+                                      by the width), "depth" or "inverse_depth" in metres; of a monocular
+                                      network: "depth" or "inverse_depth" of unknown scale and shift
+sign = 1                              −1 if the output is negated
+confidence = "certainty"              name of an output from 0 to 1, where 1 is certain; optional
+occlusion = "hidden"                  name of an output that is 1 where occluded in the right image; optional
 
-[inputs]                              what each of the network's inputs takes
-left = "left"                         "left", "right", both in one as "pair", or the one "image"; with
-right = "right"                       "/2" behind it at half the size
+[inputs]                              role of each network input
+left = "left"                         "left", "right", "pair" for both in one input, or "image"; with the
+right = "right"                       suffix "/2" at half the size
 """
 
 from __future__ import annotations
@@ -46,14 +48,17 @@ _WORDS = {
     "unit": _UNITS[STEREO],
 }
 _MOST_MULTIPLE = 1024
-# The name of an input or output is no essay.
+# Maximum length of an input or output name, characters.
 _LONGEST_NAME = 200
 _LARGEST = 1e6
 
 
 @dataclass(frozen=True)
 class Sidecar:
-    """What a network takes and gives; see the head of this file."""
+    """Input and output conventions of a network.
+
+    The module docstring describes the fields.
+    """
 
     kind: str
     inputs: Mapping[str, str]
@@ -68,11 +73,21 @@ class Sidecar:
     sign: int = 1
     confidence: str | None = None
     occlusion: str | None = None
-    # Of its own: where it was read from.
+    # Not part of the sidecar: the file it was read from.
     file: Path | None = field(default=None, compare=False)
 
     def checked(self) -> Sidecar:
-        """Return it, or raise InputError where its parts do not go together."""
+        """Validate the combination of fields.
+
+        Returns
+        -------
+        The sidecar itself.
+
+        Raises
+        ------
+        InputError
+            If fields contradict each other.
+        """
         taken = [what.removesuffix("/2") for what in self.inputs.values()]
         allowed = _TAKEN[self.kind]
         for name, what in zip(self.inputs, taken, strict=True):
@@ -101,27 +116,27 @@ class Sidecar:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Return the outputs that are asked for, that of depth first."""
+        """Return the names of the requested outputs, depth first."""
         return (self.output, *(name for name in (self.confidence, self.occlusion) if name is not None))
 
     @property
     def channels(self) -> int:
-        """Return how many channels an image has as the network takes it."""
+        """Return the number of channels of an input image."""
         return 1 if self.color == "grey" else 3
 
 
 def sidecar_of(network: Path) -> Path:
-    """Return where the sidecar of a network's file stands."""
+    """Return the path of a network's sidecar."""
     return network.with_suffix(".toml")
 
 
 def read_sidecar(network: Path) -> Sidecar:
-    """Read the sidecar beside a network's file.
+    """Read the sidecar of a network file.
 
     Raises
     ------
     InputError
-        If there is none, it cannot be read, or it holds something else than what it may.
+        If the sidecar is missing, unreadable or invalid.
     """
     path = sidecar_of(network)
     if not path.is_file():
@@ -160,7 +175,7 @@ def read_sidecar(network: Path) -> Sidecar:
 
 
 def written(sidecar: Sidecar) -> str:
-    """Return the TOML text that `read_sidecar` reads back to the same."""
+    """Format a sidecar as TOML for `read_sidecar`."""
     lines = []
     for one in fields(Sidecar):
         value = getattr(sidecar, one.name)
@@ -177,7 +192,13 @@ def _toml(value: Any) -> str:
 
 
 def _checked(name: str, value: Any) -> Any:
-    """Return a value as the field has it, or raise InputError with what it must be."""
+    """Validate and convert the value of a field.
+
+    Raises
+    ------
+    InputError
+        If the value is invalid; the message states the valid values.
+    """
     if name in _WORDS:
         if value not in _WORDS[name]:
             raise InputError(
