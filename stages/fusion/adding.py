@@ -266,11 +266,11 @@ def nothing_fused(work: Work, outcomes: Sequence[Outcome], min_weight: int) -> I
     return InputError(
         FUSE_NO_SURFACE,
         (
-            "no surface came out of {used_count} frames at voxels of {voxel_size:g} m: "
-            "none was seen by {min_weight} of them{inside}."
+            "the mesh is empty: no voxel of {voxel_size:g} m was observed by at least {min_weight} of "
+            "{used_count} frames{inside}."
         ),
         work.where,
-        remedy="Check poses and depth scale, or lower min_weight.",
+        remedy="Check the poses and the depth scale, or lower min_weight.",
         used_count=len(used),
         voxel_size=work.plan.voxel_size,
         min_weight=min_weight,
@@ -280,7 +280,7 @@ def nothing_fused(work: Work, outcomes: Sequence[Outcome], min_weight: int) -> I
 
 def inside(crop: Crop, points: int) -> str:
     """Describe the crop for a message; empty without a crop."""
-    return f" inside {crop}, from {points:,} points there" if crop else ""
+    return f" inside {crop} ({points:,} depth points there)" if crop else ""
 
 
 def device_of(params: FuseParams) -> str:
@@ -296,9 +296,9 @@ def device_of(params: FuseParams) -> str:
         if wanted == "cuda":
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "is 'cuda', which backend 'own' knows nothing of",
+                "is 'cuda', but backend 'own' runs on the CPU only",
                 Where(parameter="device"),
-                remedy="choose open3d or auto.",
+                remedy="set backend to open3d or auto.",
             )
         return "CPU:0"
     if wanted != "cpu" and open3d().core.cuda.is_available():
@@ -308,7 +308,7 @@ def device_of(params: FuseParams) -> str:
             FUSE_DEVICE_MISSING,
             "is 'cuda', but Open3D finds no CUDA device",
             Where(parameter="device"),
-            remedy="choose cpu or auto.",
+            remedy="set it to cpu or auto.",
         )
     return "CPU:0"
 
@@ -320,8 +320,8 @@ def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
         raise InputError(
             POSE_MISSING,
             (
-                "none of the {frames_count} frames has a camera pose; fusion needs the pose "
-                "of each (world_from_camera)."
+                "none of the {frames_count} frames has a camera pose (world_from_camera), which "
+                "fusion requires."
             ),
             where,
             frames_count=len(frames),
@@ -344,8 +344,8 @@ def require_share(work: Work, outcomes: Sequence[Outcome]) -> None:
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
             (
-                "{skipped_count} of {count} frames cannot be used; at most {share:.0%} may "
-                "be bad (max_bad_share). The first, frame {first}: {reason}"
+                "{skipped_count} of {count} frames cannot be used; max_bad_share allows "
+                "{share:.0%}. First unusable frame, {first}: {reason}"
             ),
             work.where,
             skipped_count=len(skipped),

@@ -44,7 +44,7 @@ class Crop:
         if self.center is not None and self.radius is not None:
             parts.append(f"{self.radius:.4g} m around {in_words(self.center)}")
         if self.normal is not None:
-            parts.append(f"what is above the plane {in_words(self.normal)} · p = {self.height:.4g} m")
+            parts.append(f"the half-space above the plane {in_words(self.normal)} · p = {self.height:.4g} m")
         return " and ".join(parts) or "everything"
 
     def outside(self, points: Floats) -> Floats:

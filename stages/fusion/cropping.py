@@ -99,8 +99,8 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
     if isinstance(found, str):
         emit(
             FUSE_PLANE_UNCERTAIN.warning(
-                "remove_plane: nothing is removed, no plane under the thing is found: {why}",
-                remedy="center, box or radius say where the thing is",
+                "remove_plane: no plane is removed, because none was found under the object: {why}",
+                remedy="give the position of the object with center, radius or box",
                 why=found,
             )
         )
@@ -111,7 +111,7 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
     if share == 0:
         raise UsageError(
             FUSE_CROP_EMPTY,
-            "nothing is left to fuse: of {depth_count:,} points looked at 0 are inside {above}.",
+            "the crop is empty: none of {depth_count:,} sampled points is inside {above}.",
             depth_count=len(depth),
             above=above,
         )
@@ -119,7 +119,7 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
         emit(
             FUSE_PLANE_UNCERTAIN.warning(
                 "remove_plane: only {share:.1%} of the points are more than {margin:.2g} m above the plane",
-                remedy="if it is not the one under the thing, say where that is by center, box or radius",
+                remedy="if it is not the plane under the object, set center, radius or box to the object",
                 share=share,
                 margin=above.height - found.offset_m,
             )
@@ -186,8 +186,8 @@ def _that_show(
         raise UsageError(
             FUSE_CROP_EMPTY,
             (
-                "nothing is left to fuse: of {points:,} points in {frames_count} frames 0 "
-                "are inside {crop}; most lie within {scene} m."
+                "the crop is empty: none of {points:,} points in {frames_count} frames is inside "
+                "{crop}; most points are within {scene} m."
             ),
             points=points,
             frames_count=len(frames),

@@ -177,9 +177,9 @@ def _is_in_bricks(work: Work, device: str) -> bool:
     if work.params.brick_size is not None and not _has_bricks(work, device):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "is for scanloom's own voxels",
+            "requires backend 'own' on the CPU",
             Where(parameter="brick_size"),
-            remedy="leave out device and backend.",
+            remedy="omit device and backend.",
         )
     if len(work.frames) == 1 or not _has_bricks(work, device):
         return False
@@ -238,7 +238,7 @@ def _alone(work: Work) -> Fused:
     if len(mesh.triangles) == 0:
         raise InputError(
             FUSE_NO_SURFACE,
-            "no surface came out of the frame{inside}.",
+            "the mesh is empty: no triangle was found in the depth map{inside}.",
             Where(frame=frame.name),
             remedy="Check the depth scale and the calibration.",
             inside=inside(plan.crop, int(here.sum())),

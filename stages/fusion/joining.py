@@ -88,8 +88,8 @@ def reading(folder: Path) -> Iterator[None]:
     except (OSError, EOFError, ValueError, LookupError, BadZipFile, InputError) as error:
         raise StageError(
             FUSE_BRICK_DAMAGED,
-            "this brick of the fused surface was damaged while it was used",
-            remedy="run again, which makes it anew.",
+            "the brick was damaged during the run",
+            remedy="run again, which fuses the brick anew.",
             where=folder,
         ) from error
 
@@ -137,8 +137,8 @@ class Joined:
         if max(self.vertex_count, self.triangle_count) > np.iinfo(np.int32).max:
             raise StageError(
                 FUSE_TOO_LARGE,
-                "the surface has {triangle_count:,} triangles, more than can be numbered.",
-                remedy="Give a larger voxel_size, or fuse a part of the scan (box).",
+                "the mesh has {triangle_count:,} triangles, more than 32-bit indices can address.",
+                remedy="Increase voxel_size, or fuse a part of the scan (box).",
                 triangle_count=self.triangle_count,
             )
         self._shared = [
@@ -192,6 +192,6 @@ class Joined:
 def _do_not_fit() -> StageError:
     return StageError(
         FUSE_BRICK_DAMAGED,
-        "pieces of the surface do not fit each other",
-        remedy="fuse again, with --force fuse.",
+        "the meshes of adjacent bricks do not match",
+        remedy="run again with --force fuse.",
     )

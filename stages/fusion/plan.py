@@ -181,9 +181,9 @@ def _report_far_depth(
     )
     emit(
         FUSE_FAR_DEPTH_LEFT_OUT.warning(
-            "{share:.0%} of the depth is beyond {max_depth:.2f} m and not fused: its noise there is more "
-            "than voxels of {voxel_size:g} m can take.",
-            remedy="fuse.{length} takes in what is up to {far:.2f} m away",
+            "{share:.0%} of the depth lies beyond {max_depth:.2f} m and is ignored, because its noise is "
+            "too high for voxels of {voxel_size:g} m.",
+            remedy="fuse.{length} includes depth up to {far:.2f} m",
             share=share,
             max_depth=max_depth,
             voxel_size=voxel_size,
@@ -245,7 +245,7 @@ def look(
     if not views:
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
-            "none of the {results_count} frames looked at can be used. The first: {results}",
+            "none of {results_count} sampled frames can be used. First error: {results}",
             where,
             results_count=len(results),
             results=results[wanted[0]],

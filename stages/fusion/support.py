@@ -101,7 +101,7 @@ def find_support(views: Sequence[PosedDepth], center: Floats, noise: float) -> S
     distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - center, axis=1)))
     points, normals = _around(views, center, distance)
     if len(points) < 100:
-        return f"there are only {len(points)} points within {distance:.2g} m of what the cameras look at"
+        return f"only {len(points)} points are within {distance:.2g} m of the point the cameras look at"
     on = max(_ON_SHARE * distance, _ON_NOISES * noise)
     counts = np.exp(-(np.linalg.norm(points - center, axis=1) ** 2) / (_NEAR * distance) ** 2)
     left = counts * (normals @ up > math.cos(math.radians(_TILT + _NORMAL)))
@@ -121,9 +121,9 @@ def find_support(views: Sequence[PosedDepth], center: Floats, noise: float) -> S
             heights = points[fitting] @ normal - offset
             spread = 1.4826 * float(np.median(np.abs(heights)))
             return Support(point_of(normal), offset, spread, share)
-        refused.append(f"the plane of {share:.0%} of the points {why}")
+        refused.append(f"the largest plane ({share:.0%} of the points) {why}")
         left = np.where(np.abs(points @ normal - offset) < on, 0, left)
-    level = f"no plane within {_TILT:g}° of level has {_LEAST_SHARE:.0%} of the points around the thing"
+    level = f"no plane within {_TILT:g}° of level has {_LEAST_SHARE:.0%} of the points around the object"
     return refused[0] if refused else level
 
 
@@ -242,9 +242,9 @@ def _not_under(
     """
     heights = away @ normal - offset
     if counts[heights < -2 * on].sum() > _MOST_BELOW * counts.sum():
-        return "has most of what is there below it"
+        return "has most points below it"
     beside = np.linalg.norm(away - np.outer(away @ normal, normal), axis=1)
     around = beside < _WIDTH * distance
     if np.count_nonzero(heights[around] > 2 * on) < _LEAST_ON_IT * np.count_nonzero(around):
-        return "has nothing standing on it"
+        return "has no points above it"
     return None

@@ -122,7 +122,7 @@ def upsampled(depth: DepthImage, color: ColorImage | None, factor: int) -> Depth
     if color is not None and color.shape[:2] != (height, width):
         raise InputError(
             USAGE_ARGUMENT_INVALID,
-            "colour is {color_shape} × {color_shape_2}, not {width} × {height}.",
+            "the colour image is {color_shape} × {color_shape_2} px; it must be {width} × {height} px.",
             color_shape=color.shape[1],
             color_shape_2=color.shape[0],
             width=width,

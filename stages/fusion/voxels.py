@@ -50,8 +50,8 @@ def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
     """Build the error for a volume at its memory limit."""
     return OutgrownError(
         MACHINE_OUT_OF_MEMORY,
-        "the volume outgrows its memory of {allowed_bytes:.0f} MB at voxels of {voxel_size:g} m.",
-        remedy="Give a larger voxel_size, a smaller max_depth or more memory.",
+        "the volume would exceed its memory limit of {allowed_bytes:.0f} MB with voxels of {voxel_size:g} m.",
+        remedy="Increase voxel_size or memory, or reduce max_depth.",
         allowed_bytes=allowed_bytes / 1000000.0,
         voxel_size=voxel_size,
     )
@@ -157,10 +157,10 @@ def touched_blocks(
         raise StageError(
             FUSE_FRAMES_FAR_APART,
             (
-                "a frame shows places more than {reach:.3g} km from the other cameras, "
-                "farther than voxels of {voxel_size:g} m are counted."
+                "a frame has points more than {reach:.3g} km from the other cameras, beyond the "
+                "range of voxels of {voxel_size:g} m."
             ),
-            remedy="Check the poses, or give a larger voxel_size.",
+            remedy="Check the poses, or increase voxel_size.",
             reach=reach / 1000,
             voxel_size=voxel_size,
         ) from error

@@ -57,7 +57,7 @@ def write_fused(path: Path, mesh: Mesh, plan: Plan) -> None:
     if (np.diff(of_vertex) < 0).any() or (np.diff(of_triangle) < 0).any():
         raise StageError(
             FUSE_TOO_LARGE,
-            "the fused mesh is not in the order of its blocks, which is a defect of this program.",
+            "internal error: the blocks of the fused mesh are out of order.",
         )
     numbers = np.unique(np.concatenate([of_vertex, of_triangle]))
     vertices, triangles = (

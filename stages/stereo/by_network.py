@@ -61,7 +61,7 @@ def network_of(params: DepthParams) -> Network | None:
         return None
     network = Network(Path(params.model), round(params.model_memory * 1e6), params.model_seconds)
     if network.is_stereo:
-        params.require_default(_OF_MATCHERS, "a network of pairs (model)")
+        params.require_default(_OF_MATCHERS, "a stereo network (model)")
     return network
 
 
@@ -111,10 +111,10 @@ def report_agreement(network: Network, trust: NDArray[np.uint8]) -> None:
     if np.count_nonzero(trust) < _AGREEING * trust.size:
         emit(
             DEPTH_NETWORK_SIDECAR_INVALID.warning(
-                "by this network left and right agree on next to nothing",
+                "almost no pixel passes the left–right check with this network",
                 Where(file=network.file.name),
                 remedy=(
-                    "look at unit, sign, range and inputs of its sidecar, or have it guessed: scanloom probe"
+                    "check unit, sign, range and inputs in its sidecar, or guess them with scanloom probe"
                 ),
             )
         )
@@ -139,7 +139,7 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
     known = np.flatnonzero((measured.depth > 0) & np.isfinite(told))
     nothing = replace(measured, filled=np.zeros(measured.depth.shape, bool))
     if len(known) < _FEWEST:
-        _report_no_effect(network, "there is too little measured depth to fit it to")
+        _report_no_effect(network, "too few pixels have measured depth to fit it")
         return nothing
     depth, values = measured.depth.ravel()[known].astype(np.float64), told.ravel()[known].astype(np.float64)
     wanted = 1 / depth if is_inverse else depth
@@ -148,9 +148,9 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
     off = float(np.median(np.abs(scale * values + shift - wanted) / wanted))
     if not scale > 0 or not off <= params.model_error:
         why = (
-            "it differs by more than depth.model_error allows"
+            "its median error exceeds depth.model_error"
             if scale > 0
-            else "what it calls near is far; look at unit and sign of its sidecar"
+            else "its depth order is inverted; check unit and sign in its sidecar"
         )
         _report_no_effect(network, why)
         return nothing
@@ -168,7 +168,7 @@ def _report_no_effect(network: Network, why: str) -> None:
     # Without image names, so that a scan reports the warning only once.
     emit(
         DEPTH_NETWORK_NO_EFFECT.warning(
-            "the network fills in nothing in some images: {why}", Where(file=network.file.name), why=why
+            "the network fills no depth in some images: {why}", Where(file=network.file.name), why=why
         )
     )
 

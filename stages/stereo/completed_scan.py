@@ -69,10 +69,10 @@ def completed_scan(
     params = resolve(DepthParams, params, changes)
     network = network_of(params)
     if network is None or network.is_stereo:
-        what = "" if network is None else f"; {network.file.name} is a network of pairs"
+        what = "" if network is None else f"; {network.file.name} is a stereo network"
         raise UsageError(
             DEPTH_NETWORK_NO_EFFECT,
-            "the scan has depth, which only a network of single images (depth.model) fills in{what}.",
+            "the scan already has depth, which only a monocular network (depth.model) can fill{what}.",
             what=what,
         )
     finest = max([_COARSEST, *(frame.depth_scale for frame in scan.frames)])
@@ -92,8 +92,8 @@ def completed_scan(
                 raise InputError(
                     SCAN_TOO_MANY_FRAMES_SKIPPED,
                     (
-                        "{skipped} of the scan's {frames_count} frames cannot be used, more than the "
-                        "share of {max_skipped:g} that max_skipped allows; the last of them, {last}: {reason}"
+                        "{skipped} of the scan's {frames_count} frames cannot be used; max_skipped allows "
+                        "a ratio of {max_skipped:g}. Last unusable frame, {last}: {reason}"
                     ),
                     scan.folder,
                     skipped=skipped,
@@ -113,7 +113,7 @@ def _completed_frame(
         depth, photo = read_depth(frame), read_color(frame)
         if depth is None or photo is None:
             missing = "depth map" if depth is None else "photo"
-            why = FRAME_IMAGE_MISSING.warning("there is no {missing}", missing=missing)
+            why = FRAME_IMAGE_MISSING.warning("the {missing} is missing", missing=missing)
             return frame, SkippedFrame(frame.name, why)
         color = read_matching_color(frame, depth)
         seen = read_seen(frame) if frame.mask is not None else None
@@ -135,7 +135,7 @@ def _completed_frame(
         if too_far.any():
             emit(
                 DEPTH_FAR_LEFT_OUT.warning(
-                    "depth beyond {farthest:.4g} m is left out (depth.max_depth)", farthest=farthest
+                    "depth beyond {farthest:.4g} m is dropped (depth.max_depth)", farthest=farthest
                 )
             )
         whole = completed(measured, network, params)

@@ -65,8 +65,8 @@ def report_coverage(counts: Counts, params: DepthParams) -> None:
     if share >= _MUCH:
         emit(
             DEPTH_OBJECT_INCOMPLETE.warning(
-                "{share:.0%} of the thing's depth was measured by no view, and is that of the hull of its "
-                "silhouettes (depth.on_hull=false leaves it out; more views measure more)",
+                "{share:.0%} of the object's depth is not measured, but filled from the visual hull of its "
+                "silhouettes (depth.on_hull=false drops it; more views measure more)",
                 share=share,
             )
         )
@@ -74,8 +74,8 @@ def report_coverage(counts: Counts, params: DepthParams) -> None:
     if share >= _MUCH:
         emit(
             DEPTH_SCENE_INCOMPLETE.warning(
-                "{share:.0%} of the depth was measured by no view, and is that of planes on which measured "
-                "depth around it lies (depth.on_planes=false leaves it out)",
+                "{share:.0%} of the depth is not measured, but filled from planes through the depth around "
+                "it (depth.on_planes=false drops it)",
                 share=share,
             )
         )
@@ -87,21 +87,24 @@ def _report_low_coverage(counts: Counts, params: DepthParams) -> None:
     kept = counts.kept + counts.planar
     if not counts.shown or kept >= least * counts.shown:
         return
-    what = "what the masks or the backdrop leave of the views" if is_thing else "the views' pixels"
+    what = "the pixels inside masks or in front of the backdrop" if is_thing else "the views' pixels"
     rest = counts.shown - counts.plain
-    unsure, asks = "", "depth.agreeing_views asks for fewer"
+    unsure, asks = "", "a lower depth.agreeing_views keeps more"
     if params.views == SWEEP:
-        unsure = "is not sure, or "
-        asks = "depth.min_confidence=128 and a lower depth.agreeing_views ask less"
+        unsure = "have low confidence or "
+        asks = "depth.min_confidence=128 and a lower depth.agreeing_views keep more"
     steps = (
-        (counts.plain, "has too little texture (depth.backdrop=0 keeps it)"),
+        (counts.plain, "have too little texture (depth.backdrop=0 keeps them)"),
         (
             rest - counts.matched,
-            "matched no other view surely (depth.min_confidence=1 and depth.sgbm.uniqueness=0 ask less)",
+            (
+                "have no reliable match in another view (depth.min_confidence=1 and "
+                "depth.sgbm.uniqueness=0 keep more)"
+            ),
         ),
         (
             counts.matched - kept,
-            f"{unsure}is not seen alike by {params.agreeing_views} other views ({asks})",
+            f"{unsure}are not confirmed by {params.agreeing_views} other views ({asks})",
         ),
     )
     shares = [(count / counts.shown, text) for count, text in steps]

@@ -134,7 +134,7 @@ def depth_scan(
     if scan.rig is None:
         raise InputError(
             DEPTH_ALREADY_MEASURED,
-            "the scan has no stereo pairs; its depth maps need no matching.",
+            "the scan has no stereo pairs, so there is nothing to match.",
             scan.folder,
         )
     stage = PairStage(
@@ -156,8 +156,8 @@ def depth_scan(
                 raise InputError(
                     SCAN_TOO_MANY_FRAMES_SKIPPED,
                     (
-                        "{skipped} of the scan's {total} pairs cannot be used, more than the share "
-                        "of {max_skipped:g} that max_skipped allows; the last of them, {last}: {reason}"
+                        "{skipped} of the scan's {total} pairs cannot be used; max_skipped allows a ratio "
+                        "of {max_skipped:g}. Last unusable pair, {last}: {reason}"
                     ),
                     scan.folder,
                     skipped=skipped,
@@ -192,7 +192,7 @@ def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[An
     if left is None or right is None:
         raise InputError(
             FRAME_IMAGE_MISSING,
-            "there is no {side} image.",
+            "the {side} image is missing.",
             Where(frame=frame.name),
             side="left" if left is None else "right",
         )
@@ -437,9 +437,9 @@ def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, wi
     if lowest > limit or highest < lowest:
         raise UsageError(
             DEPTH_RANGE_EMPTY,
-            "is {max_depth:g} m, nearer than the rig's pairs can be matched ({focal_baseline:.3g} m)",
+            "is {max_depth:g} m, but the rig measures depth from {focal_baseline:.3g} m only",
             Where(parameter="max_depth"),
-            remedy="give a larger one.",
+            remedy="increase it.",
             max_depth=params.max_depth,
             focal_baseline=rig.focal_baseline / (min(highest, limit) + offset),
         )

@@ -124,7 +124,7 @@ def stereo_disparity(
     if first.shape != second.shape:
         raise InputError(
             USAGE_ARGUMENT_INVALID,
-            "left and right are of different sizes: {size} and {size_2}.",
+            "left and right image differ in size: {size} and {size_2} px.",
             size=_size(first),
             size_2=_size(second),
         )
@@ -132,8 +132,8 @@ def stereo_disparity(
         raise UsageError(
             USAGE_ARGUMENT_INVALID,
             (
-                "max_disparity is {max_disparity} px; it must be from min_disparity, "
-                "{min_disparity}, to {min_disparity_2} px."
+                "max_disparity is {max_disparity} px; it must be from min_disparity ({min_disparity} px) "
+                "to {min_disparity_2} px."
             ),
             max_disparity=max_disparity,
             min_disparity=min_disparity,

@@ -40,8 +40,8 @@ class KeptMaps:
         except OSError as error:
             raise StageError(
                 MACHINE_DISK_FAILED,
-                "the depth maps of the views cannot be kept in {folder} ({detail})",
-                remedy="make room there, or name another folder in TMPDIR.",
+                "temporary depth maps cannot be written to {folder} ({detail})",
+                remedy="free disk space, or set TMPDIR to another folder.",
                 folder=self._folder,
                 detail=error.strerror or error,
             ) from error

@@ -127,8 +127,8 @@ class Matcher:
             raise StageError(
                 MACHINE_OUT_OF_MEMORY,
                 (
-                    "a pair of {image_shape}×{image_shape_2} with {count} disparities could not "
-                    "be matched ({detail}); matcher=3way needs the least memory."
+                    "a pair of {image_shape}×{image_shape_2} px with {count} disparities cannot be matched "
+                    "({detail}); matcher=3way needs less memory than the other modes."
                 ),
                 image_shape=image.shape[1],
                 image_shape_2=image.shape[0],

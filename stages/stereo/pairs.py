@@ -47,9 +47,9 @@ def require_pair(
         other = f" ({files[0]})" if files[0] is not None else ""
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
-            "the right image is {size}, but the left one{other} is {size_2}",
+            "the right image is {size} px, but the left one{other} is {size_2} px",
             files[1],
-            remedy="give both images of a pair in one size.",
+            remedy="both images of a pair must have the same size.",
             size=_size(right),
             other=other,
             size_2=_size(left),
@@ -57,9 +57,9 @@ def require_pair(
     if left.shape[:2] != (camera.height, camera.width):
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
-            "the image is {size}, but its camera is calibrated for {camera_width}×{camera_height}.",
+            "the image is {size} px, but its camera is calibrated for {camera_width}×{camera_height} px.",
             files[0],
-            remedy="Give images of the calibrated size, or the calibration of this size.",
+            remedy="Use images of the calibrated size, or a calibration for this size.",
             size=_size(left),
             camera_width=camera.width,
             camera_height=camera.height,
@@ -86,9 +86,9 @@ def report_rows(left: NDArray[np.uint8], right: NDArray[np.uint8], principal_off
             DEPTH_PAIR_SWAPPED,
             (
                 "left and right images seem swapped: {mean:.0%} of the corners found in both "
-                "lie farther right in the right image."
+                "are farther right in the right image."
             ),
-            remedy="Exchange the images.",
+            remedy="Swap the images.",
             mean=np.mean(disparity < 0),
         )
     rows = float(np.median(shift[:, 1]))
@@ -96,7 +96,7 @@ def report_rows(left: NDArray[np.uint8], right: NDArray[np.uint8], principal_off
         emit(
             DEPTH_PAIR_ROWS_DIFFER.warning(
                 "rows of the pair differ by {rows:.1f} px (median of {corners} corners), more than "
-                "{tolerance:g} px: the calibration does not fit the images well, and depth will have holes",
+                "{tolerance:g} px: the calibration is inaccurate, and depth will have holes",
                 rows=abs(rows),
                 corners=len(shift),
                 tolerance=_ROW_TOLERANCE,

@@ -112,7 +112,7 @@ def _view(frame: Frame, folder: Path | None) -> PosedView:
         lacking = "camera" if not camera.is_calibrated else "pose"
         raise InputError(
             POSE_MISSING,
-            "frame {frame_name} has no {lacking}; views need both.",
+            "frame {frame_name} has no {lacking}; depth from single views requires camera and pose.",
             folder,
             frame_name=frame.name,
             lacking=lacking,
@@ -120,7 +120,7 @@ def _view(frame: Frame, folder: Path | None) -> PosedView:
     if np.abs(pose).max() > _FARTHEST_M:
         raise InputError(
             POSE_INVALID,
-            "frame {frame_name} stands {max:g} m off; its pose is wrong.",
+            "the pose of frame {frame_name} is wrong: a coordinate is {max:g} m.",
             folder,
             frame_name=frame.name,
             max=np.abs(pose).max(),

@@ -86,8 +86,8 @@ def rectified_rig(rig: StereoRig) -> RectifiedRig:
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "the left camera is calibrated for {left_width}×{left_height}, the right one "
-                "for {right_width}×{right_height}; a pair needs one size."
+                "the left camera is calibrated for {left_width}×{left_height} px, the right one for "
+                "{right_width}×{right_height} px; both must have the same size."
             ),
             left_width=left.width,
             left_height=left.height,
@@ -97,7 +97,7 @@ def rectified_rig(rig: StereoRig) -> RectifiedRig:
     if not np.isfinite(rig.right_from_left).all() or rig.baseline == 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the rig's two cameras stand at the same place",
+            "both cameras of the rig have the same position",
             remedy="give the baseline in metres.",
         )
     return _as_it_is(rig) if rig.rectified else _turned(rig)
@@ -111,8 +111,8 @@ def _as_it_is(rig: StereoRig) -> RectifiedRig:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
                 (
-                    "the pair is said to be rectified, but {name} is {a:g} on the left and {b:g} "
-                    "on the right; correct the calibration or mark it as not rectified."
+                    "the rig is marked as rectified, but {name} is {a:g} px on the left and {b:g} px on the "
+                    "right; correct the calibration, or mark the rig as not rectified."
                 ),
                 name=name,
                 a=a,
@@ -132,22 +132,19 @@ def _turned(rig: StereoRig) -> RectifiedRig:
         if camera.fisheye != left.fisheye:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "one camera of the pair is a fisheye and the other is not; both must be of a kind.",
+                "only one camera of the pair is a fisheye camera; both must have the same model.",
             )
         if camera.fisheye and len(camera.distortion) != _FISHEYE_LENGTH:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "the {side} camera is a fisheye, which has {fisheye_length} coefficients.",
+                "the {side} fisheye camera must have {fisheye_length} distortion coefficients.",
                 side=side,
                 fisheye_length=_FISHEYE_LENGTH,
             )
         if len(camera.distortion) not in _DISTORTION_LENGTHS:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                (
-                    "the {side} camera has {distortion_count} distortion coefficients; OpenCV's "
-                    "model has {map}."
-                ),
+                ("the {side} camera has {distortion_count} distortion coefficients; OpenCV supports {map}."),
                 side=side,
                 distortion_count=len(camera.distortion),
                 map=", ".join(map(str, _DISTORTION_LENGTHS)),
@@ -171,8 +168,8 @@ def _turned(rig: StereoRig) -> RectifiedRig:
     if p_right[1, 3] != 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the cameras stand one above the other; only cameras side by side can be matched.",
-            remedy="Turn images and calibration by 90 degrees.",
+            "the cameras are one above the other; only cameras side by side can be matched.",
+            remedy="Rotate images and calibration by 90 degrees.",
         )
     baseline = -float(p_right[0, 3] / p_right[0, 0])
     _require_left_is_left(baseline)
@@ -204,9 +201,8 @@ def _require_left_is_left(baseline: float) -> None:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             (
-                "the calibration puts the right camera left of the left one: the two are "
-                "swapped, or the rotation and translation take right-camera points to the "
-                "left camera"
+                "the right camera is left of the left one in the calibration: the cameras are swapped, or "
+                "rotation and translation map points from the right to the left camera"
             ),
-            remedy="give their inverse.",
+            remedy="swap the cameras, or invert rotation and translation.",
         )

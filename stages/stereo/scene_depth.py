@@ -67,7 +67,7 @@ def ranged_views(
         if least >= most:
             raise InputError(
                 DEPTH_RANGE_EMPTY,
-                "depth from {least:.3g} m to {most:.3g} m is no range; correct min_depth or max_depth.",
+                "the depth range {least:.3g} m to {most:.3g} m is empty; correct min_depth or max_depth.",
                 scan.folder,
                 least=least,
                 most=most,
@@ -86,13 +86,12 @@ def _filled(scan: Scan, views: Sequence[PosedView], ranges: Sequence[Range | Non
         raise InputError(
             DEPTH_RANGE_UNKNOWN,
             (
-                "no points are recognised from view to view where the poses say, and the "
-                "views look past each other, so that nothing tells where the scene is"
+                "the position of the scene is unknown: no feature matches agree with the poses, and the "
+                "optical axes of the views do not intersect"
             ),
             scan.folder,
             remedy=(
-                "check the poses, or give the range of depth with depth.min_depth and "
-                "depth.max_depth (metres)."
+                "check the poses, or set the depth range with depth.min_depth and depth.max_depth (metres)."
             ),
         )
     return [_range_of_box(view, box) for view in views]

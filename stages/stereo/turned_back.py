@@ -49,7 +49,8 @@ def turned_back(
         )
     emit(
         DEPTH_IMAGES_TURNED.warning(
-            "{count} images are upside down against their poses, the first {first}; they were turned back",
+            "{count} images are upside down relative to their poses and were rotated by 180 degrees; the "
+            "first is {first}",
             count=len(places),
             first=frames[places[0]].name,
         )
@@ -72,7 +73,7 @@ def _upside_down(
     def load() -> NDArray[np.uint8]:
         image = read(frame)
         if image is None:
-            raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
+            raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", Where(frame=frame.name))
         return np.ascontiguousarray(image[::-1, ::-1])
 
     if isinstance(source, np.ndarray):

@@ -42,7 +42,7 @@ def color_of(frame: Frame) -> ColorImage:
     """
     color = read_pinhole(frame)
     if color is None:
-        raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", Where(frame=frame.name))
     return color
 
 
@@ -74,7 +74,7 @@ def downscale(frame: Frame, max_side: int) -> Frame:
 
         color = read_color(frame)
         if color is None:
-            raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
+            raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", Where(frame=frame.name))
         require_size(color, camera, frame.color, frame.name)
         return np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
 

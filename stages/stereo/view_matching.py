@@ -173,11 +173,11 @@ def _swept(
 
 
 def _without_partners(name: str, are_before: bool) -> SkippedFrame:
-    place = "before or behind it" if are_before else "too near, too far aside, or look elsewhere"
+    place = "in front of it or behind it" if are_before else "too close, too far apart, or look elsewhere"
     return SkippedFrame(
         name,
         DEPTH_VIEW_WITHOUT_PARTNER.warning(
-            "no other view sees the same from a little aside (1 to 35 degrees); others stand {place}",
+            "no other view sees the same surface at an angle of 1 to 35 degrees; the other views are {place}",
             place=place,
         ),
     )

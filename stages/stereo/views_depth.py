@@ -147,7 +147,7 @@ def _results(
     if smaller:
         emit(
             DEPTH_IMAGES_SMALLER.warning(
-                "{count} images were made smaller, to {max_side} px (depth.max_side)",
+                "{count} images were downscaled to {max_side} px (depth.max_side)",
                 count=smaller,
                 max_side=params.max_side,
             )
@@ -250,12 +250,12 @@ def _require_enough(scan: Scan, params: DepthParams) -> None:
     """Raise InputError if there are too few views for a check."""
     count, needed = len(scan.frames), max(params.agreeing_views + 1, 2)
     if count < needed:
-        alone = "one view alone has no depth" if count == 1 else f"of {count} views no depth is agreed with"
+        alone = "a single view has no depth" if count == 1 else f"{count} views are too few"
         raise InputError(
             DEPTH_VIEW_WITHOUT_PARTNER,
-            "{alone}: each place must be measured from {needed} views.",
+            "{alone}: each point must be measured in {needed} views.",
             scan.folder,
-            remedy="Give more views" + (", or lower depth.agreeing_views." if count > 1 else "."),
+            remedy="Use more views" + (", or lower depth.agreeing_views." if count > 1 else "."),
             alone=alone,
             needed=needed,
         )
@@ -301,8 +301,8 @@ def _recognised(
             seen = compared()
             emit(
                 DEPTH_POSES_MOVED.warning(
-                    "the poses are brought nearer to what views recognise in each other: held-out points lie "
-                    "{after:.1f} px off, {before:.1f} px before (median)",
+                    "the poses were refined from feature matches: the median epipolar error of held-out "
+                    "matches is now {after:.1f} px, {before:.1f} px before",
                     after=nearer.after,
                     before=nearer.before,
                 )
@@ -341,21 +341,21 @@ def _report_misfit(usual: float, scan: Scan, params: DepthParams) -> None:
     if usual > params.max_pose_error:
         raise InputError(
             POSE_INCONSISTENT_WITH_IMAGES,
-            "what two views show is off by {off:.1f} px (median) from where their poses put it: poses or "
+            "feature matches between views have a median epipolar error of {off:.1f} px: poses or "
             "calibration do not fit the images.",
             scan.folder,
             remedy=(
-                "Give others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy; "
-                "depth.max_pose_error, {max_pose_error:g} px, says how much is borne."
+                "Set scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy. The maximum error is "
+                "depth.max_pose_error, {max_pose_error:g} px."
             ),
             off=usual,
             max_pose_error=params.max_pose_error,
         )
     emit(
         POSE_INCONSISTENT_WITH_IMAGES.warning(
-            "what two views show is off by {off:.1f} px (median) from where their poses put it: poses or "
-            "calibration do not fit the images well, and depth will have holes and errors",
-            remedy="scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy state others",
+            "feature matches between views have a median epipolar error of {off:.1f} px: poses or "
+            "calibration are inaccurate, and depth will have holes and errors",
+            remedy="set others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy",
             off=usual,
         )
     )
@@ -397,7 +397,7 @@ def _depth_map(
     farthest: float,
 ) -> DepthMap | SkippedFrame:
     if not depth.any():
-        why = DEPTH_VIEW_UNCONFIRMED.warning("no depth of it agrees with that of other views")
+        why = DEPTH_VIEW_UNCONFIRMED.warning("its depth does not agree with other views")
         return SkippedFrame(frame.name, why)
     nothing = np.full(depth.shape, np.nan, np.float32)
     return DepthMap(depth, confidence, nothing, color, view.camera, np.eye(3), search, view.near, farthest)
@@ -417,9 +417,8 @@ def _require_share(skipped: Sequence[SkippedFrame], total: int, share: float, sc
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
             (
-                "{skipped_count} of the scan's {total} views cannot be used, more than the "
-                "share of {share:g} that max_skipped allows; the last of them, {last_name}: "
-                "{reason}"
+                "{skipped_count} of the scan's {total} views cannot be used; max_skipped allows a ratio "
+                "of {share:g}. Last unusable view, {last_name}: {reason}"
             ),
             scan.folder,
             skipped_count=len(skipped),

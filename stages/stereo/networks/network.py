@@ -86,7 +86,7 @@ class Network:
         if odd is not None:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "its inputs are {detail}, those of the network, and not {inputs}.",
+                "the sidecar names the inputs {inputs}, but the network has {detail}.",
                 sidecar.file or file,
                 detail=", ".join(self._inputs)[:200] or "none",
                 inputs=", ".join(sidecar.inputs)[:200],
@@ -181,7 +181,7 @@ class Network:
         if not np.isfinite(maps[0]).any():
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "its output {output} holds no number at all.",
+                "its output {output} has no finite values.",
                 self.file,
                 output=self.sidecar.output[:40],
             )
@@ -265,8 +265,8 @@ class Network:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
                 (
-                    "its output {name} is of shape {shape} for an image of {size} × {size_2} px, "
-                    "and no map of it."
+                    "its output {name} has shape {shape} for an image of {size} × {size_2} px, so it is not "
+                    "a map of the image."
                 ),
                 self.file,
                 name=name[:40],
@@ -284,7 +284,7 @@ class Network:
             if about["type"] not in TYPES:
                 raise InputError(
                     DEPTH_NETWORK_SIDECAR_INVALID,
-                    "its input {name} is of type {about}; known are {types}.",
+                    "its input {name} has type {about}; supported are {types}.",
                     self.file,
                     name=name[:40],
                     about=about["type"],
@@ -300,8 +300,8 @@ class Network:
                 raise InputError(
                     DEPTH_NETWORK_SIDECAR_INVALID,
                     (
-                        "its input {name} is of shape {shape}, and the sidecar's {taken} in {color}, "
-                        "{layout}, has {wanted} channels."
+                        "its input {name} has shape {shape}, but {taken} in {color}, {layout}, as the "
+                        "sidecar states, has {wanted} channels."
                     ),
                     self.file,
                     name=name[:40],
@@ -317,7 +317,7 @@ class Network:
         sizes = [{one for one in found if one is not None} for found in (heights, widths)]
         if any(len(one) > 1 for one in sizes):
             raise InputError(
-                DEPTH_NETWORK_SIDECAR_INVALID, "its inputs are of different fixed sizes.", self.file
+                DEPTH_NETWORK_SIDECAR_INVALID, "its inputs have different fixed sizes.", self.file
             )
         found = [next(iter(one), None) for one in sizes]
         return found[0], found[1]
@@ -329,7 +329,7 @@ def _require_outputs(sidecar: Sidecar, processes: NetworkProcesses) -> None:
         if name not in there:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "there is no output {name!r}; the network's are {there}.",
+                "the network has no output {name!r}, only {there}.",
                 sidecar.file or processes.file,
                 name=name[:40],
                 there=", ".join(there)[:200],

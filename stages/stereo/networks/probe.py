@@ -114,7 +114,7 @@ def _of_image(processes: NetworkProcesses, base: Sidecar, channels: int) -> Prob
     if not np.isfinite(found).any():
         raise StageError(
             DEPTH_NETWORK_UNIDENTIFIED,
-            "it gives no number for an image, put as {said}.",
+            "it returns no finite values for an image given as {said}.",
             where=processes.file,
             said=_said(sidecar),
         )
@@ -139,8 +139,8 @@ def _of_pair(processes: NetworkProcesses, candidates: Sequence[Sidecar], progres
         raise StageError(
             DEPTH_NETWORK_UNIDENTIFIED,
             (
-                "in none of the usual ways does it give the shift of a known pair "
-                "within {right:g} px; the nearest, {said}, is off by {least:.3g} px."
+                "with none of the common conventions does it find the disparity of a test pair to "
+                "{right:g} px; the best one, {said}, has an error of {least:.3g} px."
             ),
             remedy="Write its sidecar by hand.",
             where=processes.file,
@@ -242,7 +242,7 @@ def _ways(inputs: Sequence[Any], file: Path) -> tuple[str, str, list[tuple[dict[
     told = ", ".join(f"{one['name'][:40]} {one['shape']}" for one in inputs)
     raise InputError(
         DEPTH_NETWORK_UNIDENTIFIED,
-        "its inputs ({told}) are no image and no pair",
+        "its inputs ({told}) are neither an image nor a pair",
         file,
         remedy="write its sidecar by hand.",
         told=told[:200],
@@ -269,7 +269,7 @@ def _multiple(inputs: Sequence[Any], layout: str) -> int:
 
 def _said(sidecar: Sidecar) -> str:
     low, high = sidecar.range
-    takes = f"{sidecar.color} {low:g} to {high:g}" + (" less a mean" if any(sidecar.mean) else "")
+    takes = f"{sidecar.color} {low:g} to {high:g}" + (" minus a mean" if any(sidecar.mean) else "")
     order = "" if "pair" in sidecar.inputs.values() else f", {' and '.join(sidecar.inputs.values())}"
     sign = "−" if sidecar.sign < 0 else ""
     return f"{takes}{order}, {sign}{sidecar.unit}"

@@ -54,7 +54,7 @@ class NetworkProcesses:
         if find_spec("onnxruntime") is None:
             raise UsageError(
                 DEPTH_NETWORK_UNUSABLE,
-                "networks are run by onnxruntime",
+                "onnxruntime is required to run networks",
                 remedy="install scanloom[network].",
                 where=file,
             )
@@ -166,9 +166,9 @@ class _Process:
             found = [_read(answers, shape) for shape in said.get("shapes", ())]
         except (OSError, ValueError) as error:
             why = (
-                f"it takes more than {self._seconds:g} s (depth.model_seconds)"
+                f"it exceeds the time limit of {self._seconds:g} s (depth.model_seconds)"
                 if is_late.is_set()
-                else "it crashed, or takes more memory than it may (depth.model_memory)"
+                else "it crashed, or exceeds the memory limit (depth.model_memory)"
             )
             raise InputError(
                 DEPTH_NETWORK_UNUSABLE, "cannot be run as a network: {why}.", self._file, why=why

@@ -80,9 +80,7 @@ def _loaded(path: Path) -> Any:
     import onnxruntime
 
     if path.stat().st_size > _MOST_BYTES:
-        raise InputError(
-            DEPTH_NETWORK_UNUSABLE, "it is larger than 2 GB, more than one file of a network can hold"
-        )
+        raise InputError(DEPTH_NETWORK_UNUSABLE, "the file is larger than 2 GB, the limit of ONNX files")
     options = onnxruntime.SessionOptions()
     # One thread keeps the order of summation, and with it the result, fixed. Several pairs use several
     # processes.
@@ -122,13 +120,13 @@ def _numbers(output: Any, pixels: int) -> NDArray[np.float32]:
     if array.dtype.kind not in "fiu":
         raise InputError(
             DEPTH_NETWORK_UNUSABLE,
-            "an output is of type {array_dtype}, where numbers are expected",
+            "an output has type {array_dtype} instead of numbers",
             array_dtype=array.dtype,
         )
     if array.size > _MOST_A_PIXEL * pixels:
         raise InputError(
             DEPTH_NETWORK_UNUSABLE,
-            "an output has {array_size:,} values for {pixels:,} of an input",
+            "an output has {array_size:,} values for an input of {pixels:,}, more than a map can have",
             array_size=array.size,
             pixels=pixels,
         )
@@ -154,12 +152,12 @@ def _said(error: BaseException) -> str:
         return str(error)
     text = " ".join(str(error).split())
     if isinstance(error, MemoryError) or any(word in text for word in _NO_MEMORY):
-        return "it needs more memory than it may take (depth.model_memory)"
+        return "it exceeds the memory limit (depth.model_memory)"
     if "External data" in text or "external data" in text:
         return (
-            "it keeps its weights in other files, which are not read; make one file of them: "
+            "it stores its weights in other files, which are not read; merge them into one file with "
             "onnx.save(onnx.load(FILE), OTHER)"
         )
     # Format of onnxruntime: "[ONNXRuntimeError] : 2 : INVALID_ARGUMENT : message".
     said = text.split(" : ", 3)[-1] if text.startswith("[ONNX") else text
-    return f"onnxruntime says: {said[:200].rstrip('. ')}"
+    return f"onnxruntime reports: {said[:200].rstrip('. ')}"

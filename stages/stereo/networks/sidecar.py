@@ -100,18 +100,18 @@ class Sidecar:
                     allowed=", ".join(allowed),
                 )
         if self.kind == STEREO and "pair" not in taken and {"left", "right"} - {*taken}:
-            raise InputError(
-                DEPTH_NETWORK_SIDECAR_INVALID, "inputs must take both left and right, or a pair."
-            )
+            raise InputError(DEPTH_NETWORK_SIDECAR_INVALID, "inputs must include left and right, or pair.")
         if self.unit not in _UNITS[self.kind]:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "unit is {unit!r}; of one image it must be {units}.",
+                "unit is {unit!r}; for a monocular network it must be {units}.",
                 unit=self.unit,
                 units=" or ".join(_UNITS[self.kind]),
             )
         if self.range[0] == self.range[1] or not all(one > 0 for one in self.std):
-            raise InputError(DEPTH_NETWORK_SIDECAR_INVALID, "range must be of two values, and std above 0.")
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID, "the two values of range must differ, and std must be above 0."
+            )
         return self
 
     @property
@@ -143,7 +143,7 @@ def read_sidecar(network: Path) -> Sidecar:
         raise InputError(
             DEPTH_NETWORK_SIDECAR_INVALID,
             (
-                "there is no {path_name} beside it, which says what it takes and gives; "
+                "its sidecar {path_name} with input and output conventions is missing; "
                 "scanloom probe {network_name} --write guesses one."
             ),
             network,
@@ -155,10 +155,10 @@ def read_sidecar(network: Path) -> Sidecar:
     for name in values:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            advice = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}."
+            advice = f"did you mean {near[0]}?" if near else f"valid keys are {', '.join(known)}."
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "there is no key {name!r}; {advice}",
+                "unknown key {name!r}; {advice}",
                 path,
                 name=name[:40],
                 advice=advice,
@@ -166,7 +166,7 @@ def read_sidecar(network: Path) -> Sidecar:
     for name in ("kind", "inputs", "output", "unit"):
         if name not in values:
             raise InputError(
-                DEPTH_NETWORK_SIDECAR_INVALID, "it does not say {name}, which it must.", path, name=name
+                DEPTH_NETWORK_SIDECAR_INVALID, "the required key {name} is missing.", path, name=name
             )
     try:
         return Sidecar(**{name: _checked(name, value) for name, value in values.items()}, file=path).checked()
@@ -232,7 +232,7 @@ def _checked(name: str, value: Any) -> Any:
         return value
     if not isinstance(value, dict) or not value:
         raise InputError(
-            DEPTH_NETWORK_SIDECAR_INVALID, "inputs is no table of the network's inputs and what each takes."
+            DEPTH_NETWORK_SIDECAR_INVALID, "inputs must be a table that maps each network input to its role."
         )
     return {_name("inputs", key): _name(f"inputs.{key[:40]}", taken) for key, taken in value.items()}
 
