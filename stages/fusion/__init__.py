@@ -1,1 +1,1 @@
-"""What the fuse stage is made of: from posed depth maps to a volume and the mesh in it."""
+"""TSDF fusion of posed depth maps into a mesh."""

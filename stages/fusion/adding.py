@@ -1,4 +1,7 @@
-"""Frames added to a field one after the other, read and filtered in threads a few ahead."""
+"""Integration of frames into a TSDF volume.
+
+Frames are read and filtered in threads, a few ahead of the integration, which is sequential.
+"""
 
 from __future__ import annotations
 
@@ -31,16 +34,16 @@ from scanloom.stages.scans.model.scan import ColorImage, Frame, Pose, Scan, Skip
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """What is to be fused, and how.
+    """Frames and resolved parameters of a fusion.
 
     Attributes
     ----------
-    frames : all of them.
-    params, plan : as given, and with nothing left to derive.
-    color : whether voxels have a colour.
-    factor : how many times as wide the depth maps are made first.
-    threads : to read and compute with.
-    where : the scan's folder, for messages.
+    frames : all frames of the scan, with denoised or upsampled depth if there is a single frame.
+    params, plan : parameters as given, and the plan with every derived value.
+    color : whether voxels store colour.
+    factor : upsampling factor of the depth maps; 1 if they are not upsampled.
+    threads : thread count for reading and integration.
+    where : folder of the scan, for messages.
     """
 
     frames: list[Frame]
@@ -54,20 +57,34 @@ class Work:
 
 @dataclass(frozen=True)
 class Tally:
-    """Of a frame, how many pixels there are, have a depth, and show what is fused."""
+    """Pixel counts of one frame.
+
+    Attributes
+    ----------
+    pixels : all pixels.
+    valid : pixels with valid depth.
+    used : pixels that are fused.
+    """
 
     pixels: int
     valid: int
     used: int
 
 
-# What became of a frame.
 Outcome: TypeAlias = Tally | SkippedFrame
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A frame ready to be added: how many pixels are used, the field's own of it, and its colours."""
+    """Frame ready for integration.
+
+    Attributes
+    ----------
+    view : filtered depth and pose.
+    used : number of pixels that are fused.
+    parts : volume-specific input, as returned by `Field.prepared`: touched blocks or depth layers.
+    color : (h, w, 3) uint8 at the size of the depth map; None without colour.
+    """
 
     view: PosedDepth
     used: int
@@ -76,14 +93,14 @@ class Prepared:
 
 
 def begun(scan: Scan | Iterable[Frame], params: FuseParams) -> Work:
-    """Look at some frames, and derive what is left open.
+    """Sample some frames and derive the parameters left unset.
 
     Raises
     ------
     InputError
-        If there is nothing to fuse.
+        If there are no frames, or no frame has a pose or a depth map.
     UsageError
-        If nothing is inside of what is to be fused.
+        If the crop contains no points.
     """
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
@@ -104,7 +121,12 @@ def begun(scan: Scan | Iterable[Frame], params: FuseParams) -> Work:
 
 
 def own_volume(work: Work, within: Box | None = None) -> Volume:
-    """Return a field of our own, without any frames; of the blocks in a box alone, if there is one."""
+    """Create an empty TSDF volume.
+
+    Parameters
+    ----------
+    within : limits the volume to a box of blocks; None for no limit.
+    """
     return Volume(
         work.plan.voxel_size,
         work.plan.truncation,
@@ -117,25 +139,37 @@ def own_volume(work: Work, within: Box | None = None) -> Volume:
 
 
 def add_frames(work: Work, volume: Field, frames: Sequence[Frame], progress: Progress) -> list[Outcome]:
-    """Add frames to a field, in their order; return what became of each.
+    """Integrate frames into a volume in the given order.
+
+    Returns
+    -------
+    One outcome per frame: its pixel counts, or the reason why the frame was skipped.
 
     Raises
     ------
     InputError
         If more than `max_bad_share` of all frames cannot be used.
     StageError
-        If the field outgrows its memory.
+        If the volume exceeds its memory limit.
     """
 
     def add(_number: int, item: Prepared) -> None:
-        # Without parts, nothing is added.
+        # Frames without touched blocks add nothing.
         volume.integrate(item.view, item.parts, work.plan.local(item.view.pose), item.color)
 
     return _each(work, frames, volume.prepared, add, progress, color=work.color)
 
 
 def look_through(work: Work, seen: Callable[[int, Keys], object], progress: Progress) -> list[Outcome]:
-    """Call `seen` with the number of each frame and the blocks it touches; colours are not read.
+    """Find the blocks that each frame touches, without reading colour images.
+
+    Parameters
+    ----------
+    seen : called with the index of each frame and the keys of its blocks, in order.
+
+    Returns
+    -------
+    One outcome per frame, as `add_frames`.
 
     Raises
     ------
@@ -191,7 +225,7 @@ def _each(
 def facts_of(
     work: Work, outcomes: Sequence[Outcome], min_weight: int, volume_bytes: int, device: str
 ) -> dict[str, Any]:
-    """Return the fields of `Facts`; the outcomes are those of all frames."""
+    """Return the fields of `Facts` as keyword arguments. `outcomes` has one entry per frame of the scan."""
     plan = work.plan
     read = [one for one in outcomes if isinstance(one, Tally)]
     pixels, valid, used = (sum(getattr(one, name) for one in read) for name in ("pixels", "valid", "used"))
@@ -215,24 +249,28 @@ def facts_of(
 
 
 def least_weight(typical: float, frames: Sequence[Frame]) -> int:
-    """Return how many frames must have seen a surface, from how many saw the median voxel."""
+    """Derive the minimum observation count from the median observation count.
+
+    The result is half the median of the voxels near the surface, within 1 to 3 frames.
+    """
     least = int(np.clip(round(typical / 2), 1, 3))
-    # A masked thing is seen from all around, each side by a few frames, and the plate below it by all.
+    # Few frames observe each side of a masked turntable object. All frames observe the plate below it, which
+    # dominates the median.
     is_masked = all(frame.mask is not None for frame in frames)
     return min(least, max(len(frames) // 4, 1)) if is_masked else least
 
 
 def nothing_fused(work: Work, outcomes: Sequence[Outcome], min_weight: int) -> InputError:
-    """Return the error of a fusion that nothing came out of."""
+    """Build the error for a fusion whose mesh has no triangles."""
     used = [one.used for one in outcomes if isinstance(one, Tally) and one.used]
     return InputError(
         FUSE_NO_SURFACE,
         (
-            "no surface came out of {used_count} frames at voxels of {voxel_size:g} m: "
-            "none was seen by {min_weight} of them{inside}."
+            "the mesh is empty: no voxel of {voxel_size:g} m was observed by at least {min_weight} of "
+            "{used_count} frames{inside}."
         ),
         work.where,
-        remedy="Check poses and depth scale, or lower min_weight.",
+        remedy="Check the poses and the depth scale, or lower min_weight.",
         used_count=len(used),
         voxel_size=work.plan.voxel_size,
         min_weight=min_weight,
@@ -241,26 +279,26 @@ def nothing_fused(work: Work, outcomes: Sequence[Outcome], min_weight: int) -> I
 
 
 def inside(crop: Crop, points: int) -> str:
-    """Return words for what of a scan is fused; none for all of it."""
-    return f" inside {crop}, from {points:,} points there" if crop else ""
+    """Describe the crop for a message; empty without a crop."""
+    return f" inside {crop} ({points:,} depth points there)" if crop else ""
 
 
 def device_of(params: FuseParams) -> str:
-    """Return "CPU:0" or "CUDA:0".
+    """Resolve the device parameter to "CPU:0" or "CUDA:0".
 
     Raises
     ------
     UsageError
-        If a CUDA device is asked for and not there, or of no use.
+        If CUDA is requested with the own backend, or Open3D finds no CUDA device.
     """
     wanted = params.device
     if params.backend == "own":
         if wanted == "cuda":
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "is 'cuda', which backend 'own' knows nothing of",
+                "is 'cuda', but backend 'own' runs on the CPU only",
                 Where(parameter="device"),
-                remedy="choose open3d or auto.",
+                remedy="set backend to open3d or auto.",
             )
         return "CPU:0"
     if wanted != "cpu" and open3d().core.cuda.is_available():
@@ -270,7 +308,7 @@ def device_of(params: FuseParams) -> str:
             FUSE_DEVICE_MISSING,
             "is 'cuda', but Open3D finds no CUDA device",
             Where(parameter="device"),
-            remedy="choose cpu or auto.",
+            remedy="set it to cpu or auto.",
         )
     return "CPU:0"
 
@@ -282,8 +320,8 @@ def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
         raise InputError(
             POSE_MISSING,
             (
-                "none of the {frames_count} frames has a camera pose; fusion needs the pose "
-                "of each (world_from_camera)."
+                "none of the {frames_count} frames has a camera pose (world_from_camera), which "
+                "fusion requires."
             ),
             where,
             frames_count=len(frames),
@@ -299,15 +337,15 @@ def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
 
 
 def require_share(work: Work, outcomes: Sequence[Outcome]) -> None:
-    """Raise InputError if too many of the frames cannot be used."""
+    """Raise InputError if the ratio of skipped frames exceeds `max_bad_share`."""
     skipped = [one for one in outcomes if isinstance(one, SkippedFrame)]
     count, share = len(work.frames), work.params.max_bad_share
     if len(skipped) > share * count:
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
             (
-                "{skipped_count} of {count} frames cannot be used; at most {share:.0%} may "
-                "be bad (max_bad_share). The first, frame {first}: {reason}"
+                "{skipped_count} of {count} frames cannot be used; max_bad_share allows "
+                "{share:.0%}. First unusable frame, {first}: {reason}"
             ),
             work.where,
             skipped_count=len(skipped),

@@ -1,8 +1,8 @@
-"""Space in bricks: which frames touch which, and how many of them fit into memory at a time.
+"""Bricks: cubes of blocks that are fused independently.
 
-A brick is a cube of blocks whose side is a power of two, at a multiple of it. In the Z-order of blocks its
-own follow each other without another's between, and so do those of eight bricks that make a cube: what is
-computed apart is joined by appending. To know its surface a brick needs the blocks next to it as well (see
+A brick is an axis-aligned cube of 2^level blocks per side, aligned to multiples of its side. In Z-order
+(Morton order) the blocks of a brick are contiguous, and so are eight sibling bricks. Meshes of bricks are
+therefore stitched by concatenation. The surface of a brick also depends on the adjacent blocks (see
 kernels/src/fusion/surface.rs).
 """
 
@@ -19,21 +19,21 @@ from scanloom.stages.fusion.voxels import BLOCK, Keys
 
 Block = tuple[int, int, int]
 
-# Blocks lie within ± this of the field's origin: 21 bits for each axis.
+# Block coordinates range within ± this from the origin of the volume: 21 bits per axis of a 64-bit key.
 _REACH = 1 << 20
 _BITS = 21
-# Keys of blocks that are waiting to be merged with those that are known.
+# Block keys buffered before a merge, which sorts: 8 MB of uint64 keys.
 _WAITING = 1 << 20
 
 
 @dataclass(frozen=True)
 class Cube:
-    """Blocks of a cube.
+    """Axis-aligned cube of blocks, addressed by its Z-order index.
 
     Attributes
     ----------
-    level : there are 2^level blocks along its side.
-    number : place in Z-order among the cubes of its level.
+    level : log2 of the number of blocks along a side.
+    number : Z-order index among the cubes of this level.
     """
 
     level: int
@@ -41,34 +41,39 @@ class Cube:
 
     @property
     def low(self) -> Block:
-        """Return its lowest block."""
+        """Return the lowest block coordinates of the cube."""
         x, y, z = coordinates(np.array([self.number << 3 * self.level], np.uint64))[0]
         return int(x), int(y), int(z)
 
     @property
     def high(self) -> Block:
-        """Return the block after its highest, along each axis."""
+        """Return the exclusive upper block coordinates of the cube."""
         x, y, z = (c + (1 << self.level) for c in self.low)
         return x, y, z
 
     def parts(self) -> Iterator[Cube]:
-        """Yield the eight cubes it is made of, in their order."""
+        """Yield the eight child cubes in Z-order."""
         yield from (Cube(self.level - 1, 8 * self.number + i) for i in range(8))
 
 
 def level_of(brick_size: float, voxel_size: float) -> int:
-    """Return how large bricks are, as a cube's level: as near to `brick_size`, metres, as there is one."""
+    """Return the cube level whose side is closest to `brick_size`.
+
+    Parameters
+    ----------
+    brick_size, voxel_size : metres; sides are compared on a log scale.
+    """
     return min(max(round(math.log2(brick_size / (BLOCK * voxel_size))), 1), _BITS - 1)
 
 
 def coordinates(keys: Keys) -> NDArray[np.int32]:
-    """Return the coordinates (n, 3) of blocks, in blocks, from their places in Z-order."""
+    """Decode Z-order keys of blocks to block coordinates (n, 3)."""
     places = np.stack([_gathered(keys >> np.uint64(axis)) for axis in range(3)], axis=1)
     return np.asarray(places - np.int32(_REACH), np.int32)
 
 
 def _gathered(bits: Keys) -> NDArray[np.int32]:
-    """Take every third bit."""
+    """Compact every third bit (inverse of `_spread`)."""
     bits = bits & np.uint64(0x1249249249249249)
     for shift, mask in (
         (2, 0x10C30C30C30C30C3),
@@ -82,7 +87,7 @@ def _gathered(bits: Keys) -> NDArray[np.int32]:
 
 
 def _spread(places: NDArray[np.int64]) -> Keys:
-    """Put two zeros before each bit."""
+    """Insert two zero bits before each bit."""
     bits = places.astype(np.uint64)
     for shift, mask in (
         (32, 0x001F00000000FFFF),
@@ -96,13 +101,25 @@ def _spread(places: NDArray[np.int64]) -> Keys:
 
 
 def numbers_of(cubes: NDArray[np.int64], level: int) -> Keys:
-    """Return the places in Z-order of cubes of a level, from their coordinates (n, 3) in cubes."""
+    """Encode cube coordinates (n, 3) of a level to Z-order indices (n,)."""
     x, y, z = (_spread(axis + (_REACH >> level)) for axis in cubes.T)
     return np.asarray(x | y << np.uint64(1) | z << np.uint64(2))
 
 
 def touched_bricks(keys: Keys, level: int) -> list[int]:
-    """Return the bricks whose surface may depend on blocks: those they are in, and those next to them."""
+    """Find the bricks whose surface depends on the given blocks.
+
+    These are the bricks that contain a block or a neighbour of a block.
+
+    Parameters
+    ----------
+    keys : Z-order keys of blocks.
+    level : level of the bricks.
+
+    Returns
+    -------
+    Sorted Z-order indices of the bricks.
+    """
     places = coordinates(keys).astype(np.int64)
     ends = (places - 1) >> level, (places + 1) >> level
     found = [
@@ -113,7 +130,7 @@ def touched_bricks(keys: Keys, level: int) -> list[int]:
 
 
 class Seen:
-    """Blocks that frames touch, gathered frame by frame."""
+    """Counter of frames per touched block."""
 
     def __init__(self) -> None:
         self._known: Keys = np.zeros(0, np.uint64)
@@ -122,7 +139,7 @@ class Seen:
         self._count = 0
 
     def add(self, keys: Keys) -> None:
-        """Add the blocks of a frame."""
+        """Count the blocks touched by one frame."""
         self._waiting.append(keys)
         self._count += len(keys)
         if self._count > _WAITING:
@@ -137,22 +154,23 @@ class Seen:
         self._waiting, self._count = [], 0
 
     def all(self) -> tuple[Keys, NDArray[np.int64]]:
-        """Return all of them once, in their order, and how many frames touch each."""
+        """Return the sorted block keys and the frame count of each block."""
         self._merge()
         return self._known, self._times
 
 
 def passes(keys: Keys, level: int, most_blocks: int) -> list[Cube]:
-    """Cut what is to be fused into cubes whose blocks, with those next to them, are at most `most_blocks`.
+    """Split the touched space into cubes that fit in memory.
 
     Parameters
     ----------
-    keys : of all blocks, in their order.
-    level : of a brick: no cube is smaller.
+    keys : sorted Z-order keys of all touched blocks.
+    level : level of a brick, the smallest cube.
+    most_blocks : maximum number of touched blocks per cube, including the blocks adjacent to the cube.
 
     Returns
     -------
-    The cubes in their order; one of a brick alone may have more blocks than that.
+    The cubes in Z-order. A cube that is a single brick may exceed `most_blocks`.
     """
     places = coordinates(keys)
 
@@ -171,6 +189,6 @@ def passes(keys: Keys, level: int, most_blocks: int) -> list[Cube]:
 
 
 def bricks_of(cube: Cube, bricks: Iterable[int], level: int) -> list[Cube]:
-    """Return those of some bricks that are in a cube, in their order."""
+    """Return the bricks inside a cube, in Z-order. `bricks` are Z-order indices at `level`."""
     shift = 3 * (cube.level - level)
     return [Cube(level, number) for number in sorted(bricks) if number >> shift == cube.number]

@@ -1,4 +1,4 @@
-"""What of a scan's world is fused, in a box, in a ball, above a plane: of depth maps, and of the mesh."""
+"""Crop region of a fusion, applied to depth maps and meshes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Crop:
-    """Places that are in all of these; what is None says nothing.
+    """Intersection of a box, a ball and a half-space.
 
     Attributes
     ----------
-    box : lowest and highest corner, metres.
-    center, radius : of a ball, metres.
-    normal, height : a place p is above the plane where normal · p > height, metres; normal has length 1.
+    box : lowest and highest corner, metres, world; None for no box.
+    center, radius : ball, metres; None for no ball.
+    normal, height : half-space of the points p with normal · p > height (metres); normal has length 1. None
+        for no half-space.
     """
 
     box: Corners | None = None
@@ -43,13 +44,16 @@ class Crop:
         if self.center is not None and self.radius is not None:
             parts.append(f"{self.radius:.4g} m around {in_words(self.center)}")
         if self.normal is not None:
-            parts.append(f"what is above the plane {in_words(self.normal)} · p = {self.height:.4g} m")
+            parts.append(f"the half-space above the plane {in_words(self.normal)} · p = {self.height:.4g} m")
         return " and ".join(parts) or "everything"
 
     def outside(self, points: Floats) -> Floats:
-        """Return how far outside points (n, 3) are, metres: (n,), 0 or less inside.
+        """Return the distance of points (n, 3) to the crop region.
 
-        It is the distance to the nearest place inside, or less beside edges and corners.
+        Returns
+        -------
+        (n,) metres; 0 or less inside. Near edges and corners the value is a lower bound of the Euclidean
+        distance.
         """
         far = np.full(len(points), -np.inf)
         if self.box is not None:
@@ -63,7 +67,12 @@ class Crop:
 
 
 def shown(view: PosedDepth, crop: Crop, by: float = 0.0) -> Mask:
-    """Return which pixels (h, w) show what is inside of a crop, or no more than `by` metres outside."""
+    """Return a mask (h, w) of the pixels inside the crop.
+
+    Parameters
+    ----------
+    by : points at most this far outside count as inside, metres.
+    """
     seen = np.asarray(view.surface.depth > 0)
     if crop:
         seen[seen] = crop.outside(view.points(1)) <= by
@@ -71,23 +80,29 @@ def shown(view: PosedDepth, crop: Crop, by: float = 0.0) -> Mask:
 
 
 def cropped(view: PosedDepth, crop: Crop) -> PosedDepth:
-    """Return a view without the depth of what is outside of a crop."""
+    """Remove the depth of a view outside of the crop."""
     depth = np.where(shown(view, crop), view.surface.depth, np.float32(0))
     return replace(view, surface=replace(view.surface, depth=depth))
 
 
 def cut(mesh: Mesh, crop: Crop) -> Mesh:
-    """Return the triangles of a mesh with vertex colours that have all corners inside, in the same order."""
+    """Crop a mesh to the triangles whose three corners are inside.
+
+    The order is preserved.
+    """
     return part_of(mesh, within(mesh, crop)) if crop else mesh
 
 
 def within(mesh: Mesh, crop: Crop) -> Mask:
-    """Return which triangles (m,) of a mesh have all corners inside of a crop."""
+    """Return a mask (m,) of the triangles inside the crop.
+
+    A triangle is inside if its three corners are.
+    """
     return np.asarray((crop.outside(mesh.vertices) <= 0)[mesh.triangles].all(axis=1))
 
 
 def part_of(mesh: Mesh, kept: Mask) -> Mesh:
-    """Return the triangles of a mesh with vertex colours that are kept (m,), in the same order."""
+    """Return a mesh with the triangles selected by the mask `kept` (m,). The order is preserved."""
     triangles, used = mesh.triangles[kept], corners_of(mesh, kept)
     rank = np.cumsum(used, dtype=np.int32) - 1
     colors = None if mesh.colors is None else mesh.colors[used]
@@ -95,7 +110,7 @@ def part_of(mesh: Mesh, kept: Mask) -> Mesh:
 
 
 def corners_of(mesh: Mesh, kept: Mask) -> Mask:
-    """Return which vertices (n,) are corners of the triangles that are kept (m,)."""
+    """Return a mask (n,) of the vertices of the triangles in `kept` (m,)."""
     used = np.zeros(len(mesh.vertices), np.bool_)
     used[mesh.triangles[kept]] = True
     return used

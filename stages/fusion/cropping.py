@@ -1,4 +1,4 @@
-"""What a fusion keeps of a scan, from what is asked for and what some frames show."""
+"""Resolution of the crop from the parameters and from sampled frames."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from scanloom.stages.fusion.survey import Noise
 from scanloom.stages.scans.model.prefetch import read_ahead
 from scanloom.stages.scans.model.scan import Frame
 
-# A plane that leaves less than this share of the points is told.
+# Ratio of points left above the support plane below which a warning is emitted.
 _NEARLY_NOTHING = 0.01
-# Depth counts as that of the plane up to this many times its spread above it, and a surface beside it is
-# rounded within so many voxels.
+# Default plane margin. Depth of the plane itself scatters up to about 3 standard deviations above it. The
+# TSDF rounds edges next to the plane over about 1.5 voxels.
 _SPREADS, _VOXELS = 3.0, 1.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Kept:
-    """What is kept.
+    """Crop resolved to world coordinates.
 
     Attributes
     ----------
-    crop : the places that are.
-    support : the plane that is left out, with what is below it.
-    views : some frames, whole, of which each shows some of what is kept.
+    crop : region to fuse.
+    support : support plane that is removed with everything below it; None if no plane is removed.
+    views : sampled frames, uncropped, each with at least one point inside the crop.
     """
 
     crop: Crop
@@ -53,18 +53,23 @@ def what_is_kept(
     limits: DepthLimits,
     threads: int,
 ) -> Kept:
-    """Find out what is kept, above a plane if that is asked for; what cannot be done is emitted.
+    """Resolve the crop, including the support plane if `remove_plane` is set.
+
+    Emits a warning if a parameter has no effect or no support plane is found.
 
     Parameters
     ----------
-    looked_at : frames at even places of the scan.
-    scene : where they lie.
-    noise : of their depth.
+    frames : all frames of the scan.
+    looked_at : frames sampled evenly from the scan.
+    scene : extent and centre of the scan.
+    noise : depth noise of the sampled frames.
+    params, limits : parameters of the fusion, and limits of the depth to read.
+    threads : thread count for reading.
 
     Raises
     ------
     UsageError
-        If nothing that any frame shows is in the box or the ball.
+        If no frame has a point inside the box or the ball.
     """
     crop = Crop(box=params.box)
     if params.radius is not None:
@@ -94,8 +99,8 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
     if isinstance(found, str):
         emit(
             FUSE_PLANE_UNCERTAIN.warning(
-                "remove_plane: nothing is removed, no plane under the thing is found: {why}",
-                remedy="center, box or radius say where the thing is",
+                "remove_plane: no plane is removed, because none was found under the object: {why}",
+                remedy="give the position of the object with center, radius or box",
                 why=found,
             )
         )
@@ -106,7 +111,7 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
     if share == 0:
         raise UsageError(
             FUSE_CROP_EMPTY,
-            "nothing is left to fuse: of {depth_count:,} points looked at 0 are inside {above}.",
+            "the crop is empty: none of {depth_count:,} sampled points is inside {above}.",
             depth_count=len(depth),
             above=above,
         )
@@ -114,7 +119,7 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
         emit(
             FUSE_PLANE_UNCERTAIN.warning(
                 "remove_plane: only {share:.1%} of the points are more than {margin:.2g} m above the plane",
-                remedy="if it is not the one under the thing, say where that is by center, box or radius",
+                remedy="if it is not the plane under the object, set center, radius or box to the object",
                 share=share,
                 margin=above.height - found.offset_m,
             )
@@ -124,14 +129,19 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
 
 
 def above_plane(crop: Crop, support: Support, margin: float | None, voxel_size: float) -> Crop:
-    """Return what of a crop is farther above a plane than a margin, if need be derived from both, metres."""
+    """Restrict a crop to the half-space above the support plane.
+
+    Parameters
+    ----------
+    margin : distance above the plane, metres; None derives it from the plane's spread and the voxel size.
+    """
     if margin is None:
         margin = max(_SPREADS * support.spread_m, _VOXELS * voxel_size)
     return replace(crop, normal=support.normal, height=support.offset_m + margin)
 
 
 def _thing(params: FuseParams, crop: Crop, scene: Scene) -> Point:
-    """Return where the thing is that stands on the plane."""
+    """Return the position of the object on the support plane."""
     if params.center is not None:
         return params.center
     if crop.box is not None:
@@ -148,7 +158,10 @@ def _that_show(
     limits: DepthLimits,
     threads: int,
 ) -> list[PosedDepth]:
-    """Return views that show what is kept; more frames are looked at where too few of those that were do."""
+    """Return views with points inside the crop.
+
+    Reads further frames if fewer than half of the sampled views have any.
+    """
     views = [view for view in looked_at if shown(view, crop).any()]
     enough = (len(looked_at) + 1) // 2
     if len(views) >= enough:
@@ -158,7 +171,7 @@ def _that_show(
         try:
             return read_posed_depth(frame, limits)
         except InputError:
-            return None  # fusion tells of it
+            return None  # reported by the integration, which reads the frame again
 
     views, points = [], 0
     for view in read_ahead(attempt, _spread(frames), threads=threads, ahead=threads):
@@ -173,8 +186,8 @@ def _that_show(
         raise UsageError(
             FUSE_CROP_EMPTY,
             (
-                "nothing is left to fuse: of {points:,} points in {frames_count} frames 0 "
-                "are inside {crop}; most lie within {scene} m."
+                "the crop is empty: none of {points:,} points in {frames_count} frames is inside "
+                "{crop}; most points are within {scene} m."
             ),
             points=points,
             frames_count=len(frames),
@@ -185,7 +198,7 @@ def _that_show(
 
 
 def _spread(frames: Sequence[Frame]) -> list[Frame]:
-    """Return the frames in an order whose every beginning is spread evenly over all of them."""
+    """Order frames so that every prefix samples the sequence evenly (bisection order)."""
     halvings = range(len(frames).bit_length())
     return [frames[0]] + [
         frames[i] for k in reversed(halvings) for i in range(1 << k, len(frames), 1 << (k + 1))

@@ -1,4 +1,4 @@
-"""What is told of a fusion beside its mesh."""
+"""Statistics of a fusion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scanloom.stages.surface.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class MeshFigures:
-    """How large a mesh is: lowest and highest corner (3,) of its box, metres, and counts."""
+    """Bounding box (two corners (3,), metres) and element counts of a mesh."""
 
     lowest: NDArray[np.float64]
     highest: NDArray[np.float64]
@@ -27,32 +27,32 @@ class MeshFigures:
 
     @classmethod
     def of(cls, mesh: Mesh) -> MeshFigures:
-        """Return those of a mesh in memory."""
+        """Measure a mesh in memory."""
         vertices = mesh.vertices
         return cls(vertices.min(axis=0), vertices.max(axis=0), len(vertices), len(mesh.triangles))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Facts:
-    """How a mesh was fused.
+    """Statistics of a fusion.
 
     Attributes
     ----------
-    voxel_size, truncation, max_depth : metres, as given or derived; truncation is 0 for a frame alone, whose
-        pixels are joined without a field.
-    min_weight : frames, as given or derived.
+    voxel_size, truncation, max_depth : metres, as given or derived; truncation is 0 for a single frame, which
+        is meshed without a volume.
+    min_weight : minimum observation count of a voxel in frames, as given or derived.
     noise : depth noise measured between neighbouring frames.
-    frames : how many frames were fused.
-    skipped : which were not, and why.
-    pixels_valid : share of the fused frames' pixels that had a depth.
-    pixels_used : share of all their pixels that went into the mesh, with gaps of one pixel that were closed.
-    volume_bytes : memory of the volume at its end; of the largest, where space was cut in bricks.
+    frames : number of fused frames.
+    skipped : skipped frames, with reasons.
+    pixels_valid : ratio of pixels with valid depth in the frames that were read.
+    pixels_used : ratio of pixels that were fused, including bridged gaps of one pixel.
+    volume_bytes : final memory of the volume; with bricks, of the largest volume.
     device : "CPU:0" or "CUDA:0".
-    crop : what was fused of the scan.
-    support : the plane that was left out, with what is below it.
-    outside : how many frames show nothing of what was fused; they are not among `frames`.
-    upsampled : how many times as wide the depth maps were made first; 1 for not at all.
-    diagnostics : what was left out.
+    crop : region that was fused.
+    support : support plane that was removed with everything below it; None if no plane was removed.
+    outside : number of frames without a point inside the crop; not counted in `frames`.
+    upsampled : upsampling factor of the depth maps; 1 if they were not upsampled.
+    diagnostics : warnings of the fusion.
     """
 
     voxel_size: float
@@ -73,11 +73,11 @@ class Facts:
     diagnostics: tuple[Diagnostic, ...] = ()
 
     def facts(self) -> dict[str, Any]:
-        """Return the fields of this class, which others have more than."""
+        """Return the fields of `Facts` without the fields of subclasses."""
         return {one.name: getattr(self, one.name) for one in fields(Facts)}
 
     def figures_of(self, mesh: MeshFigures) -> dict[str, Any]:
-        """Return the figures for a report, JSON-able, units in the names."""
+        """Return JSON-ready metrics for the report, with units in the keys."""
         return {
             "voxel_size_m": self.voxel_size,
             "truncation_m": self.truncation,

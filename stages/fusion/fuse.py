@@ -1,4 +1,4 @@
-"""Fuse posed depth maps into one coloured mesh: a truncated signed distance field, then its zero surface."""
+"""Fusion of posed depth maps into a coloured mesh."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fused(Facts):
-    """A fused mesh, and how it came about.
+    """Fused mesh with statistics of the fusion.
 
     Attributes
     ----------
-    mesh : with uint8 vertex colours where the frames have colour.
-    seen : (n,) float32, how many frames saw each vertex, 255 for more; None of a frame alone, from Open3D's
-        voxels and where space was cut in bricks.
+    mesh : with uint8 vertex colours if the frames have colour.
+    seen : (n,) float32, number of frames that observed each vertex, capped at 255. None for a single frame,
+        for Open3D's backend, and for fusion in bricks.
     """
 
     mesh: Mesh
@@ -68,7 +68,7 @@ class Fused(Facts):
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures for a report, JSON-able, units in the names."""
+        """Return JSON-ready metrics for the report, with units in the keys."""
         return self.figures_of(MeshFigures.of(self.mesh))
 
 
@@ -81,18 +81,20 @@ def fuse(
 ) -> Fused:
     """Fuse frames with depth and poses into a mesh.
 
-    Some frames are looked at first: depth noise is measured by comparing neighbouring frames, and whatever
-    parameter is left open follows from it and from the spacing of the pixels that are kept. Then frames are
-    read and filtered in threads, a few ahead, while one after the other goes into the volume. A frame that
-    cannot be used is skipped and reported. With a crop the volume holds what is inside, and a seam outside as
-    wide as the field is cut off at; depth outside tells that nothing is before it. The mesh is cut at the
-    border: there it is as without a crop. Of a frame alone the pixels are joined instead (see
-    scanloom.stages.fusion.relief). Equal input gives a bit-identical mesh on one machine, whatever the
-    number of threads, and whether space was cut in bricks (see scanloom.stages.fusion.in_bricks).
+    Depth noise is estimated from a sample of neighbouring frames. Unset parameters are derived from this
+    estimate and from the pixel spacing. Frames are then read in parallel and integrated in order. Unusable
+    frames are skipped and reported.
+
+    With a crop, the volume extends one truncation beyond the crop. Depth outside the crop only carves free
+    space. The mesh is cut at the crop boundary and inside equals the mesh without a crop.
+
+    A single frame is meshed directly from its pixels, without a volume (see scanloom.stages.fusion.relief).
+    On one machine, equal input gives a bit-identical mesh for any number of threads and any brick size (see
+    scanloom.stages.fusion.in_bricks).
 
     Parameters
     ----------
-    scan : a scan, or frames, with depth; stereo pairs go through `depth` first.
+    scan : scan or frames with depth; compute depth of stereo pairs with `depth` first.
     params, **changes : see FuseParams.
     progress : called after each frame.
 
@@ -101,9 +103,10 @@ def fuse(
     InputError
         If no frame has a pose or depth, or more than `max_bad_share` of the frames cannot be used.
     UsageError
-        For a parameter out of its range, a crop that leaves nothing, or a CUDA device that is not there.
+        If a parameter is out of range, the crop contains no points, or the CUDA device is missing.
     StageError
-        If the volume outgrows its memory, and so does each brick of space, or they are not to be had.
+        If the volume exceeds its memory limit and a single brick does as well, or if the backend does not
+        support bricks.
 
     References
     ----------
@@ -125,11 +128,13 @@ def fuse(
 def fuse_to_file(
     scan: Scan, params: FuseParams, path: Path, *, kept: Kept | None = None, progress: Progress = silent
 ) -> Fused | FusedInBricks:
-    """Fuse frames as `fuse` does, and write the mesh to a PLY file; in pieces, if space was cut in bricks.
+    """Fuse frames as `fuse` does, and write a PLY file.
+
+    Large meshes are written in chunks.
 
     Parameters
     ----------
-    kept : where bricks are kept for the next time; None for nowhere.
+    kept : store for fused bricks, reused by later runs; None discards the bricks.
 
     Raises
     ------
@@ -149,7 +154,10 @@ def fuse_to_file(
 
 
 def _fused(work: Work, progress: Progress, in_bricks: Callable[[], R]) -> Fused | R:
-    """Fuse in one piece; or in bricks, where that is asked for or one piece does not fit."""
+    """Fuse in memory, or in bricks.
+
+    Bricks are used if requested, or if the volume exceeds its memory limit.
+    """
     device = device_of(work.params)
     if _is_in_bricks(work, device):
         return in_bricks()
@@ -162,13 +170,16 @@ def _fused(work: Work, progress: Progress, in_bricks: Callable[[], R]) -> Fused 
 
 
 def _is_in_bricks(work: Work, device: str) -> bool:
-    """Whether space is to be cut in bricks from the start: as asked for, or likely to be needed."""
+    """Return True if fusion should start in bricks.
+
+    Bricks are used if requested, or if the expected volume exceeds the memory limit.
+    """
     if work.params.brick_size is not None and not _has_bricks(work, device):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "is for scanloom's own voxels",
+            "requires backend 'own' on the CPU",
             Where(parameter="brick_size"),
-            remedy="leave out device and backend.",
+            remedy="omit device and backend.",
         )
     if len(work.frames) == 1 or not _has_bricks(work, device):
         return False
@@ -218,7 +229,7 @@ def _volume(work: Work, device: str) -> Field:
 
 
 def _alone(work: Work) -> Fused:
-    """Join the pixels of a frame that no other fills up."""
+    """Mesh the pixels of a single frame."""
     (frame,), plan = work.frames, work.plan
     view = read_whole(frame, plan.limits)
     here = plan.fused(view)
@@ -227,7 +238,7 @@ def _alone(work: Work) -> Fused:
     if len(mesh.triangles) == 0:
         raise InputError(
             FUSE_NO_SURFACE,
-            "no surface came out of the frame{inside}.",
+            "the mesh is empty: no triangle was found in the depth map{inside}.",
             Where(frame=frame.name),
             remedy="Check the depth scale and the calibration.",
             inside=inside(plan.crop, int(here.sum())),

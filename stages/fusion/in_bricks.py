@@ -1,10 +1,11 @@
-"""Fuse brick by brick: as much of space at a time as fits into memory, the mesh on disk.
+"""Out-of-core fusion in bricks that fit in memory.
 
-All frames are looked through once for the blocks they touch. Then space is cut in cubes that fit, and each is
-fused from the frames that touch it, with a rim of blocks around it. The surface of each brick inside is kept
-as a file: where there is one already, nothing is fused again. How often a voxel must have been seen is known
-at the end, and is guessed before: if wrong, all is done once more. Joined they are, to the byte, what `fuse`
-gives in one piece.
+A first pass over all frames records the blocks each frame touches. Space is then split into cubes that fit in
+memory. Each cube is fused from the frames that touch it, with a margin of one block. The mesh of each brick
+in the cube is stored in a file and reused by later runs.
+
+The minimum observation count is only known after all bricks. It is guessed first, and the run is repeated if
+the guess was wrong. The stitched mesh is byte-identical to the in-memory result of `fuse`.
 """
 
 from __future__ import annotations
@@ -47,31 +48,52 @@ from scanloom.stages.progress import Progress, silent
 from scanloom.stages.scans.model.scan import SkippedFrame
 
 _COUNTS, _SKIPPED = "frame_counts.npy", "skipped.json"
-# Version of these files: bricks of another one are not used.
+# Version of the brick files; stored bricks of another version are ignored.
 _FORMAT = 2
 
 
 class Kept(Protocol):
-    """Where bricks are kept that were fused before."""
+    """Store of fused bricks."""
 
     def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> Path | None:
-        """Return the folder of a brick that was made of these frames, by their numbers; None of none."""
+        """Look up the folder of a stored brick.
+
+        Parameters
+        ----------
+        brick : brick to find.
+        frames : indices of the frames that touch the brick.
+        decided : every other input of the brick, as returned by `_decided`.
+
+        Returns
+        -------
+        The folder; None if no stored brick has the same inputs.
+        """
 
     def store(
         self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any], make: Callable[[Path], None]
     ) -> Path:
-        """Have a brick's files written into a folder, and return it."""
+        """Store a brick.
+
+        Parameters
+        ----------
+        brick, frames, decided : as for `get`.
+        make : writes the files of the brick into a given folder.
+
+        Returns
+        -------
+        The folder.
+        """
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FusedInBricks(Facts):
-    """A fused mesh in a file, and how it came about.
+    """Fused mesh in a file, with statistics of the fusion.
 
     Attributes
     ----------
-    path : of a PLY file, with its table of pieces beside it; see scanloom.stages.surface.pieces.
-    mesh_figures : how large it is.
-    bricks, fused_bricks : how many there are, and how many of them had to be fused.
+    path : PLY file; its chunk table is stored next to it (see scanloom.stages.surface.pieces).
+    mesh_figures : bounding box and element counts of the mesh.
+    bricks, fused_bricks : number of bricks, and of bricks that were fused rather than reused.
     """
 
     path: Path
@@ -83,34 +105,34 @@ class FusedInBricks(Facts):
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures for a report, JSON-able, units in the names."""
+        """Return JSON-ready metrics for the report, with units in the keys."""
         return self.figures_of(self.mesh_figures) | {"bricks": self.bricks, "bricks_fused": self.fused_bricks}
 
 
 def fuse_in_bricks(
     work: Work, result: Path, *, kept: Kept | None = None, progress: Progress = silent
 ) -> FusedInBricks:
-    """Fuse frames with depth and poses into a mesh that is written piece by piece.
+    """Fuse frames brick by brick, and write a PLY file.
 
     Parameters
     ----------
-    work : of several frames.
-    result : the PLY file to write.
-    kept : where bricks are kept for the next time; None for nowhere.
-    progress : called after each frame that was looked through, and for the frames of each cube.
+    work : fusion of at least two frames.
+    result : PLY file to write.
+    kept : store for fused bricks, reused by later runs; None discards the bricks.
+    progress : called after each frame of the first pass, and after each frame of each cube.
 
     Raises
     ------
     InputError, StageError
-        As `fuse`; a single brick may outgrow the memory, too.
+        As `fuse`; also StageError if a single brick exceeds the memory limit.
     """
     size, voxel_size = work.params.brick_size, work.plan.voxel_size
-    # The pieces of the result are made of whole bricks.
+    # Chunks of the written mesh consist of whole bricks.
     most = piece_level(voxel_size)
     level = min(level_of(size, voxel_size), most) if size else most
     index = _index(work, level, progress)
     with _somewhere(kept, result.parent) as kept:
-        # A frame that touches a block measured some of its voxels: about half.
+        # Initial guess: a frame that touches a block observes about half of its voxels.
         min_weight = work.params.min_weight or least_weight(index.typical / 2, work.frames)
         made = _make(work, index, level, kept, min_weight, progress)
         counts = sum(map(_read_counts, made.folders), np.zeros(256, np.int64))
@@ -134,14 +156,14 @@ def fuse_in_bricks(
 
 @dataclass(frozen=True, eq=False)
 class _Index:
-    """What a look through all frames tells.
+    """Result of the first pass over all frames.
 
     Attributes
     ----------
-    outcomes : what became of each, by its depth.
-    blocks : keys of all blocks that are touched, in their order.
-    typical : how many frames touch the median one.
-    frames : by brick, the numbers of the frames that its surface may depend on.
+    outcomes : outcome of each frame, from its depth alone.
+    blocks : sorted Z-order keys of all touched blocks.
+    typical : number of frames that touch the median block.
+    frames : by Z-order index of a brick, indices of the frames that its surface may depend on.
     """
 
     outcomes: list[Outcome]
@@ -165,7 +187,14 @@ def _index(work: Work, level: int, progress: Progress) -> _Index:
 
 @dataclass
 class _Made:
-    """The bricks and their folders, in order; what had to be done for them."""
+    """Bricks of a fusion.
+
+    Attributes
+    ----------
+    bricks, folders : the bricks in Z-order, and the folders of their files.
+    fused : number of bricks that were fused rather than reused.
+    volume_bytes : peak memory of the volume.
+    """
 
     bricks: list[Cube]
     folders: list[Path]
@@ -174,7 +203,10 @@ class _Made:
 
 
 def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, progress: Progress) -> _Made:
-    """Fuse the bricks that are not kept, as many at a time as fit."""
+    """Fuse the bricks missing from the store.
+
+    As many bricks as fit in memory are fused at a time.
+    """
     most_blocks = int(work.params.memory * 1e6 / block_bytes(color=work.color))
     with_blocks = {int(number) for number in np.unique(index.blocks >> np.uint64(3 * level))}
     decided = _decided(work, min_weight)
@@ -196,7 +228,8 @@ def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, pr
             made.fused += len(missing)
             for brick in missing:
                 frames = index.frames[brick.number]
-                # By places among the brick's own: other frames may come between before it is used again.
+                # Keyed by index within the frames of the brick: global frame indices may shift before the
+                # brick is reused.
                 skipped = {at: reasons[number] for at, number in enumerate(frames) if number in reasons}
                 write = partial(_write_brick, volume, min_weight, brick, skipped)
                 folders[brick] = kept.store(brick, frames, decided, write)
@@ -206,7 +239,10 @@ def _make(work: Work, index: _Index, level: int, kept: Kept, min_weight: int, pr
 
 
 def _decided(work: Work, min_weight: int) -> dict[str, Any]:
-    """Return all that decides a brick beside its frames, JSON-able."""
+    """Return every input of a brick except its frames, JSON-ready.
+
+    A stored brick is reused only if all inputs match.
+    """
     plan, params = work.plan, work.params
     return {
         "format": _FORMAT,
@@ -225,7 +261,7 @@ def _decided(work: Work, min_weight: int) -> dict[str, Any]:
 
 
 def _around(bricks: Sequence[Cube]) -> Box:
-    """Return the box of some bricks with a rim of one block."""
+    """Return the bounding box of bricks, plus one block on each side."""
     x, y, z = np.min([brick.low for brick in bricks], axis=0) - 1
     right, top, back = np.max([brick.high for brick in bricks], axis=0) + 1
     return (int(x), int(y), int(z)), (int(right), int(top), int(back))
@@ -234,7 +270,7 @@ def _around(bricks: Sequence[Cube]) -> Box:
 def _write_brick(
     volume: Volume, min_weight: int, brick: Cube, skipped: Mapping[int, Diagnostic], folder: Path
 ) -> None:
-    """Write a brick's surface, how often its voxels were seen, and which frames were skipped, and why."""
+    """Write the mesh, observation histogram and skipped frames of a brick."""
     within = brick.low, brick.high
     np.save(folder / _COUNTS, volume.frame_counts(within))
     mesh, _, joints = volume.surface(min_weight, within)
@@ -249,7 +285,10 @@ def _read_counts(folder: Path) -> NDArray[np.int64]:
 
 
 def _outcomes(work: Work, index: _Index, made: _Made) -> list[Outcome]:
-    """Return what became of all frames, also of those whose colours were no good where they were used."""
+    """Return the outcome of every frame of the scan.
+
+    A frame with readable depth is skipped if its colour turns out unreadable during the integration.
+    """
     outcomes = list(index.outcomes)
     for brick, folder in zip(made.bricks, made.folders, strict=True):
         with reading(folder):
@@ -265,7 +304,7 @@ def _outcomes(work: Work, index: _Index, made: _Made) -> list[Outcome]:
 
 
 def _write(work: Work, joined: Joined, result: Path) -> MeshFigures:
-    """Write the whole; what is cut at a crop has room in memory."""
+    """Write the stitched mesh. A cropped mesh is assembled in memory first."""
     plan = work.plan
     if not plan.crop:
         return write_joined(result, joined, plan, has_colors=work.color)
@@ -277,12 +316,12 @@ def _write(work: Work, joined: Joined, result: Path) -> MeshFigures:
 
 @dataclass(frozen=True, eq=False)
 class _Scratch:
-    """Bricks of one fusion, which are found by nobody later."""
+    """Temporary brick store for a single run; lookups always miss."""
 
     folder: Path
 
     def get(self, brick: Cube, frames: Sequence[int], decided: Mapping[str, Any]) -> None:
-        """Find nothing."""
+        """Return None: every brick is fused anew."""
 
     def store(
         self,
@@ -291,7 +330,7 @@ class _Scratch:
         decided: Mapping[str, Any],  # noqa: ARG002
         make: Callable[[Path], None],
     ) -> Path:
-        """Have a brick's files written."""
+        """Write the files of a brick into a subfolder."""
         folder = self.folder / str(brick.number)
         folder.mkdir(exist_ok=True)
         make(folder)

@@ -1,8 +1,8 @@
-"""Pieces of a surface, each of one brick, and the whole they make.
+"""Stitching of brick meshes into one mesh.
 
-A piece has the vertices of its own blocks, and names those of its neighbours by the edges they lie on. Joined
-in the order of the bricks they are the surface of a single piece, bit for bit. Pieces are files, so that no
-more than one has to be in memory.
+A brick mesh owns the vertices of its blocks. It references vertices of neighbouring bricks by the voxel edge
+that contains them. Concatenated in Z-order, the brick meshes equal the in-memory mesh bit for bit. Brick
+meshes are files, so that only one has to be in memory at a time.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from scanloom.stages.fusion.voxels import Keys
 from scanloom.stages.surface.codes import FUSE_TOO_LARGE
 from scanloom.stages.surface.mesh import Mesh
 
-# Edges of a block, first and second vertices, have codes below this.
+# Power of two above all edge codes: a block has 8³ × 3 edges with up to two vertices each, so 3072 codes.
 _CODES = 1 << 12
 _SURFACE, _JOINT = "surface.npz", "joint.npz"
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """The surface of a brick.
+    """Mesh of one brick.
 
     Attributes
     ----------
-    vertices : (n, 3) float64 metres, in the field's axes.
-    triangles : (m, 3) int32; numbers from n upward are those of vertices that neighbours have.
+    vertices : (n, 3) float64 metres, volume coordinates.
+    triangles : (m, 3) int32; indices from n upward reference vertices of neighbouring bricks.
     colors : (n, 3) uint8, or None.
     """
 
@@ -47,13 +47,15 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """How a piece is joined to those beside it, and how large it is.
+    """Vertices shared with neighbouring bricks, and size of the brick mesh.
 
     Attributes
     ----------
-    foreign : uint64; blocks (k,) in Z-order, and codes of edges (k,), of the vertices that neighbours have.
-    shared : the same (j,) of the vertices on lower faces, which neighbours may name, and their numbers.
-    size : of vertices and triangles.
+    foreign : referenced vertices of neighbours: Z-order keys of their blocks (k,) and their edge codes (k,),
+        uint64.
+    shared : own vertices on the lower faces, which neighbours may reference: block keys (j,), edge codes (j,)
+        and vertex indices (j,).
+    size : number of vertices and of triangles.
     """
 
     foreign: tuple[Keys, Keys]
@@ -62,7 +64,10 @@ class Joint:
 
 
 def write_piece(folder: Path, piece: Piece, joints: Sequence[Keys]) -> None:
-    """Write a piece as uncompressed .npz files: the surface, and beside it how it is joined."""
+    """Write a brick mesh as uncompressed .npz files.
+
+    One file has the mesh, the other one the shared vertices and the size.
+    """
     arrays: dict[str, NDArray[Any]] = {"vertices": piece.vertices, "triangles": piece.triangles}
     if piece.colors is not None:
         arrays["colors"] = piece.colors
@@ -73,17 +78,18 @@ def write_piece(folder: Path, piece: Piece, joints: Sequence[Keys]) -> None:
 
 @contextmanager
 def reading(folder: Path) -> Iterator[None]:
-    """Tell in one sentence that the files of a piece are not as they were written.
+    """Convert errors of reading a brick's files to a StageError.
 
-    They were when they were found; what is kept of them is looked through and made anew by the next run.
+    The store validates bricks when it finds them, so an error here means damage during the run. The next run
+    validates again and fuses the damaged brick anew.
     """
     try:
         yield
     except (OSError, EOFError, ValueError, LookupError, BadZipFile, InputError) as error:
         raise StageError(
             FUSE_BRICK_DAMAGED,
-            "this brick of the fused surface was damaged while it was used",
-            remedy="run again, which makes it anew.",
+            "the brick was damaged during the run",
+            remedy="run again, which fuses the brick anew.",
             where=folder,
         ) from error
 
@@ -100,22 +106,23 @@ def _read_joint(folder: Path) -> Joint:
 
 
 class Joined:
-    """Pieces in files, joined as they are read.
+    """Mesh stitched from brick files as they are read.
 
     Parameters
     ----------
-    cubes : the bricks, in their order.
-    folders : of their pieces.
+    cubes : bricks in Z-order.
+    folders : folder of each brick's files.
 
     Attributes
     ----------
-    vertex_ends, triangle_ends : (k + 1,) how many there are before each brick, and in all.
-    vertex_count, triangle_count : in all.
+    vertex_ends, triangle_ends : (k + 1,) cumulative counts: index of the first element of each brick, and the
+        total.
+    vertex_count, triangle_count : totals.
 
     Raises
     ------
     StageError
-        If there are more triangles than can be numbered.
+        If an element count exceeds the int32 range.
     """
 
     def __init__(self, cubes: Sequence[Cube], folders: Sequence[Path]) -> None:
@@ -130,8 +137,8 @@ class Joined:
         if max(self.vertex_count, self.triangle_count) > np.iinfo(np.int32).max:
             raise StageError(
                 FUSE_TOO_LARGE,
-                "the surface has {triangle_count:,} triangles, more than can be numbered.",
-                remedy="Give a larger voxel_size, or fuse a part of the scan (box).",
+                "the mesh has {triangle_count:,} triangles, more than 32-bit indices can address.",
+                remedy="Increase voxel_size, or fuse a part of the scan (box).",
                 triangle_count=self.triangle_count,
             )
         self._shared = [
@@ -140,7 +147,7 @@ class Joined:
         ]
 
     def __iter__(self) -> Iterator[tuple[Piece, NDArray[np.int32]]]:
-        """Yield the pieces, each with its triangles by numbers that count through all of them."""
+        """Yield each brick mesh with its triangles in global vertex indices."""
         for first, folder, joint in zip(self.vertex_ends, self._folders, self._joints, strict=False):
             piece = _read_piece(folder)
             own = np.arange(first, first + len(piece.vertices))
@@ -148,7 +155,7 @@ class Joined:
             yield piece, numbers[piece.triangles].astype(np.int32)
 
     def mesh(self) -> Mesh:
-        """Return all of it, in memory."""
+        """Return the stitched mesh in memory."""
         pieces, triangles = zip(*self, strict=True)
         colors = [piece.colors for piece in pieces if piece.colors is not None]
         return Mesh(
@@ -158,11 +165,14 @@ class Joined:
         )
 
     def _local(self, brick: int, blocks: Keys, codes: Keys) -> Keys:
-        """Return one key for block and edge, among those of one brick."""
+        """Combine block key and edge code to one key.
+
+        The key is unique and ordered within one brick.
+        """
         return np.asarray((blocks - np.uint64(brick << 3 * self._level)) * np.uint64(_CODES) + codes)
 
     def _numbers(self, blocks: Keys, codes: Keys) -> NDArray[np.int64]:
-        """Return the numbers of vertices that other pieces have."""
+        """Look up the indices (k,) of vertices owned by other bricks."""
         numbers = np.empty(len(blocks), np.int64)
         bricks = blocks >> np.uint64(3 * self._level)
         for brick in np.unique(bricks):
@@ -182,6 +192,6 @@ class Joined:
 def _do_not_fit() -> StageError:
     return StageError(
         FUSE_BRICK_DAMAGED,
-        "pieces of the surface do not fit each other",
-        remedy="fuse again, with --force fuse.",
+        "the meshes of adjacent bricks do not match",
+        remedy="run again with --force fuse.",
     )

@@ -1,4 +1,4 @@
-"""How exact the depth of a scan is, for stages that ask for nothing else of fusion."""
+"""Depth noise of a scan, for stages that do not fuse."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ RESULT_VERSION = 2
 
 
 def depth_noise(frames: Sequence[Frame], where: Path | None = None) -> float:
-    """Return the standard deviation of a frame's depth at the median depth, along the surface's normal, m.
+    """Estimate the depth noise at the median depth.
 
-    It is what neighbouring frames differ by where they see the same, and so also holds what their poses are
-    off; 0 where too few of them do.
+    The noise is the standard deviation of a frame's depth along the surface normal, in metres. The estimate
+    compares neighbouring frames where they observe the same surface, so pose errors are included. The result
+    is 0 if too few points overlap.
 
     Parameters
     ----------
-    frames : with depth and poses; a few of them are read.
-    where : the scan's folder, for messages.
+    frames : with depth and poses; only a sample is read.
+    where : folder of the scan, for messages.
 
     Raises
     ------
     InputError
-        If none of the frames looked at can be used.
+        If no sampled frame can be used.
     """
     pairs = look(frames, limits_of(FuseParams()), where, workers())
     found = survey([view for view, _ in pairs], measured_noise(pairs))

@@ -1,10 +1,10 @@
-"""The same field in Open3D's VoxelBlockGrid: for its CUDA devices, and to compare with.
+"""TSDF volume backed by Open3D's VoxelBlockGrid, for CUDA devices and for comparison.
 
-Open3D measures a voxel's distance to the surface along the optical axis. Seen at a grazing angle that is
-many times the true distance: voxels just behind a road lie metres behind it along the axis, fall out of the
-truncation band, and the road is torn. Here a depth map is integrated in layers of like obliqueness, each
-with its truncation stretched accordingly. Since Open3D stores distance divided by truncation, what adds up
-in a voxel is the distance along the surface's normal, for all layers and frames alike.
+Open3D measures the distance of a voxel to the surface along the optical axis. At a grazing angle this is many
+times the true distance. Voxels just behind a road are then metres behind it along the axis, leave the
+truncation band, and the road is torn. Each depth map is therefore integrated in layers of similar
+obliqueness, with the truncation stretched per layer. Open3D stores distance divided by truncation, so voxels
+accumulate the distance along the surface normal consistently over layers and frames.
 
 References
 ----------
@@ -27,27 +27,27 @@ from scanloom.stages.fusion.voxels import BLOCK, outgrown
 from scanloom.stages.scans.model.scan import ColorImage, Pose
 from scanloom.stages.surface.mesh import Mesh
 
-# Distance, weight and three colour channels in float32, or without the colour.
+# Bytes per voxel with and without colour: distance, weight and three colour channels in float32.
 _VOXEL_BYTES = {True: 20, False: 8}
-# Obliqueness grows by this factor from layer to layer: truncation along the normal then stays within a
-# factor of √3 of what was asked for, and nearly all pixels of an indoor scan fall into one layer.
+# Ratio of obliqueness between layers. It keeps the truncation along the normal within a factor of √3 of the
+# requested value. Nearly all pixels of an indoor scan are in one layer.
 _LAYER_RATIO = 3.0
-# The blocks that a layer touches are found from pixels this share of a block apart on the surface.
+# Pixel spacing on the surface for finding touched blocks, relative to the block size.
 _TOUCH_SPACING = 0.5
-# No voxel is nearer to the surface than this many voxels: zero would put the vertices of several edges in
-# one place, which makes triangles without area and leaves the order of vertices open.
+# Minimum absolute distance of a voxel to the surface, in voxels. Zero would put the vertices of several edges
+# at one point, which creates triangles without area and leaves the order of vertices undefined.
 _LEAST_DISTANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """The pixels of a depth map that are about equally oblique.
+    """Pixels of a depth map with similar obliqueness.
 
     Attributes
     ----------
-    depth : (h, w) uint16 in units of max_depth / 65535, 0 at all other pixels.
-    points : (n, 3) float32 metres, camera axes; a sample of the band that has to be in the volume.
-    stretch : truncation along the optical axis, in truncations along the normal.
+    depth : (h, w) uint16 in units of max_depth / 65535; 0 at all other pixels.
+    points : (n, 3) float32 metres, camera coordinates; sample of the truncation band to allocate.
+    stretch : truncation along the optical axis divided by truncation along the normal.
     """
 
     depth: NDArray[np.uint16]
@@ -58,10 +58,13 @@ class Layer:
 def layers(
     view: PosedDepth, wanted: NDArray[np.bool_], *, voxel_size: float, truncation: float, max_depth: float
 ) -> list[Layer]:
-    """Split a depth map into layers of like obliqueness, without what is farther than `max_depth`.
+    """Split a depth map into layers of similar obliqueness.
 
-    Only the surface at the pixels that are `wanted` (h, w) has to be in the volume; what others show tells
-    that nothing is before it.
+    Parameters
+    ----------
+    wanted : (h, w), pixels whose surface is fused; the other pixels only carve free space.
+    voxel_size, truncation : metres; truncation along the surface normal.
+    max_depth : metres; farther depth is dropped.
     """
     surface = view.surface
     valid = (surface.depth > 0) & (surface.depth <= max_depth)
@@ -81,7 +84,10 @@ def layers(
 
 
 def _sample(view: PosedDepth, spacing: float) -> NDArray[np.bool_]:
-    """Choose pixels, every eighth to every one, whose places on the surface are within `spacing` metres."""
+    """Sample pixels at most `spacing` metres apart on the surface.
+
+    The stride is 1, 2, 4 or 8 pixels.
+    """
     apart = view.surface.depth * view.surface.obliqueness * np.float32(1 / view.camera.fx)
     chosen = np.zeros(apart.shape, bool)
     for step in (8, 4, 2, 1):
@@ -91,7 +97,13 @@ def _sample(view: PosedDepth, spacing: float) -> NDArray[np.bool_]:
 
 
 def _band(view: PosedDepth, here: NDArray[np.bool_], truncation: float) -> NDArray[np.float32]:
-    """Points on the surface, and half a truncation to either side along its normal."""
+    """Sample the truncation band around the surface.
+
+    Returns
+    -------
+    (3 · n, 3) metres, camera coordinates: points on the surface, and points half a truncation in front of it
+    and behind it along the normal.
+    """
     rows, columns = np.nonzero(here)
     on = view.camera_points(rows, columns)
     normal = np.stack([axis[rows, columns] for axis in view.surface.normal], axis=1)
@@ -104,15 +116,15 @@ def _moved(points: NDArray[np.float32], pose: Pose) -> NDArray[np.float32]:
 
 
 class Open3DVolume:
-    """The field; it grows by the blocks that layers touch.
+    """TSDF volume in Open3D's VoxelBlockGrid, grown by the blocks that layers touch.
 
     Parameters
     ----------
-    voxel_size, truncation : metres; truncation along the surface's normal.
-    max_depth : metres, the longest depth of any layer.
-    color : whether voxels have a colour.
-    blocks : how many blocks to make room for at first.
-    max_bytes : the field may not grow past this.
+    voxel_size, truncation : metres; truncation along the surface normal.
+    max_depth : metres, the maximum depth of any layer.
+    color : whether voxels store colour.
+    blocks : initial capacity in blocks.
+    max_bytes : memory limit of the volume.
     device : "CPU:0" or "CUDA:0".
     """
 
@@ -148,16 +160,16 @@ class Open3DVolume:
 
     @property
     def blocks(self) -> int:
-        """Return the number of blocks in use."""
+        """Return the number of allocated blocks in use."""
         return int(self._grid.hashmap().size())
 
     @property
     def bytes(self) -> int:
-        """Return the memory the field takes, with the room made for its growth."""
+        """Return the memory of the volume, including unused capacity."""
         return int(self._grid.hashmap().capacity()) * self._block_bytes
 
     def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> list[Layer]:  # noqa: ARG002
-        """Return what of a frame is integrated; see `layers`."""
+        """Prepare the depth layers of a frame; see `layers`."""
         return layers(
             view,
             wanted,
@@ -167,22 +179,23 @@ class Open3DVolume:
         )
 
     def integrate(self, view: PosedDepth, parts: list[Layer], pose: Pose, color: ColorImage | None) -> None:
-        """Add one frame.
+        """Integrate one frame.
 
         Parameters
         ----------
-        parts : of it, prepared.
-        pose : (4, 4), camera to the field's axes; the field is kept in float32, so its origin must be near.
-        color : (h, w, 3) uint8 of the depth map's size; required when voxels have a colour.
+        parts : layers, as returned by `prepared`.
+        pose : (4, 4), camera to volume coordinates. The volume is float32, so the volume origin must be close
+            to the camera.
+        color : (h, w, 3) uint8 at the size of the depth map; required if voxels store colour.
 
         Raises
         ------
         StageError
-            If the field would outgrow its memory.
+            If the volume would exceed its memory limit.
         """
         o3d = open3d()
         extrinsic = o3d.core.Tensor(np.linalg.inv(pose))
-        # Open3D cuts a pixel's coordinates off where they have to be rounded.
+        # Open3D truncates projected pixel coordinates instead of rounding them.
         matrix = view.camera.matrix
         matrix[:2, 2] += 0.5
         intrinsic = o3d.core.Tensor(matrix)
@@ -207,7 +220,10 @@ class Open3DVolume:
         return touched
 
     def _make_room(self, more: int) -> None:
-        """Grow by half when `more` blocks might not fit. Left to itself, Open3D doubles."""
+        """Grow the capacity by half if `more` blocks might not fit.
+
+        Open3D itself would double the capacity.
+        """
         blocks = self._grid.hashmap()
         needed = blocks.size() + more
         if needed <= blocks.capacity():
@@ -217,9 +233,10 @@ class Open3DVolume:
         blocks.reserve(min(max(needed, blocks.capacity() * 3 // 2), self._max_blocks))
 
     def typical_frames(self) -> float:
-        """Return how many times the median voxel near the surface was seen."""
+        """Return the observation count of the median voxel near the surface."""
         used = self._used_blocks()
-        # Every seventh voxel of each block: enough for a median, and the same whatever the blocks' order.
+        # Every seventh voxel of each block suffices for a median, and the sample is independent of the block
+        # order.
         weight, distance = (
             self._grid.attribute(name)[:used].cpu().numpy().reshape(used, BLOCK**3)[:, ::7]
             for name in ("weight", "tsdf")
@@ -228,10 +245,10 @@ class Open3DVolume:
         return float(np.median(near)) if len(near) else 0.0
 
     def mesh(self, min_weight: int) -> tuple[Mesh, None]:
-        """Extract the surface through voxels seen at least `min_weight` times, in an order of its own.
+        """Extract the surface through voxels observed at least `min_weight` times.
 
-        Open3D numbers vertices as its threads come by; here they are put into the order of their places,
-        so that equal fields give equal arrays.
+        Open3D's vertex order depends on thread timing. Vertices are sorted by position, so that equal volumes
+        give equal arrays. Observation counts per vertex are not available (None).
         """
         self._keep_off_zero()
         extracted = self._grid.extract_triangle_mesh(min_weight - 0.5).cpu()
@@ -248,7 +265,7 @@ class Open3DVolume:
         return Mesh(vertices[order].astype(np.float64), _in_order(rank[triangles]), colors), None
 
     def _used_blocks(self) -> int:
-        """Return how far from its start the buffer is in use."""
+        """Return the used length of the block buffer."""
         active = self._grid.hashmap().active_buf_indices()
         return int(active.cpu().numpy().max(initial=-1)) + 1
 
@@ -263,14 +280,17 @@ class Open3DVolume:
                 tsdf[start : start + 1024] = open3d().core.Tensor(distance, device=self._device)
 
     def _vertex_order(self, vertices: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Block by block, so that neighbours in space are near in memory; inside a block by coordinates."""
+        """Return an order of vertices by block, then by coordinates.
+
+        Neighbours in space are then close in memory.
+        """
         cell = np.floor(vertices / np.float32(BLOCK * self._voxel_size)).astype(np.int64)
         block = (cell[:, 0] << 42) + (cell[:, 1] << 21) + cell[:, 2]
         return np.lexsort((vertices[:, 2], vertices[:, 1], vertices[:, 0], block))
 
 
 def _in_order(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Turn each triangle to begin with its smallest vertex, and sort them."""
+    """Rotate triangles to start at their smallest index, and sort them."""
     first = triangles.argmin(axis=1)[:, None]
     turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
     return np.ascontiguousarray(turned[np.lexsort((turned[:, 2], turned[:, 1], turned[:, 0]))])

@@ -1,4 +1,4 @@
-"""How frames are fused."""
+"""Parameters of fusion."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scanloom.stages.params import check, param
 Point = tuple[float, float, float]
 Corners = tuple[float, float, float, float, float, float]
 
-_CROP = "What is fused"
+_CROP = "Crop"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,114 +21,117 @@ class FuseParams:
 
     voxel_size: float | None = param(
         None,
-        "Edge of a voxel. Derived: twice the spacing of depth pixels at median depth, twice the measured "
-        "depth noise there, or what keeps the mesh near 2 million triangles, whichever is largest. Of a "
-        "frame alone the pixels are joined; some are left out so that vertices are half of this apart at "
-        "median depth.",
+        "Edge of a voxel. Derived: the largest of twice the pixel spacing at median depth, twice the depth "
+        "noise there, and the size that keeps the mesh near 2 million triangles. A single frame is meshed "
+        "from its pixels, with vertices half of this apart at median depth.",
         unit="m",
         low=0,
         low_open=True,
     )
     voxel_factor: float = param(
         1.0,
-        "The derived voxel size is this many times as large: 2 for a quarter of the triangles, 0.7 for twice "
-        "as many. Without effect where voxel_size is given.",
+        "Factor of the derived voxel size: 2 gives a quarter of the triangles, 0.7 twice as many. No effect "
+        "if voxel_size is given.",
         low=0.1,
         high=100,
     )
     truncation: float | None = param(
         None,
-        "Distance from the surface, along its normal, at which the field is cut off. Derived: three times "
-        "the measured noise of far depth, but 3 to 5 voxels (more if the voxels are finer than the noise). "
-        "A frame alone has no field.",
+        "Truncation distance of the TSDF along the surface normal. Derived: three times the noise of far "
+        "depth, within 3 to 5 voxels (more if the voxels are finer than the noise). No effect on a single "
+        "frame.",
         unit="m",
         low=0,
         low_open=True,
     )
-    min_depth: float = param(0.0, "Nearer depth is ignored.", unit="m", low=0)
+    min_depth: float = param(0.0, "Minimum depth; nearer depth is ignored.", unit="m", low=0)
     max_depth: float | None = param(
         None,
-        "Farther depth is ignored. Derived: where the measured noise reaches a third of the truncation.",
+        "Maximum depth; farther depth is ignored. Derived: where noise reaches a third of the truncation.",
         unit="m",
         low=0,
         low_open=True,
     )
     max_jump: float = param(
         0.05,
-        "Where depth changes by more than this share of itself from one pixel to the next, both are dropped: "
-        "sensors put false depth beside such discontinuities.",
+        "Maximum relative change of depth between neighbouring pixels. Both pixels are dropped beyond it, "
+        "because sensors report false depth next to such jumps.",
         low=0,
         low_open=True,
     )
     max_angle: float | None = param(
         None,
-        "Pixels that see the surface at a larger angle to its normal are dropped. Derived: 87; 89 for a "
-        "frame alone.",
+        "Maximum angle between the line of sight and the surface normal; more oblique pixels are dropped. "
+        "Derived: 87; 89 for a single frame.",
         unit="degrees",
         low=0,
         high=89,
     )
     min_weight: int | None = param(
         None,
-        "How many frames must have seen a voxel for the surface to pass through it. Derived: half of what "
-        "the median voxel was seen, from 1 to 3; of a masked thing a quarter of the frames at most.",
+        "Minimum number of frames that must have observed a voxel of the surface. Derived: half of the "
+        "median observation count, within 1 to 3; for a masked object at most a quarter of the frames.",
         unit="frames",
         low=1,
     )
     box: tuple[float, float, float, float, float, float] | None = param(
         None,
-        "Only what is inside this box is fused: the lowest corner, then the highest, in the scan's world, "
-        "whose extent `scanloom inspect` tells.",
+        "Fuse only points inside this box: lowest corner, then highest corner, in world coordinates. "
+        "`scanloom inspect` shows the extent of the scan.",
         unit="m",
         group=_CROP,
     )
     radius: float | None = param(
-        None, "Only what is this near to `center` is fused.", unit="m", low=0, low_open=True, group=_CROP
+        None,
+        "Fuse only points within this distance of `center`.",
+        unit="m",
+        low=0,
+        low_open=True,
+        group=_CROP,
     )
     center: tuple[float, float, float] | None = param(
         None,
-        "Where the thing is, for `radius` and `remove_plane`. Derived: where the cameras' optical axes meet, "
-        "or else the middle of what is in the middle of the images.",
+        "Position of the object, for `radius` and `remove_plane`. Derived: the intersection of the optical "
+        "axes, else the median of the points in the image centres.",
         unit="m",
         group=_CROP,
     )
     remove_plane: bool = param(
         False,
-        "Leave out the table or floor that the thing stands on, and what is below it.",
+        "Remove the table or floor under the object, and everything below it.",
         group=_CROP,
     )
     plane_margin: float | None = param(
         None,
-        "How far above that plane what is fused begins. Derived: three times the spread of depth about the "
-        "plane, but at least one and a half voxels.",
+        "Minimum distance above that plane. Derived: three standard deviations of the depth around the "
+        "plane, but at least 1.5 voxels.",
         unit="m",
         low=0,
         group=_CROP,
     )
     upsample: str = param(
         "auto",
-        "Small depth maps are made larger before they are fused, by the photo where it tells near from far: "
-        "guided does it to all, off to none; auto to that of a frame alone whose photo is so much larger. "
-        "Voxels of several frames stay as large as they were, and have to be made smaller for a gain.",
+        "Upsample low-resolution depth before fusion, guided by the photo: auto only for single-frame scans "
+        "with a photo at least upsample_factor times as wide, guided always, off never. With several frames "
+        "the derived voxel size does not change; reduce it to benefit.",
         choices=("auto", "off", "guided"),
     )
-    upsample_factor: int = param(2, "How many times as wide and as high they become.", low=2, high=8)
-    color: bool = param(True, "Give the mesh vertex colours, when the frames have colour.")
+    upsample_factor: int = param(2, "Factor by which upsampling increases width and height.", low=2, high=8)
+    color: bool = param(True, "Give the mesh vertex colours if the frames have colour.")
     max_bad_share: float = param(
-        0.2, "Share of frames that may be unusable (damaged, without pose or depth).", low=0, high=1
+        0.2, "Maximum ratio of unusable frames (damaged, or without pose or depth).", low=0, high=1
     )
     memory: float = param(
         4000.0,
-        "The volume may not outgrow this: space is cut in bricks that do not.",
+        "Memory limit of the volume; larger scans are fused in bricks that fit.",
         unit="MB",
         low=1,
         invalidates=False,
     )
     brick_size: float | None = param(
         None,
-        "Space is cut in cubes of about this size, of which as many are fused at a time as fit into "
-        "`memory`, and each is kept. The mesh is the same. Derived: 4, where the field does not fit; else "
-        "space is one piece.",
+        "Fuse in cubes of about this size, as many at a time as fit in `memory`, and cache each. The mesh "
+        "does not depend on it. Derived: 4 if the volume does not fit in memory, else no bricks.",
         unit="m",
         low=0,
         low_open=True,
@@ -137,13 +140,13 @@ class FuseParams:
     )
     backend: str = param(
         "auto",
-        "Whose voxels: own, or those of Open3D, which are slower and larger, but work on a CUDA device. auto "
-        "takes Open3D's there, and its own elsewhere.",
+        "TSDF implementation: own, or open3d, which is slower and needs more memory, but supports CUDA "
+        "devices. auto uses open3d on a CUDA device, and own elsewhere.",
         choices=("auto", "own", "open3d"),
     )
     device: str = param(
         "cpu",
-        "Where to fuse: auto takes a CUDA device when Open3D finds one, cuda insists on it.",
+        "Device for fusion: auto uses a CUDA device if Open3D finds one, cuda requires it.",
         choices=("cpu", "cuda", "auto"),
     )
 
@@ -152,7 +155,7 @@ class FuseParams:
         if self.box is not None and not all(a < b for a, b in zip(self.box[:3], self.box[3:], strict=True)):
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "is {box} m; its first three numbers must be the lowest corner, its last three the highest.",
+                "is {box} m; the first three numbers must be the lowest corner, the last three the highest.",
                 Where(parameter="box"),
                 box=" ".join(f"{x:g}" for x in self.box),
             )

@@ -1,4 +1,4 @@
-"""Derive the scale of a fusion from some of its frames: voxel size, truncation, depth range, memory."""
+"""Fusion parameters derived from sampled frames: voxel size, truncation, depth range, memory."""
 
 from __future__ import annotations
 
@@ -32,44 +32,42 @@ from scanloom.stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
 from scanloom.stages.scans.model.prefetch import read_ahead
 from scanloom.stages.scans.model.scan import Frame, Pose
 
-# How many places of the scan are looked at, two neighbouring frames at each; fewer when frames are large,
-# since all of them are held at once.
+# Number of sampled positions in the scan, with two neighbouring frames each. All sampled frames are in memory
+# at once, so the limit in pixels reduces the count for large frames.
 _PLACES = 8
 _PIXELS = 8_000_000
-# With a crop, depth tells of the space before it up to so many times as far as it is fused.
+# With a crop, depth up to this multiple of the fused range is read to carve free space in front of it.
 _FREE = 2.0
-# Blocks from one place that may be a volume's origin to the next: far enough that a frame more hardly ever
-# moves it, near enough for float32.
+# Spacing of candidate volume origins, in blocks. Coarse, so that an added frame rarely moves the origin;
+# still close enough to the cameras for float32.
 _ORIGINS = 1024
-# Of so many pixels one tells the median depth. Noise that is a smaller share of voxels than this does not
-# show.
+# Pixel stride for the median depth. Noise below this ratio of the voxel size has no visible effect.
 _EVERY, _SHOWN = 16, 1 / 6
-# The share of the depth that may be too far to be fused without a word.
+# Ratio of depth pixels beyond the maximum depth above which a warning is emitted.
 _BEYOND = 0.05
-# A derived voxel size aims at no more than this; about 200 bytes of volume for each.
+# Maximum triangle count that a derived voxel size aims at; the volume needs about 200 bytes per triangle.
 _TRIANGLES = 2_000_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Plan:
-    """The parameters of a fusion with nothing left to derive.
+    """Parameters of a fusion with all derived values resolved.
 
     Attributes
     ----------
-    voxel_size, truncation : metres; truncation along the surface's normal.
+    voxel_size, truncation : metres; truncation along the surface normal.
     max_depth : metres; farther surface is not fused.
-    limits : of the depth to read; what is farther than `max_depth`, and outside of a crop, tells of the space
-        before it alone.
-    noise : as measured; see Noise.
-    origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
-    weighing : of depth in the volume; at median depth it weighs 1.
-    blocks : how many blocks of voxels are expected.
-    spread : how many times as far as the frames looked at all frames may be spread.
-    triangles : how many triangles are expected, roughly.
-    scene : where the scan lies, before anything is left out of it.
-    crop : what is fused of it.
-    reach : metres; the field is made up to so far outside, so that it is whole at the border.
-    support : the plane that is left out, with what is below it.
+    limits : limits of the depth to read. Depth beyond `max_depth` or outside the crop only carves free space.
+    noise : measured depth noise.
+    origin : (3,) world coordinates of the volume origin, on the block grid.
+    weighing : noise model that weights depth in the volume; the weight is 1 at median depth.
+    blocks : expected number of blocks.
+    spread : ratio of the camera positions of all frames to the sampled camera positions.
+    triangles : expected number of triangles, a rough estimate.
+    scene : extent of the scan before cropping.
+    crop : region to fuse.
+    reach : metres; the volume extends this far outside the crop, so that it is complete at the boundary.
+    support : support plane that is removed with everything below it; None if no plane is removed.
     """
 
     voxel_size: float
@@ -88,33 +86,36 @@ class Plan:
     triangles: int = 0
 
     def fused(self, view: PosedDepth) -> NDArray[np.bool_]:
-        """Return which pixels (h, w) of a view show surface that is to be in the volume."""
+        """Return a mask (h, w) of the pixels that are fused."""
         near = view.surface.depth <= np.float32(self.max_depth)
         return np.asarray(near & shown(view, self.crop, self.reach))
 
     def local(self, pose: Pose) -> Pose:
-        """Return a pose relative to the origin, so that float32 is exact enough wherever the world's is."""
+        """Return a pose relative to the volume origin.
+
+        Coordinates relative to it are precise enough in float32.
+        """
         moved = np.array(pose)
         moved[:3, 3] -= self.origin
         return moved
 
 
 def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, threads: int) -> Plan:
-    """Look at some frames, and derive what `params` leaves open.
+    """Sample frames and derive the parameters that `params` leaves unset.
 
     Raises
     ------
     InputError
-        If none of the frames looked at can be used.
+        If no sampled frame can be used.
     UsageError
-        If nothing is inside of what is to be fused.
+        If the crop contains no points.
     """
     limits = limits_of(params, alone=len(frames) == 1)
     pairs = look(frames, limits, where, threads)
     looked_at = [view for view, _ in pairs]
     scene = scene_of(frames, looked_at)
     noise = measured_noise(pairs)
-    # How exact depth is, all tells that is seen; how large voxels are, what is kept.
+    # Noise is estimated from all sampled depth, the voxel size only from depth inside the crop.
     kept = what_is_kept(frames, looked_at, scene, noise, params, limits, threads)
     wanted = [cropped(view, kept.crop) for view in kept.views]
     found = survey(wanted, noise)
@@ -127,16 +128,16 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         3 * noise.at(found.median),
         min(3 * noise.at(found.far), 5 * voxel_size),
     )
-    # Another frame may see farther than those looked at, hence the half more.
+    # Unsampled frames may see farther than the sampled ones, hence the factor 1.5.
     max_depth = params.max_depth or min(noise.reach(truncation / 3), 1.5 * found.farthest)
     if params.max_depth is None:
         _report_far_depth(params, wanted, found, voxel_size=voxel_size, max_depth=max_depth)
-    # Depth is kept in 65535 steps, which a limit far beyond the scene would make coarse.
+    # Depth is quantised to 65535 steps; a limit far beyond the scene would make the steps coarse.
     max_depth = min(max_depth, 10 * found.farthest)
     crop = kept.crop
     if kept.support is not None:
         crop = above_plane(crop, kept.support, params.plane_margin, voxel_size)
-    # What is left out, and too far to be fused, still tells that beside the thing there is nothing.
+    # Depth outside the crop and beyond `max_depth` still carves the free space around the object.
     read_to = _FREE * max_depth if crop and not params.max_depth else max_depth
     centers = np.stack([view.pose[:3, 3] for view in looked_at])
     grid = _ORIGINS * BLOCK * voxel_size
@@ -153,7 +154,7 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         support=kept.support,
         weighing=_weighing(noise, looked_at, voxel_size),
     )
-    # Two triangles for each voxel that the surface passes through.
+    # About two triangles per voxel that the surface passes through.
     triangles = round(2 * found.area / voxel_size**2)
     return replace(
         plan,
@@ -166,12 +167,12 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
 def _report_far_depth(
     params: FuseParams, views: Sequence[PosedDepth], found: Survey, *, voxel_size: float, max_depth: float
 ) -> None:
-    """Warn of depth that is too far to be fused."""
+    """Warn if much of the depth is too far to be fused."""
     depth = np.concatenate([view.surface.depth[view.surface.depth > 0][::_EVERY] for view in views])
     share = float(np.mean(depth > max_depth)) if len(depth) else 0.0
     if share <= _BEYOND:
         return
-    # Either makes the field as wide as the noise of all but the farthest depth wants it.
+    # Either parameter widens the truncation to 3 standard deviations at the 98 % depth quantile.
     truncation = 3 * found.noise.at(found.far)
     length = (
         f"voxel_size={_two_digits(truncation / 5):g}"
@@ -180,9 +181,9 @@ def _report_far_depth(
     )
     emit(
         FUSE_FAR_DEPTH_LEFT_OUT.warning(
-            "{share:.0%} of the depth is beyond {max_depth:.2f} m and not fused: its noise there is more "
-            "than voxels of {voxel_size:g} m can take.",
-            remedy="fuse.{length} takes in what is up to {far:.2f} m away",
+            "{share:.0%} of the depth lies beyond {max_depth:.2f} m and is ignored, because its noise is "
+            "too high for voxels of {voxel_size:g} m.",
+            remedy="fuse.{length} includes depth up to {far:.2f} m",
             share=share,
             max_depth=max_depth,
             voxel_size=voxel_size,
@@ -193,10 +194,10 @@ def _report_far_depth(
 
 
 def _weighing(noise: Noise, views: Sequence[PosedDepth], voxel_size: float) -> Weighing:
-    """Weigh by the noise where voxels are small enough to show it.
+    """Derive the depth weights from the noise.
 
-    In few steps, so that a frame more, or one that cannot be used, leaves the weights of all others as they
-    were.
+    Weights are constant if voxels are too large to show the noise. Values are rounded to coarse steps, so
+    that an added or skipped frame does not change the weights of all other frames.
     """
     depth = np.concatenate([view.surface.depth[view.surface.depth > 0][::_EVERY] for view in views])
     median = 2 ** (round(2 * math.log2(float(np.median(depth)))) / 2)
@@ -207,7 +208,7 @@ def _weighing(noise: Noise, views: Sequence[PosedDepth], voxel_size: float) -> W
 
 
 def limits_of(params: FuseParams, *, alone: bool = False) -> DepthLimits:
-    """Return what depth is taken at all, before the scene is known."""
+    """Return the limits of valid depth before the scene is known."""
     return DepthLimits(
         min_depth=params.min_depth,
         max_depth=params.max_depth or math.inf,
@@ -219,12 +220,18 @@ def limits_of(params: FuseParams, *, alone: bool = False) -> DepthLimits:
 def look(
     frames: Sequence[Frame], limits: DepthLimits, where: Path | None, threads: int
 ) -> list[tuple[PosedDepth, PosedDepth | None]]:
-    """Read frames at even places, each with the one after it; those that cannot be read are left out.
+    """Read frames sampled evenly from the scan, each with its successor.
+
+    Unreadable frames are omitted.
+
+    Returns
+    -------
+    Pairs of a view and its successor, None for an unreadable or absent successor.
 
     Raises
     ------
     InputError
-        If none of them can be read.
+        If no sampled frame can be read.
     """
     camera = frames[0].camera
     places = min(max(_PIXELS // (camera.width * camera.height), 2), _PLACES)
@@ -238,7 +245,7 @@ def look(
     if not views:
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
-            "none of the {results_count} frames looked at can be used. The first: {results}",
+            "none of {results_count} sampled frames can be used. First error: {results}",
             where,
             results_count=len(results),
             results=results[wanted[0]],
@@ -257,10 +264,10 @@ def _attempt(frame: Frame, limits: DepthLimits) -> PosedDepth | InputError:
 
 
 def _expected_blocks(views: Sequence[PosedDepth], plan: Plan, frames: int) -> int:
-    """Estimate how many blocks all frames touch from those that some touch.
+    """Estimate the number of blocks that all frames touch.
 
-    The first-order jackknife (Burnham and Overton 1978): what only one view of the sample saw tells how much
-    more the unseen frames will bring.
+    Uses the first-order jackknife (Burnham and Overton 1978): blocks touched by a single sampled view predict
+    the number of blocks that only unsampled frames touch.
     """
     touched = [
         touched_blocks(
@@ -276,12 +283,15 @@ def _expected_blocks(views: Sequence[PosedDepth], plan: Plan, frames: int) -> in
         return 1
     _, times = np.unique(np.concatenate(touched), return_counts=True)
     unseen = 0 if frames == len(views) else int((times == 1).sum()) * (len(views) - 1) // len(views)
-    # Room for one frame more, since Open3D asks for room before it looks which blocks are new.
+    # Capacity for one more frame, because Open3D reserves before it checks which blocks are new.
     return len(times) + unseen + max(map(len, touched))
 
 
 def _spread(frames: Sequence[Frame], looked_at: NDArray[np.float64], reach: float) -> float:
-    """Return how many times as many places all cameras stood at as those that were looked at (n, 3)."""
+    """Return the ratio of camera positions of all frames to sampled ones.
+
+    Positions are counted in grid cells of size `reach`, metres. `looked_at` has the sampled positions (n, 3).
+    """
 
     def places(centers: NDArray[np.float64]) -> int:
         return len(np.unique(np.floor(centers / reach), axis=0))
@@ -292,6 +302,6 @@ def _spread(frames: Sequence[Frame], looked_at: NDArray[np.float64], reach: floa
 
 
 def _two_digits(length: float) -> float:
-    """Round up to two digits: a length that people can say."""
+    """Round a length up to two significant digits."""
     unit = 10.0 ** (math.floor(math.log10(length)) - 1)
     return float(f"{math.ceil(length / unit - 1e-9) * unit:.2g}")

@@ -1,8 +1,8 @@
-"""A frame that is fused alone: its pixels are the vertices, joined where depth does not jump.
+"""Mesh of a single frame, with pixels as vertices.
 
-No other frame fills what a volume tears or loses at rims, and voxels of one size are too large near the
-camera and too small far from it, where noise is many of them deep. Joined pixels show all that has depth, as
-finely as it was measured.
+Neighbouring pixels are connected where depth does not jump. No other frame fills the surface that a TSDF
+volume tears or loses at silhouettes. A constant voxel size is too large close to the camera. Far from the
+camera, noise spans many voxels. A pixel mesh covers all measured depth at its native resolution.
 """
 
 from __future__ import annotations
@@ -24,31 +24,35 @@ from scanloom.stages.surface.mesh import Mesh
 Mask = NDArray[np.bool_]
 Triangles = NDArray[np.int32]
 
-# The pixels that noise is evened out over: so many steps each way, of so many pixels.
+# Denoising window: this many steps in each direction, with this stride in pixels.
 _STEPS, _STEP = 3, 3
-# Slopes and noise are means over so many pixels each way.
+# Window for the mean slope and noise, pixels in each direction.
 _WINDOW = 15
-# What differs from the plane around by more than this many times the noise belongs to another surface.
+# Pixels farther from the local plane than this many standard deviations belong to another surface.
 _WITHIN = 3.0
-# The mean size of a Gaussian's error, in standard deviations.
+# Mean absolute value of a Gaussian error, in standard deviations.
 _MEAN_ERROR = math.sqrt(2 / math.pi)
-# No more triangles are made of a frame.
+# Maximum triangle count of a single-frame mesh.
 _TRIANGLES = 2_000_000
 
 
 def evened_alone(frames: Sequence[Frame], max_jump: float) -> Sequence[Frame]:
-    """Return a frame alone with its noise evened out; several as they are, for fusion does that."""
+    """Denoise the depth of a single frame.
+
+    Several frames are returned unchanged, because fusion averages their noise. A frame that cannot be read is
+    returned unchanged, too.
+    """
     if len(frames) != 1:
         return frames
     (frame,) = frames
     try:
         depth, photo = read_depth(frame), read_color(frame)
     except InputError:
-        return frames  # Told where the frame is read.
+        return frames  # reported where the frame is read
     if depth is None:
         return frames
     depth, _ = bridge_gaps(depth, max_jump)
-    # What was read has none of what reading takes away: the lens, what is unsure or masked.
+    # Reading has already applied lens distortion, confidence, mask and rolling shutter.
     return [
         replace(
             frame,
@@ -65,16 +69,17 @@ def evened_alone(frames: Sequence[Frame], max_jump: float) -> Sequence[Frame]:
 
 
 def evened(depth: DepthImage, max_jump: float) -> DepthImage:
-    """Even out noise: each pixel takes the mean of what those around say of it that lie on its plane.
+    """Smooth depth by averaging pixels on the same local plane.
 
-    A plane's inverse depth is linear in the pixel's place. How large noise is, the differences of neighbours
-    tell, around each pixel anew; what is farther off the plane is of another surface. What is missing stays
-    missing.
+    The inverse depth of a plane is linear in pixel coordinates. Each pixel takes the mean of its neighbours'
+    inverse depth, extrapolated to the pixel along the local slope. The noise is estimated locally from
+    differences of adjacent pixels. Neighbours farther from the plane than the noise allows are ignored as
+    another surface. Missing pixels stay missing.
 
     Parameters
     ----------
     depth : (h, w) float32 metres, 0 where missing.
-    max_jump : change of depth between neighbours, relative to depth, that makes a discontinuity.
+    max_jump : relative change of depth between neighbours at a discontinuity.
     """
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     slopes, error = [], np.zeros_like(depth)
@@ -85,7 +90,7 @@ def evened(depth: DepthImage, max_jump: float) -> DepthImage:
         slopes.append(slope)
         off_slope = np.abs(found.value - slope) * found.known
         error += Differences(off_slope, found.known).mean(_WINDOW) / 2
-    # Of a difference of two pixels, from the mean of its size.
+    # Limit for the difference of two pixels; `error` is a mean absolute difference.
     limit = np.minimum(_WITHIN * error / _MEAN_ERROR, np.float32(max_jump) * inverse)
     total, count = np.zeros_like(depth), np.ones_like(depth)
     across, down = slopes
@@ -103,7 +108,10 @@ def evened(depth: DepthImage, max_jump: float) -> DepthImage:
 
 
 def read_whole(frame: Frame, limits: DepthLimits) -> PosedDepth:
-    """Read a frame's depth with what lies beside jumps, too: there triangles end, and no voxel is filled.
+    """Read the depth of a frame, including pixels next to depth jumps.
+
+    Volume fusion drops these pixels, because flying pixels would fill voxels. In a pixel mesh, triangles end
+    there.
 
     Raises
     ------
@@ -120,15 +128,15 @@ def read_whole(frame: Frame, limits: DepthLimits) -> PosedDepth:
 def relief(
     view: PosedDepth, here: Mask, color: ColorImage | None, voxel_size: float, limits: DepthLimits
 ) -> Mesh:
-    """Return the mesh of a frame's pixels, in the world.
+    """Mesh the pixels of a frame, in world coordinates.
 
     Parameters
     ----------
-    here : (h, w), which pixels are wanted.
+    here : (h, w), pixels to include.
     color : (h, w, 3) uint8 of the same size.
-    voxel_size : metres; vertices are half of this apart at median depth, but no nearer than pixels are, and
-        no more than a million.
-    limits : nothing is joined across jumps, nor where it is seen at a larger angle.
+    voxel_size : metres; vertices are half of this apart at median depth. The minimum is the pixel spacing;
+        the vertex count is limited to about one million.
+    limits : triangles across depth jumps and triangles seen at more than the maximum angle are omitted.
     """
     step = _step(view, here, voxel_size)
     grid = np.s_[::step, ::step]
@@ -149,7 +157,12 @@ def relief(
 
 
 def _angles(points: NDArray[np.float32], triangles: Triangles) -> NDArray[np.float64]:
-    """Return the angles between normals and lines of sight, degrees; of triangles without area 90."""
+    """Return the angles between triangle normals and lines of sight.
+
+    Returns
+    -------
+    (m,) degrees; 90 for triangles without area.
+    """
     a, b, c = (points[triangles[:, k]].astype(np.float64) for k in range(3))
     normal = np.cross(b - a, c - a)
     size = np.linalg.norm(normal, axis=1) * np.linalg.norm(a, axis=1)
@@ -160,17 +173,17 @@ def _angles(points: NDArray[np.float32], triangles: Triangles) -> NDArray[np.flo
 
 
 def _step(view: PosedDepth, here: Mask, voxel_size: float) -> int:
-    """Return how many pixels are left out from one vertex to the next."""
+    """Return the pixel stride between vertices."""
     depth = view.surface.depth[here]
     spacing = float(np.median(depth)) / view.camera.fx
     return max(1, round(voxel_size / (2 * spacing)), math.ceil(math.sqrt(2 * len(depth) / _TRIANGLES)))
 
 
 def _joined(inverse: DepthImage, max_jump: float) -> Triangles:
-    """Return triangles (m, 3) of neighbouring pixels, facing the camera.
+    """Connect neighbouring pixels to triangles (m, 3), front-facing to the camera.
 
-    A square is cut along the diagonal whose ends differ less. Of three corners, or where the fourth lies
-    across a jump, one triangle is left.
+    Each pixel quad is split along the diagonal with the smaller difference of inverse depth. If one corner is
+    missing or across a depth jump, the quad keeps one triangle.
     """
     height, width = inverse.shape
     number = np.arange(height * width, dtype=np.int32).reshape(height, width)
@@ -189,7 +202,7 @@ def _joined(inverse: DepthImage, max_jump: float) -> Triangles:
     by_first = first & (straight | ~second | ~whole)
     by_second = second & ~(by_first & whole)
     found = []
-    # Counterclockwise as the camera sees it, whose y points down.
+    # Counterclockwise in the image, whose y axis points down.
     for wanted, (a, b, c), (k, m) in (
         (by_first, (0, 1, 2), (0, 1)),
         (by_first, (0, 2, 3), (2, 3)),
@@ -209,7 +222,7 @@ def _averaged(color: ColorImage, step: int) -> ColorImage:
 
 
 def _shifted(shape: tuple[int, ...], dy: int, dx: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the pixels that have one so far below and to the right, and those."""
+    """Return slices of pixels, and of their neighbours at (dy, dx)."""
 
     def of(size: int, by: int) -> tuple[slice, slice]:
         long = max(size - abs(by), 0)

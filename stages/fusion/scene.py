@@ -1,4 +1,4 @@
-"""Where in its world a scan lies: its corners, and the place that its cameras look at."""
+"""Extent of a scan, and the point its cameras look at."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from scanloom.stages.scans.model.scan import Frame
 
 Floats = NDArray[np.float64]
 
-# Corners are those of all but this many per cent of the points at either end of an axis.
+# Percentage of points ignored as outliers at either end of each axis; then the pixel stride.
 _STRAY = 1.0
 _STEP = 4
-# Axes that point this much the same way meet anywhere: least mean square of the sine between them and the
-# direction they have most in common (0.02 is a spread of 8°).
+# Minimum mean squared sine between the optical axes and their common direction (0.02 is a spread of 8°). The
+# intersection of more parallel axes is undetermined.
 _LEAST_SPREAD = 0.02
-# Axes meet if half of them pass within this share of their distance, and nearly all cameras look there.
+# Limits for accepting the intersection point: median distance of the axes to the point, relative to the
+# median viewing distance; ratio of cameras that face the point.
 _NEAR_SHARE = 0.25
 _LOOKING = 0.8
 _ROUNDS = 10
@@ -30,12 +31,13 @@ _EXACT = 1e-9
 
 @dataclass(frozen=True)
 class Scene:
-    """Where a scan lies, metres in its world.
+    """Extent of a scan, metres in its world.
 
     Attributes
     ----------
-    lowest_m, highest_m : corners of the box around what was measured, but for a hundredth of it at each side.
-    center_m : what the cameras look at, around which `fuse` keeps what is within `radius`.
+    lowest_m, highest_m : corners of the bounding box of the measured points, without 1 % outliers at each
+        side.
+    center_m : point the cameras look at; default centre of the ball that `radius` keeps in `fuse`.
     """
 
     lowest_m: Point
@@ -49,28 +51,28 @@ class Scene:
 
 
 def scene_of(frames: Sequence[Frame], views: Sequence[PosedDepth]) -> Scene:
-    """Say where a scan lies.
+    """Compute the extent and the centre of a scan.
 
     Parameters
     ----------
-    frames : of the scan; of them the poses count alone.
-    views : some of its frames, read.
+    frames : all frames of the scan; only poses are used.
+    views : sampled frames with depth.
     """
     points = np.concatenate([view.points(_STEP) for view in views])
-    if not len(points):  # fewer pixels than every fourth
+    if not len(points):  # images smaller than the stride
         points = np.concatenate([view.points(1) for view in views])
     low, high = np.percentile(points, [_STRAY, 100 - _STRAY], axis=0)
     return Scene(point_of(low), point_of(high), point_of(_center(frames, views, points)))
 
 
 def point_of(array: Floats) -> Point:
-    """Return an array (3,) as numbers."""
+    """Convert an array (3,) to a tuple of floats."""
     x, y, z = array.tolist()
     return x, y, z
 
 
 def in_words(point: Sequence[float]) -> str:
-    """Return a place as a person reads it: `(0.52, -1.3, 2)`."""
+    """Format a point for messages: `(0.52, -1.3, 2)`."""
     return f"({', '.join(f'{x:.4g}' for x in point)})"
 
 
@@ -79,13 +81,13 @@ def _center(frames: Sequence[Frame], views: Sequence[PosedDepth], points: Floats
     meeting = where_axes_meet(np.array([pose for pose in poses if np.isfinite(pose).all()]))
     if meeting is not None:
         return meeting
-    # Cameras that turn on the spot, or look ahead: the middle of what is in the middle of their images.
+    # Fallback for cameras that rotate in place or look ahead: median of the points in the image centres.
     middles = [middle for view in views if len(middle := _in_the_middle(view))]
     return np.asarray(np.median(np.concatenate(middles) if middles else points, axis=0))
 
 
 def _in_the_middle(view: PosedDepth) -> Floats:
-    """Return the points (n, 3) of the middle third of an image."""
+    """Return the points (n, 3) in the middle third of an image."""
     height, width = view.surface.depth.shape
     rows, columns = np.nonzero(view.surface.depth)
     inside = (abs(rows - height / 2) < height / 6) & (abs(columns - width / 2) < width / 6)
@@ -93,7 +95,10 @@ def _in_the_middle(view: PosedDepth) -> Floats:
 
 
 def where_axes_meet(poses: Floats) -> Floats | None:
-    """Return the place (3,) that optical axes pass nearest to (the sum of distances is least), if they meet.
+    """Find the point (3,) closest to all optical axes.
+
+    The point minimises the sum of distances to the axes. Returns None if the axes are almost parallel, or do
+    not intersect near the point.
 
     Parameters
     ----------
@@ -110,7 +115,8 @@ def where_axes_meet(poses: Floats) -> Floats | None:
             return None
         place = np.linalg.solve(total, np.einsum("n,nij,nj->i", weights, across, eyes) / weights.sum())
         off = np.linalg.norm(np.einsum("nij,nj->ni", across, place - eyes), axis=1)
-        # Weiszfeld's step from the mean to the median; the floor keeps one exact axis from deciding alone.
+        # Weiszfeld step from the mean to the geometric median. The floor prevents a single exact axis from
+        # dominating.
         weights = 1 / np.maximum(off, 0.1 * np.median(off) + _EXACT)
     along = np.einsum("ni,ni->n", place - eyes, axes)
     meets = np.median(off) < _NEAR_SHARE * np.median(along)

@@ -1,10 +1,10 @@
-"""The plane a thing stands on: table or floor, found in the points that some frames show.
+"""Detection of the support plane (table or floor) under the scanned object.
 
-Planes through three points each are tried (RANSAC), the one with most points around the thing is fitted to
-them, and taken if it is under the thing: roughly square to up, not above most of what is there, and with
-something standing on it. If not, its points go, and the next one is looked for: the lid of a box may be
-larger than what is seen of the table. Points count the more the nearer they are to the thing: the floor
-around the table may be larger, too. All is drawn from one seed, so that equal input gives an equal plane.
+Planes through three sampled points each are scored (RANSAC). The plane with the highest weight of inliers
+around the object is refined, and accepted if it supports the object: roughly perpendicular to up, below most
+points, and with points above it. Otherwise its inliers are removed and the search continues, because the lid
+of a box may show more surface than the table. Weights decrease with the distance to the object, because the
+floor around the table may be larger, too. The random seed is fixed, so that equal input gives an equal plane.
 
 References
 ----------
@@ -31,46 +31,48 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STEP = 4
-# Points are looked at that are as near to the thing as most cameras are; one in each cell of a grid, so that
-# surface counts, not how often it was seen. At this share of that distance it counts 1/e of one at the thing.
+# Only points within the median camera distance from the object are used. One point is kept per cell of a grid
+# with this many cells along a side, so that surface area counts, and not the number of observations. At this
+# ratio of the camera distance, the weight of a point falls to 1/e.
 _CELLS = 80
 _NEAR = 0.35
-# Of so many threes of points that are drawn, so many are tried of those whose normals are their plane's.
+# Number of drawn point triples; number of triples scored, among those whose normals agree with their plane;
+# number of planes tried; iterations of the plane fit.
 _DRAWS = 50_000
 _TRIED = 1500
 _PLANES = 6
 _FITS = 10
-# Points as near to a plane as this share of the cameras' distance, or as three times the noise, lie on it, if
-# their normal is as near to the plane's as this many degrees: normals of single pixels are rough.
+# Inlier limits. Distance to the plane: the larger of this ratio of the camera distance and this multiple of
+# the noise. Angle between normals: degrees; normals of single pixels are rough.
 _ON_SHARE = 0.008
 _ON_NOISES = 3.0
 _NORMAL = 35.0
-# Up in the cameras is off by no more than this, degrees.
+# Maximum error of the up direction estimated from the cameras, degrees.
 _TILT = 60.0
-# Cameras are held upright where their y axes spread so much wider in a plane than their x axes, which are
-# level otherwise, and at least by so much: second moments.
+# Landscape cameras have level x axes. Portrait cameras are assumed if the y axes spread more within a plane
+# than the x axes by this ratio, and at least by this second moment.
 _WIDER = 1.5
 _SPREADING = 0.02
-# Least share of the points around the thing, as they count, that lie on the plane.
+# Minimum ratio of the total point weight that is on the plane.
 _LEAST_SHARE = 0.05
-# At most this share of the points, as they count, is below the plane: below a table's top little is seen.
+# Maximum ratio of the total point weight below the plane; scans show little below a table top.
 _MOST_BELOW = 0.5
-# Within this share of the cameras' distance around the thing something must stand on the plane: at least this
-# share of the points there.
+# Within this ratio of the camera distance around the object, at least this ratio of the points must be above
+# the plane.
 _WIDTH = 0.35
 _LEAST_ON_IT = 0.02
 
 
 @dataclass(frozen=True)
 class Support:
-    """The plane a thing stands on.
+    """Support plane of the scanned object.
 
     Attributes
     ----------
-    normal : up from it, of length 1.
-    offset_m : a place p is on it where normal · p is this, metres.
-    spread_m : standard deviation of the points on it across it, metres.
-    share : of the points around the thing, as they count, those on it.
+    normal : unit normal, pointing up.
+    offset_m : points p on the plane have normal · p = offset_m, metres.
+    spread_m : standard deviation of the inliers' distance to the plane, metres.
+    share : ratio of the weight of inliers to the weight of all points around the object.
     """
 
     normal: Point
@@ -82,20 +84,24 @@ class Support:
 
 
 def find_support(views: Sequence[PosedDepth], center: Floats, noise: float) -> Support | str:
-    """Return the plane that what is at `center` stands on, or the reason why there is none.
+    """Find the plane that supports the object at `center`.
 
     Parameters
     ----------
-    views : some frames of the scan.
-    center : (3,) of the thing, metres.
+    views : sampled frames of the scan.
+    center : (3,) position of the object, metres.
     noise : standard deviation of depth, metres.
+
+    Returns
+    -------
+    The plane, or the reason why no plane was accepted, as a clause for a message.
     """
     poses = np.array([view.pose for view in views])
     up = _up(poses)
     distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - center, axis=1)))
     points, normals = _around(views, center, distance)
     if len(points) < 100:
-        return f"there are only {len(points)} points within {distance:.2g} m of what the cameras look at"
+        return f"only {len(points)} points are within {distance:.2g} m of the point the cameras look at"
     on = max(_ON_SHARE * distance, _ON_NOISES * noise)
     counts = np.exp(-(np.linalg.norm(points - center, axis=1) ** 2) / (_NEAR * distance) ** 2)
     left = counts * (normals @ up > math.cos(math.radians(_TILT + _NORMAL)))
@@ -115,31 +121,44 @@ def find_support(views: Sequence[PosedDepth], center: Floats, noise: float) -> S
             heights = points[fitting] @ normal - offset
             spread = 1.4826 * float(np.median(np.abs(heights)))
             return Support(point_of(normal), offset, spread, share)
-        refused.append(f"the plane of {share:.0%} of the points {why}")
+        refused.append(f"the largest plane ({share:.0%} of the points) {why}")
         left = np.where(np.abs(points @ normal - offset) < on, 0, left)
-    level = f"no plane within {_TILT:g}° of level has {_LEAST_SHARE:.0%} of the points around the thing"
+    level = f"no plane within {_TILT:g}° of level has {_LEAST_SHARE:.0%} of the points around the object"
     return refused[0] if refused else level
 
 
 def _up(poses: Floats) -> Floats:
-    """Return what is roughly up (3,), also for telephones that are held upright."""
+    """Estimate the up direction (3,) from the cameras.
+
+    Handles cameras in landscape and in portrait orientation.
+    """
     if _spread(poses[:, :3, 1]) <= max(_WIDER * _spread(poses[:, :3, 0]), _SPREADING):
         return up_of_cameras(poses)
     rolled = poses.copy()
     rolled[:, :3, 0], rolled[:, :3, 1] = poses[:, :3, 1], -poses[:, :3, 0]
     up = up_of_cameras(rolled)
-    # Whichever way they were turned: they look down on what stands on a plane.
+    # The sign of the rotation to portrait is unknown; cameras look down on an object on a plane.
     return up if up @ poses[:, :3, 2].mean(axis=0) < 0 else -up
 
 
 def _spread(axes: Floats) -> float:
-    """Return how far directions (n, 3) spread in a plane, more than across it."""
+    """Measure how far directions (n, 3) spread within a plane.
+
+    Returns
+    -------
+    The middle minus the smallest second moment.
+    """
     moments = np.linalg.eigvalsh(axes.T @ axes / len(axes))
     return float(moments[1] - moments[0])
 
 
 def _around(views: Sequence[PosedDepth], center: Floats, reach: float) -> tuple[Floats, Floats]:
-    """Return points (n, 3) within reach of a place and their normals, one for each cell of a grid."""
+    """Sample one point per grid cell around a centre, with its normal.
+
+    Returns
+    -------
+    Points and unit normals, each (n, 3), world. Points are within `reach` metres of the centre.
+    """
     points, normals = [], []
     for view in views:
         rows, columns = (_STEP * index for index in np.nonzero(view.surface.depth[::_STEP, ::_STEP]))
@@ -157,7 +176,12 @@ def _around(views: Sequence[PosedDepth], center: Floats, reach: float) -> tuple[
 def _largest(
     points: Floats, normals: Floats, counts: Floats, up: Floats, on: float, draw: np.random.Generator
 ) -> tuple[Floats, float] | None:
-    """Return normal and offset of the plane that most of the points lie on, as they count; None for none."""
+    """Find the plane with the highest weight of inliers by RANSAC.
+
+    Returns
+    -------
+    Normal (3,) and offset in metres; None if no plane is roughly level.
+    """
     rows = np.flatnonzero(counts)
     if len(rows) < 3:
         return None
@@ -191,7 +215,10 @@ def _largest(
 
 
 def _fit(points: Floats, normals: Floats, normal: Floats, offset: float, on: float) -> Floats:
-    """Return how well points lie on a plane: from 1 on it to 0 (n,)."""
+    """Return the inlier weight (n,) of points.
+
+    The weight is 1 on the plane and falls to 0 at the distance `on`, metres.
+    """
     weights = np.maximum(1 - ((points @ normal - offset) / on) ** 2, 0)
     return np.asarray(weights * (normals @ normal > math.cos(math.radians(_NORMAL))))
 
@@ -199,18 +226,25 @@ def _fit(points: Floats, normals: Floats, normal: Floats, offset: float, on: flo
 def _not_under(
     away: Floats, counts: Floats, normal: Floats, offset: float, on: float, distance: float
 ) -> str | None:
-    """Say why a plane is not what the thing stands on; None if it is.
+    """Explain why a plane does not support the object.
 
     Parameters
     ----------
-    away : (n, 3) points, from the thing; offset : of the plane, from there as well.
-    counts : (n,) how much each counts.
+    away : (n, 3) points relative to the object.
+    counts : (n,) weights of the points.
+    offset : offset of the plane relative to the object, metres.
+    on : inlier distance, metres.
+    distance : median camera distance to the object, metres.
+
+    Returns
+    -------
+    The reason, as a clause for a message; None if the plane supports the object.
     """
     heights = away @ normal - offset
     if counts[heights < -2 * on].sum() > _MOST_BELOW * counts.sum():
-        return "has most of what is there below it"
+        return "has most points below it"
     beside = np.linalg.norm(away - np.outer(away @ normal, normal), axis=1)
     around = beside < _WIDTH * distance
     if np.count_nonzero(heights[around] > 2 * on) < _LEAST_ON_IT * np.count_nonzero(around):
-        return "has nothing standing on it"
+        return "has no points above it"
     return None

@@ -1,4 +1,4 @@
-"""A look at some frames before fusion: how deep the scene is, how exact its depth, how large its surface."""
+"""Statistics of sampled frames before fusion: depth range, depth noise, surface area."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from scanloom.stages.frames.posed_depth import PosedDepth
 from scanloom.stages.frames.projection import project
 from scanloom.stages.scans.model.scan import DepthImage
 
-_STEP = 4  # every fourth pixel of a row and a column is looked at
+_STEP = 4  # pixel stride in rows and columns
 _BINS = 8
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviation of depth, along the surface's normal: constant + quadratic · z², metres.
+    """Noise model of depth, along the surface normal.
 
-    The quadratic term is what triangulation gives (stereo, structured light); the constant one also holds
-    what poses are off.
+    The standard deviation at depth z is constant + quadratic · z², metres. The quadratic term models
+    triangulation (stereo, structured light). The constant term includes pose errors.
     """
 
     constant: float = 0.0
@@ -33,7 +33,10 @@ class Noise:
         return self.constant + self.quadratic * depth**2
 
     def reach(self, deviation: float) -> float:
-        """Return the depth up to which the standard deviation stays below `deviation`."""
+        """Return the depth at which the standard deviation reaches `deviation`.
+
+        Both are in metres. The result is inf if depth noise is constant.
+        """
         if self.quadratic == 0:
             return math.inf
         return math.sqrt(max(deviation - self.constant, 0) / self.quadratic)
@@ -41,14 +44,14 @@ class Noise:
 
 @dataclass(frozen=True)
 class Survey:
-    """What the sampled frames show.
+    """Statistics of the sampled frames.
 
     Attributes
     ----------
     median, far, farthest : median depth, its 98 % quantile and its maximum, metres.
-    spacing : metres between measured pixels on a surface facing the camera at median depth.
-    noise : see Noise.
-    area : square metres, a rough lower estimate of the surface seen.
+    spacing : distance of measured pixels on a fronto-parallel surface at median depth, metres.
+    noise : depth noise.
+    area : rough lower bound of the observed surface area, square metres.
     """
 
     median: float
@@ -60,9 +63,9 @@ class Survey:
 
 
 def survey(views: Sequence[PosedDepth], noise: Noise) -> Survey:
-    """Measure on some views, whose noise is known."""
+    """Compute statistics of sampled views whose noise is known."""
     depth = np.concatenate([_seen_depth(view, _STEP) for view in views])
-    if not len(depth):  # of a small crop, fewer pixels than every fourth
+    if not len(depth):  # a small crop may fall between the strided pixels
         depth = np.concatenate([_seen_depth(view, 1) for view in views])
     median, far = (float(z) for z in np.percentile(depth, [50, 98]))
     spacing = float(
@@ -84,7 +87,10 @@ def _seen_depth(view: PosedDepth, step: int) -> NDArray[np.float32]:
 
 
 def _density(depth: DepthImage) -> float:
-    """Share of pixels with a depth around pixels with a depth: 1 unless the sensor leaves out pixels."""
+    """Return the ratio of valid pixels in the neighbourhood of valid pixels.
+
+    It is below 1 if the sensor omits pixels.
+    """
     import cv2
 
     valid = (depth > 0).astype(np.float32)
@@ -92,19 +98,25 @@ def _density(depth: DepthImage) -> float:
 
 
 def _area(views: Sequence[PosedDepth], cell: float) -> float:
-    """Cells of a coarse grid that hold a point, times the area of a cell's face."""
+    """Estimate the surface area, square metres.
+
+    Counts the occupied cells of a coarse grid, times the area of a cell face.
+    """
     cells = np.concatenate([_cells(view.points(_STEP), cell) for view in views])
     return len(np.unique(cells)) * cell**2
 
 
 def _cells(points: NDArray[np.float64], cell: float) -> NDArray[np.int64]:
-    """Return the cells that hold points, each as one number, for cells that are not a million apart."""
+    """Return the sorted keys of occupied grid cells.
+
+    Keys are unique if points are less than a million cells apart.
+    """
     x, y, z = np.floor(points / cell).astype(np.int64).T
     return np.unique((x << 42) + (y << 21) + z)
 
 
 def measured_noise(pairs: Sequence[tuple[PosedDepth, PosedDepth | None]]) -> Noise:
-    """Compare each view with its neighbour, where there is one: the same places, measured twice."""
+    """Estimate depth noise by comparing each view with its neighbour, if any."""
     found = [_differences(a, b) for a, b in pairs if b is not None]
     depth = np.concatenate([z for z, _ in found]) if found else np.zeros(0)
     difference = np.concatenate([d for _, d in found]) if found else np.zeros(0)
@@ -113,34 +125,44 @@ def measured_noise(pairs: Sequence[tuple[PosedDepth, PosedDepth | None]]) -> Noi
     edges = np.quantile(depth, np.linspace(0, 1, _BINS + 1))
     which = np.searchsorted(edges[1:-1], depth)
     z, deviation = np.array(
-        # 1.4826: from the median of absolute values to the standard deviation of a normal distribution.
+        # 1.4826 converts a median absolute deviation to a standard deviation of a normal distribution.
         [
             (depth[which == k].mean(), 1.4826 / math.sqrt(2) * np.median(np.abs(difference[which == k])))
             for k in range(_BINS)
             if (which == k).any()
         ]
     ).T
-    # Relative errors count: else the farthest bin decides alone.
+    # Relative errors, because absolute ones would let the farthest bin dominate.
     weight = 1 / np.maximum(deviation, 1e-3 * z)
     return Noise(*_fitted(np.stack([weight, weight * z**2], axis=1), weight * deviation))
 
 
 def _fitted(terms: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return how often two terms (n, 2) make up values (n,), by least squares; neither less than 0 times.
+    """Fit non-negative coefficients of two terms by least squares.
 
-    Of two terms that is as quickly done as said, and SciPy takes longer to import than a scan to be surveyed.
+    Solved directly, because importing SciPy for NNLS takes longer than sampling a scan.
+
+    Parameters
+    ----------
+    terms : (n, 2).
+    values : (n,).
     """
     (one, two), _, rank, _ = np.linalg.lstsq(terms, values, rcond=None)
     if rank == 2 and one >= 0 and two >= 0:
         return float(one), float(two)
-    # Then one of them alone.
+    # A coefficient would be negative: fit each term alone, and keep the better one.
     alone = np.maximum(terms.T @ values, 0) / np.maximum((terms**2).sum(axis=0), np.finfo(float).tiny)
     off = ((terms * alone - values[:, None]) ** 2).sum(axis=0)
     return (float(alone[0]), 0.0) if off[0] <= off[1] else (0.0, float(alone[1]))
 
 
 def _differences(a: PosedDepth, b: PosedDepth) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Depth in `b` of places seen in `a`, and how far apart both measure them along the normal."""
+    """Reproject points of `a` into `b`.
+
+    Returns
+    -------
+    Depth (n,) in `b`, and the difference (n,) of both measurements along the surface normal, metres.
+    """
     seen = (a.points(_STEP) - b.pose[:3, 3]) @ b.pose[:3, :3]
     seen = seen[seen[:, 2] > 0]
     camera = b.camera
@@ -148,7 +170,7 @@ def _differences(a: PosedDepth, b: PosedDepth) -> tuple[NDArray[np.float64], NDA
     inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     column, row, predicted = column[inside].astype(int), row[inside].astype(int), seen[inside, 2]
     measured = b.surface.depth[row, column]
-    # More than a twentieth apart: one of them sees something in front.
+    # Differences above 5 % mean occlusion.
     same = (measured > 0) & (np.abs(measured - predicted) < 0.05 * predicted)
     oblique = b.surface.obliqueness[row, column]
     return predicted[same], ((measured - predicted) / oblique)[same]

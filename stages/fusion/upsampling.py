@@ -1,9 +1,11 @@
-"""Small depth maps made larger by the photo beside them, as phones leave them.
+"""Photo-guided upsampling of low-resolution depth maps, such as those from phones.
 
-Between samples of one surface inverse depth is interpolated, which is exact on planes. Beside a jump a pixel
-belongs to one side: that of the samples around it that have its colour, if the photo tells both sides apart
-there, and else that of those that are near to it (joint bilateral upsampling, Kopf et al. 2007, as a vote).
-Its depth is that of a plane through the samples of that side alone: nothing lies between two surfaces.
+Inverse depth is interpolated between samples of one surface, which is exact on planes.
+
+Next to a depth jump, a vote of the surrounding samples assigns each pixel to one side (joint bilateral
+upsampling, Kopf et al. 2007). Samples with the pixel's colour decide if the photo separates both sides there,
+else the nearest samples. A plane through the samples of that side gives the depth of the pixel. No depth is
+created between two surfaces.
 """
 
 from __future__ import annotations
@@ -25,27 +27,30 @@ from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, pinh
 Image = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
-# Neighbours whose inverse depth differs by more than this share of itself are of two surfaces.
+# Neighbours whose inverse depth differs by more than this ratio are on different surfaces.
 _JUMP = 0.03
-# Samples each way that vote.
+# Window of voting samples, in each direction.
 _REACH = 2
-# How far a sample's vote reaches, and its say in the plane, in samples; and colours that are alike, levels.
+# Standard deviations of the Gaussian weights: of a vote and of the plane fit (in samples), and of colour
+# differences (grey levels).
 _VOTE, _FIT, _ALIKE = 1.0, 0.7, 12.0
-# The photo tells two sides apart where their mean colours differ by so many times what colours spread within
-# them, squared; and what they spread in any photo, levels.
+# The photo separates both sides if the squared difference of their mean colours exceeds this multiple of the
+# variance within the sides. The second value is the minimum standard deviation per channel, grey levels.
 _APART, _SPREAD = 16.0, 6.0
-# Slopes are drawn to zero by so much where few samples tell them, samples squared.
+# Regularisation that pulls slopes to zero where few samples determine them, in samples squared.
 _STIFF = 0.15
-# Blur of the photo where a sample is, as a share of the samples' distance: what a sample saw of it.
+# Blur of the photo for the colour of a sample, relative to the sample spacing: the footprint of a depth
+# sample.
 _SEEN = 0.35
-# Pixels beside jumps that are worked on at once, for the memory they take.
+# Batch size of pixels next to jumps, limits memory.
 _AT_ONCE = 100_000
 
 
 def upsampled_alone(frames: Sequence[Frame], params: FuseParams) -> Sequence[Frame]:
-    """Return a frame alone with a larger depth map, if the parameters say so; several as they are.
+    """Upsample the depth of a single frame, if the parameters request it.
 
-    Voxels are derived from what it is then; those of several frames, from what was measured.
+    Several frames are returned unchanged: the voxel size of a single frame is derived from the upsampled
+    depth, the voxel size of several frames from the measured depth.
     """
     if len(frames) != 1 or params.upsample == "off":
         return frames
@@ -53,23 +58,25 @@ def upsampled_alone(frames: Sequence[Frame], params: FuseParams) -> Sequence[Fra
     try:
         return [upsampled_frame(frames[0], params, least_ratio)]
     except InputError:
-        return frames  # Told where the frame is read.
+        return frames  # reported where the frame is read
 
 
 def upsampled_frame(frame: Frame, params: FuseParams, least_ratio: float = 0.0) -> Frame:
-    """Return a frame with its depth map, and its photo as the depth map sees it, larger by a factor.
+    """Upsample the depth map of a frame.
+
+    The photo of the returned frame is registered to the upsampled depth.
 
     Parameters
     ----------
-    params : `upsample_factor`; gaps of a pixel are bridged by `max_jump` first, as fusion does it, since they
-        are wider afterwards.
-    least_ratio : a frame whose photo is not so many times as wide as its depth map stays as it is, and so
-        does one without a photo; if 0, all are made larger.
+    params : `upsample_factor`, and `max_jump` for bridging gaps of one pixel. Upsampling would widen the
+        gaps, so they are bridged first.
+    least_ratio : minimum ratio of photo width to depth map width. Frames below it, and frames without a
+        photo, are returned unchanged. 0 upsamples every frame.
 
     Raises
     ------
     InputError
-        If its images cannot be read.
+        If the images cannot be read.
     """
     depth, photo = read_depth(frame), read_color(frame)
     if depth is None or (photo.shape[1] if photo is not None else 0) < least_ratio * depth.shape[1]:
@@ -77,7 +84,7 @@ def upsampled_frame(frame: Frame, params: FuseParams, least_ratio: float = 0.0) 
     depth, _ = bridge_gaps(depth, params.max_jump)
     factor, (height, width) = params.upsample_factor, depth.shape
     wide = scaled(pinhole(frame.camera), factor * width, factor * height)
-    # Depth that is read has neither any more.
+    # Reading has already applied confidence, mask and rolling shutter.
     frame = replace(frame, camera=wide, confidence=None, least_confidence=0, mask=None, shutter_turn=None)
     if photo is None:
         return replace(frame, depth=upsampled(depth, None, factor))
@@ -92,12 +99,13 @@ def upsampled_frame(frame: Frame, params: FuseParams, least_ratio: float = 0.0) 
 
 
 def upsampled(depth: DepthImage, color: ColorImage | None, factor: int) -> DepthImage:
-    """Return a depth map larger by a whole factor.
+    """Upsample a depth map by an integer factor.
 
     Parameters
     ----------
     depth : (h, w) float32 metres, 0 where missing.
-    color : (factor · h, factor · w, 3) uint8 RGB, what the larger map's pixels show; None for none.
+    color : (factor · h, factor · w, 3) uint8 RGB, registered to the upsampled depth map; None without a
+        photo.
 
     Returns
     -------
@@ -106,7 +114,7 @@ def upsampled(depth: DepthImage, color: ColorImage | None, factor: int) -> Depth
     Raises
     ------
     InputError
-        If the colour is of another size.
+        If the size of the colour image does not match.
     """
     import cv2
 
@@ -114,7 +122,7 @@ def upsampled(depth: DepthImage, color: ColorImage | None, factor: int) -> Depth
     if color is not None and color.shape[:2] != (height, width):
         raise InputError(
             USAGE_ARGUMENT_INVALID,
-            "colour is {color_shape} × {color_shape_2}, not {width} × {height}.",
+            "the colour image is {color_shape} × {color_shape_2} px; it must be {width} × {height} px.",
             color_shape=color.shape[1],
             color_shape_2=color.shape[0],
             width=width,
@@ -139,7 +147,14 @@ def upsampled(depth: DepthImage, color: ColorImage | None, factor: int) -> Depth
 
 @dataclass(frozen=True, eq=False)
 class _Guide:
-    """The photo for pixels (h·k, w·k, 3) and for samples (h, w, 3), and where it tells sides apart."""
+    """Guide image for upsampling by a factor k.
+
+    Attributes
+    ----------
+    pixels : (h · k, w · k, 3) photo.
+    samples : (h, w, 3) photo blurred to the footprint of the depth samples.
+    tells : (h, w), 1 where colour separates both sides of a depth jump, else 0.
+    """
 
     pixels: Image
     samples: Image
@@ -161,7 +176,7 @@ def _inverse(image: Image) -> Image:
 
 
 def _torn(inverse: Image) -> NDArray[np.bool_]:
-    """Return which samples have neighbours of another surface."""
+    """Return a mask of samples with a depth jump to a neighbour."""
     return np.asarray(_farthest(inverse, 1) < _nearest(inverse, 1) / np.float32(1 + _JUMP))
 
 
@@ -179,12 +194,19 @@ def _farthest(inverse: Image, reach: int) -> Image:
 
 
 def _telling(inverse: Image, colors: Image) -> Image:
-    """Return 1 for samples around which near and far differ in colour (Fisher's criterion), else 0."""
+    """Mark samples around which near and far side differ in colour.
+
+    Uses Fisher's criterion.
+
+    Returns
+    -------
+    (h, w) float32, 1 or 0.
+    """
     height, width = inverse.shape
     with np.errstate(invalid="ignore"):
         middle = (_nearest(inverse, _REACH) + _farthest(inverse, _REACH)) / 2
     around, seen = _padded(inverse), _padded(colors)
-    # Of the near and of the far side: how many, the sum of their colours, and of their squares.
+    # Per side (near, far): sample count, sum of colours, and sum of squared colours.
     count, total = np.zeros((2, height, width), np.float32), np.zeros((2, height, width, 3), np.float32)
     squares = np.zeros_like(count)
     for row, column in np.ndindex(2 * _REACH + 1, 2 * _REACH + 1):
@@ -201,10 +223,20 @@ def _telling(inverse: Image, colors: Image) -> Image:
 
 
 def _of_one_side(inverse: Image, guide: _Guide | None, at: tuple[Indices, Indices], factor: int) -> Image:
-    """Return the inverse depth of pixels beside jumps."""
+    """Compute the inverse depth (n,) of pixels next to depth jumps.
+
+    Each pixel uses samples of one side only.
+
+    Parameters
+    ----------
+    inverse : (h, w) inverse depth of the samples.
+    guide : photo; None without a photo.
+    at : rows and columns (n,) of the pixels in the upsampled image.
+    factor : upsampling factor.
+    """
     rows, columns = at
     row, column = rows // factor, columns // factor
-    # From the pixel to the sample that it lies in, in samples.
+    # Offset from the pixel to the sample that contains it, in samples.
     down = (row - (rows + 0.5) / factor + 0.5).astype(np.float32)
     across = (column - (columns + 0.5) / factor + 0.5).astype(np.float32)
     offsets = [(y, x) for y in range(-_REACH, _REACH + 1) for x in range(-_REACH, _REACH + 1)]
@@ -225,16 +257,23 @@ def _of_one_side(inverse: Image, guide: _Guide | None, at: tuple[Indices, Indice
     votes = np.zeros_like(vote)
     for k, sample in enumerate(samples):
         votes[k] = (vote * _same(samples, sample)).sum(axis=0) * there[k]
-    # Where all are equal, the first of the nearest.
+    # The small term breaks ties in favour of the nearest sample.
     chosen = np.take_along_axis(samples, (votes + np.float32(1e-3) * vote).argmax(axis=0)[None], axis=0)[0]
     weight = np.exp(-distance2 / np.float32(2 * _FIT**2) - unlike) * (_same(samples, chosen) & there)
-    # None is so far or so unlike that nothing is left of a side.
+    # Keeps the sum of weights above zero even if all samples are distant or differ in colour.
     weight += np.float32(1e-12) * (samples == chosen)
     return _plane(samples, weight, x, y, chosen)
 
 
 def _plane(samples: Image, weight: Image, x: Image, y: Image, chosen: Image) -> Image:
-    """Return where planes through weighted samples (n, pixels) pass at x = y = 0, near those chosen."""
+    """Fit planes to weighted samples, and evaluate them at the pixels.
+
+    Parameters
+    ----------
+    samples, weight : (n, pixels), inverse depth and weights.
+    x, y : (n, pixels), position of the samples relative to the pixel.
+    chosen : (pixels,), inverse depth of the chosen side; the result is clamped to its neighbourhood.
+    """
     weight = weight / weight.sum(axis=0)
 
     def mean(values: Image) -> Image:

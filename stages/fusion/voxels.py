@@ -1,7 +1,7 @@
-"""A truncated signed distance field in blocks of voxels along the surface.
+"""Sparse TSDF volume in blocks of 8³ voxels along the surface.
 
-What adds up in a voxel is its distance along the surface's normal, which each pixel tells anew: measured
-along the optical axis, voxels just behind a road that is seen at a grazing angle would lie metres behind it.
+Voxels accumulate distances along the surface normal, which each pixel provides. Along the optical axis,
+voxels just behind a road seen at a grazing angle would be metres behind it.
 
 References
 ----------
@@ -26,32 +26,32 @@ from scanloom.stages.surface.mesh import Mesh
 
 # Voxels along the side of a block.
 BLOCK = 8
-# Distance, weight, count of frames and colour, or without the colour.
+# Bytes per voxel with and without colour: distance, weight, observation count, colour.
 _VOXEL_BYTES = {True: 12, False: 7}
 
-# How many frames saw each vertex.
+# Number of frames that observed each vertex, (n,).
 Seen = NDArray[np.float32]
-# Places of blocks in Z-order.
+# Z-order keys of blocks.
 Keys = NDArray[np.uint64]
-# The first block of a box along each axis, and the one after its last.
+# Box of blocks: inclusive lower and exclusive upper block coordinates.
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 
 def block_bytes(*, color: bool) -> int:
-    """Return the memory of one block of voxels."""
+    """Return the memory of one block of voxels, bytes."""
     return BLOCK**3 * _VOXEL_BYTES[color]
 
 
 class OutgrownError(StageError):
-    """The volume would take more memory than it may."""
+    """The volume would exceed its memory limit."""
 
 
 def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
-    """Return the error of a volume that may not grow further."""
+    """Build the error for a volume at its memory limit."""
     return OutgrownError(
         MACHINE_OUT_OF_MEMORY,
-        "the volume outgrows its memory of {allowed_bytes:.0f} MB at voxels of {voxel_size:g} m.",
-        remedy="Give a larger voxel_size, a smaller max_depth or more memory.",
+        "the volume would exceed its memory limit of {allowed_bytes:.0f} MB with voxels of {voxel_size:g} m.",
+        remedy="Increase voxel_size or memory, or reduce max_depth.",
         allowed_bytes=allowed_bytes / 1000000.0,
         voxel_size=voxel_size,
     )
@@ -59,16 +59,17 @@ def outgrown(allowed_bytes: int, voxel_size: float) -> OutgrownError:
 
 @dataclass(frozen=True)
 class Weighing:
-    """How exact depth z is: its deviation is noise × (1 − growth + growth (z / depth)²).
+    """Noise model that weights depth measurements.
 
-    It weighs one over the square of that, and counts less where it lies farther behind the surface than its
-    noise reaches: there others may see the other side of something thin.
+    The standard deviation at depth z is noise × (1 − growth + growth (z / depth)²). The weight is the inverse
+    variance. It falls off behind the surface beyond the noise, because other frames may observe the far side
+    of a thin part there.
 
     Attributes
     ----------
-    noise : standard deviation, metres; above 0.
-    depth : metres, where it is that; what is measured there weighs 1.
-    growth : from 0, where all depth is equally exact, to 1, where its noise grows with its square.
+    noise : standard deviation at the reference depth, metres; above 0.
+    depth : reference depth with weight 1, metres.
+    growth : 0 if the noise is constant, up to 1 if it grows with squared depth.
     """
 
     noise: float
@@ -76,31 +77,39 @@ class Weighing:
     growth: float = 0.0
 
     def deviations(self) -> tuple[float, float, float]:
-        """Return the deviation of what weighs 1, that at depth 0, and what is added for each square metre."""
+        """Return the coefficients of the noise model for the kernel.
+
+        Returns
+        -------
+        Standard deviation at weight 1 (m), at depth 0 (m), and its growth per squared metre (1/m).
+        """
         constant, quadratic = 1 - self.growth, self.growth / self.depth**2
         return self.noise, self.noise * constant, self.noise * quadratic
 
 
 class Field(Protocol):
-    """What frames are fused in."""
+    """Interface of a TSDF volume."""
 
     @property
     def bytes(self) -> int:
-        """Return the memory the field takes."""
+        """Return the memory of the volume, bytes."""
 
     def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> Any:
-        """Return what of a frame is integrated: may run in any thread, before frames that come first are."""
+        """Prepare a frame for `integrate`. Thread-safe; frames may be prepared out of order."""
 
     def integrate(self, view: PosedDepth, parts: Any, pose: Pose, color: ColorImage | None) -> None:
-        """Add a frame, as it was prepared."""
+        """Integrate a prepared frame."""
 
     def typical_frames(self) -> float:
-        """Return how many frames saw the median voxel near the surface."""
+        """Return the median observation count of voxels near the surface."""
 
     def mesh(self, min_weight: int) -> tuple[Mesh, Seen | None]:
-        """Return the surface through voxels that so many frames have seen, in the field's axes.
+        """Extract the surface through voxels observed by at least `min_weight` frames.
 
-        With it, how many frames saw each vertex (n,), where that is known.
+        Returns
+        -------
+        The mesh in volume coordinates, and the number of frames that observed each vertex (n,), None if
+        unknown.
         """
 
 
@@ -113,19 +122,23 @@ def touched_blocks(
     truncation: float,
     within: Box | None = None,
 ) -> Keys:
-    """Return sorted keys of the blocks that a frame touches.
+    """Find the blocks within the truncation band of a frame.
 
     Parameters
     ----------
-    wanted : (h, w), at which pixels the surface has to be in the field; what others show tells that nothing
-        is before it.
-    pose : (4, 4), camera to the field's axes.
-    within : no others than the blocks of a box.
+    wanted : (h, w), pixels whose surface is fused; the other pixels only carve free space.
+    pose : (4, 4), camera to volume coordinates.
+    voxel_size, truncation : metres.
+    within : limits the result to a box of blocks.
+
+    Returns
+    -------
+    Sorted Z-order keys of the blocks.
 
     Raises
     ------
     StageError
-        If it is too far from the field's origin.
+        If the surface is too far from the volume origin for 21-bit block coordinates.
     """
     surface = view.surface
     try:
@@ -144,26 +157,26 @@ def touched_blocks(
         raise StageError(
             FUSE_FRAMES_FAR_APART,
             (
-                "a frame shows places more than {reach:.3g} km from the other cameras, "
-                "farther than voxels of {voxel_size:g} m are counted."
+                "a frame has points more than {reach:.3g} km from the other cameras, beyond the "
+                "range of voxels of {voxel_size:g} m."
             ),
-            remedy="Check the poses, or give a larger voxel_size.",
+            remedy="Check the poses, or increase voxel_size.",
             reach=reach / 1000,
             voxel_size=voxel_size,
         ) from error
 
 
 class Volume:
-    """The field; it grows by the blocks that frames touch.
+    """Sparse TSDF volume, grown by the blocks that frames touch.
 
     Parameters
     ----------
-    voxel_size, truncation : metres; truncation along the surface's normal.
-    weighing : of what is measured.
-    color : whether voxels have a colour.
-    max_bytes : the field may not grow past this.
-    threads : to compute with.
-    within : no others than the blocks of a box; None for all.
+    voxel_size, truncation : metres; truncation along the surface normal.
+    weighing : noise model that weights measurements.
+    color : whether voxels store colour.
+    max_bytes : memory limit of the volume.
+    threads : thread count.
+    within : limits the volume to a box of blocks; None for no limit.
     """
 
     def __init__(
@@ -188,11 +201,11 @@ class Volume:
 
     @property
     def bytes(self) -> int:
-        """Return the memory the field takes."""
+        """Return the memory of the volume, bytes."""
         return self._field.bytes
 
     def prepared(self, view: PosedDepth, wanted: NDArray[np.bool_], pose: Pose) -> Keys:
-        """Return the blocks that a frame touches; see `touched_blocks`."""
+        """Find the blocks that a frame touches; see `touched_blocks`."""
         return touched_blocks(
             view,
             wanted,
@@ -203,17 +216,19 @@ class Volume:
         )
 
     def integrate(self, view: PosedDepth, parts: Keys, pose: Pose, color: ColorImage | None) -> None:
-        """Add one frame to the blocks it touches.
+        """Integrate one frame into the blocks it touches.
 
         Parameters
         ----------
-        pose : (4, 4), camera to the field's axes; places are kept in float32, so its origin must be near.
-        color : (h, w, 3) uint8 of the depth map's size; required when voxels have a colour.
+        parts : keys of the touched blocks, as returned by `prepared`.
+        pose : (4, 4), camera to volume coordinates. Voxel positions are float32, so the volume origin must be
+            close to the camera.
+        color : (h, w, 3) uint8 at the size of the depth map; required if voxels store colour.
 
         Raises
         ------
         StageError
-            If the field would outgrow its memory.
+            If the volume would exceed its memory limit.
         """
         if not len(parts):
             return
@@ -232,29 +247,41 @@ class Volume:
             raise outgrown(self._max_blocks * block_bytes(color=self._color), self._voxel_size) from error
 
     def typical_frames(self) -> float:
-        """Return how many frames saw the median voxel near the surface."""
+        """Return the median observation count of voxels near the surface."""
         return median_of(self.frame_counts(None))
 
     def frame_counts(self, within: Box | None) -> NDArray[np.int64]:
-        """Return of how many voxels near the surface each number (256,) of frames is, in a box of blocks."""
+        """Return the histogram (256,) of observation counts near the surface.
+
+        Parameters
+        ----------
+        within : box of blocks to count in; None for all.
+        """
         return self._field.frame_counts(within=within).astype(np.int64)
 
     def mesh(self, min_weight: int) -> tuple[Mesh, Seen | None]:
-        """Return the surface through voxels seen by at least `min_weight` frames, blocks in Z-order.
+        """Extract the surface through voxels observed by at least `min_weight` frames.
 
-        With it, how many frames saw each vertex (n,): the mean of both voxels beside it, which count to 255.
+        Blocks are in Z-order.
+
+        Returns
+        -------
+        The mesh in volume coordinates, and the number of frames that observed each vertex (n,). It is the
+        mean over both voxels of the vertex's edge, which count up to 255.
         """
         mesh, seen, _ = self.surface(min_weight, None)
         return mesh, seen
 
     def surface(self, min_weight: int, within: Box | None) -> tuple[Mesh, Seen, list[Keys]]:
-        """Return the surface in a box of blocks, and how it is joined to that of others.
+        """Extract the surface in a box of blocks.
 
         Returns
         -------
-        The mesh, whose triangles name vertices of others by numbers from that of its own upward; how many
-        frames saw each vertex (n,); and of the others' vertices the blocks (k,) and the codes of their edges
-        (k,), and of those that others may name blocks, codes and numbers (j,).
+        mesh : triangle indices from the vertex count upward reference vertices owned by adjacent boxes.
+        seen : (n,) number of frames that observed each vertex.
+        joints : five arrays. Block keys (k,) and edge codes (k,) of the referenced vertices of adjacent
+            boxes; block keys (j,), edge codes (j,) and indices (j,) of own vertices that adjacent boxes may
+            reference.
         """
         found, joints = self._field.surface(min_weight, within=within, wanted_threads=self._threads)
         places, triangles, levels, seen = found
@@ -263,7 +290,10 @@ class Volume:
 
 
 def median_of(counts: NDArray[np.int64]) -> float:
-    """Return the median of numbers of which it is known how often each is there; 0 of none."""
+    """Return the median of a histogram whose index is the value.
+
+    The median of an empty histogram is 0.
+    """
     passed = np.cumsum(counts)
     if not passed[-1]:
         return 0.0

@@ -1,4 +1,7 @@
-"""Fused meshes written to files; large ones in pieces that follow from the mesh, however it was fused."""
+"""Writing of fused meshes to PLY files, large ones in chunks.
+
+The chunks depend only on the mesh, and not on whether it was fused in memory or in bricks.
+"""
 
 from __future__ import annotations
 
@@ -20,31 +23,41 @@ from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.pieces import Extent, Written, is_many, write_pieces
 
-# Metres, about: the side of a piece. Bricks are never larger.
+# Approximate side of a chunk, metres; the upper limit of the brick size.
 PIECE_SIZE = 4.0
-# Voxels: rounding is less, and no vertex nearer to the next voxel (kernels/src/fusion/surface.rs).
+# Tolerance in voxels: above the rounding error, and below the minimum distance of a vertex to the next voxel
+# (kernels/src/fusion/surface.rs).
 _NEAR = 1e-4
 
 
 def piece_level(voxel_size: float) -> int:
-    """Return the level of the cubes that pieces are."""
+    """Return the cube level of chunks."""
     return level_of(PIECE_SIZE, voxel_size)
 
 
 def write_fused(path: Path, mesh: Mesh, plan: Plan) -> None:
-    """Write a mesh of our own voxels, whose blocks come in Z-order, or a part of one."""
+    """Write a mesh whose blocks are in Z-order.
+
+    Large meshes are written in chunks. A mesh may be cropped, which preserves the order.
+
+    Raises
+    ------
+    StageError
+        If the blocks are not in Z-order.
+    """
     if not is_many(len(mesh.triangles)):
         write_ply(path, mesh)
         return
     level = piece_level(plan.voxel_size)
     voxels = np.floor((mesh.vertices - plan.origin) / plan.voxel_size + _NEAR).astype(np.int64)
-    # A vertex is of the voxel below it, a triangle of its cube's lowest: it lies in no face of the cube.
+    # A vertex belongs to the voxel below it, a triangle to the lowest corner of its cube. No triangle is
+    # within a face of the cube, so the assignment is unique.
     of_vertex = _pieces_of(voxels, level)
     of_triangle = _pieces_of(voxels[mesh.triangles].min(axis=1), level)
     if (np.diff(of_vertex) < 0).any() or (np.diff(of_triangle) < 0).any():
         raise StageError(
             FUSE_TOO_LARGE,
-            "the fused mesh is not in the order of its blocks, which is a defect of this program.",
+            "internal error: the blocks of the fused mesh are out of order.",
         )
     numbers = np.unique(np.concatenate([of_vertex, of_triangle]))
     vertices, triangles = (
@@ -67,7 +80,12 @@ def write_fused(path: Path, mesh: Mesh, plan: Plan) -> None:
 
 
 def write_joined(path: Path, joined: Joined, plan: Plan, *, has_colors: bool) -> MeshFigures:
-    """Write what bricks make, of which no more than one is in memory; return how large it is."""
+    """Write a stitched mesh, with one brick in memory at a time.
+
+    Returns
+    -------
+    The bounding box and the element counts of the mesh.
+    """
     lowest, highest = np.full(3, np.inf), np.full(3, -np.inf)
 
     def pieces() -> Iterator[Written]:
@@ -84,7 +102,7 @@ def write_joined(path: Path, joined: Joined, plan: Plan, *, has_colors: bool) ->
 
 
 def _sizes(joined: Joined, plan: Plan) -> Iterator[Extent]:
-    """Yield the pieces that bricks make up, without those that have nothing."""
+    """Yield the non-empty chunks, each combined from whole bricks."""
     level = piece_level(plan.voxel_size)
     numbers = np.array([brick.number >> 3 * (level - brick.level) for brick in joined.cubes])
     for number in np.unique(numbers):
@@ -101,5 +119,5 @@ def _extent(cube: Cube, vertices: NDArray[np.int64], triangles: NDArray[np.int64
 
 
 def _pieces_of(voxels: NDArray[np.int64], level: int) -> Keys:
-    """Return the cubes of a level that voxels (n, 3) are in, as their places in Z-order."""
+    """Return the Z-order indices (n,) of the cubes containing voxels (n, 3)."""
     return numbers_of(voxels // BLOCK >> level, level)

@@ -1,1 +1,1 @@
-"""What the depth stage is made of: from two images to disparity and how far to trust it."""
+"""Depth estimation from stereo pairs and from posed single views."""

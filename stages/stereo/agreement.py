@@ -1,4 +1,4 @@
-"""Depth maps of many views against each other: what several measured alike is kept, the rest is dropped."""
+"""Consistency of depth maps between views."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from scanloom.stages import _kernels
 from scanloom.stages.scans.model.scan import DepthImage
 from scanloom.stages.stereo.posed_views import PosedView
 
-# What another view measured is before a place if it is nearer by this share of depth.
+# A view occludes a point if its own depth is smaller than the point's by more than this ratio.
 _BEFORE = 0.025
 
 
 def merged(
     depths: Sequence[DepthImage], confidences: Sequence[NDArray[np.uint8]], tolerance: float
 ) -> tuple[DepthImage, NDArray[np.uint8]]:
-    """Return one depth map of several of the same view.
+    """Merge depth maps of one view to a single map.
 
-    At each pixel the measurement that most others agree with stands (the first of equal ones), as the
-    median of those that agree.
+    Each pixel takes the measurement that most others agree with (the first one for ties). The result is the
+    median of the agreeing measurements.
 
     Parameters
     ----------
-    depths : one or more (h, w) float32 metres, 0 where there is none.
+    depths : one or more (h, w) float32 metres, 0 where missing.
     confidences : (h, w) uint8 each.
-    tolerance : share of depth by which measurements that agree may differ.
+    tolerance : maximum relative difference of depth between agreeing measurements.
 
     Returns
     -------
-    (h, w) float32 metres, and the highest confidence among those that agree.
+    (h, w) float32 metres, and (h, w) uint8, the maximum confidence among the agreeing measurements.
     """
     stack = np.stack(depths)
     supporters = np.zeros(stack.shape, np.uint8)
@@ -40,7 +40,7 @@ def merged(
         supporters[k] = np.count_nonzero(_alike(stack, one, tolerance), axis=0)
     chosen = np.take_along_axis(stack, supporters.argmax(axis=0)[None], axis=0)[0]
     agree = _alike(stack, chosen, tolerance)
-    # Sorted with what disagrees at the end, the median of the others is in their middle.
+    # Sorting moves disagreeing values (inf) to the end, so that the median index depends on the count only.
     ordered = np.sort(np.where(agree, stack, np.inf), axis=0)
     last = np.maximum(np.count_nonzero(agree, axis=0) - 1, 0)
     low, high = (np.take_along_axis(ordered, at[None], axis=0)[0] for at in (last // 2, (last + 1) // 2))
@@ -52,13 +52,16 @@ def merged(
 
 @dataclass(frozen=True, eq=False)
 class Said:
-    """What other views say of each pixel's place, counts of views, (h, w) uint8; 0 where there is no depth.
+    """Number of other views per pixel that support its depth.
+
+    All counts are (h, w) uint8, and 0 where depth is missing.
 
     Attributes
     ----------
-    agreeing, nearly : measured the same depth there, and nearly the same.
-    open : measured nothing before it, so that they may see it.
-    looking : have any depth there.
+    agreeing : views with the same depth within the tolerance.
+    nearly : views with the same depth within the wider tolerance.
+    open : views whose depth does not occlude the point.
+    looking : views with any depth at the point's projection.
     """
 
     agreeing: NDArray[np.uint8]
@@ -75,14 +78,15 @@ def agreeing_views(
     looser: float,
     threads: int = 1,
 ) -> Said:
-    """Ask other views for each pixel's place.
+    """Count the views that support the depth of each pixel.
 
     Parameters
     ----------
-    depth : (h, w) float32 metres of `view`, 0 where there is none.
-    others : views and their own depth maps.
-    tolerance : share of depth by which a map that agrees may differ from what it should have there.
-    looser : the same, of one that nearly agrees.
+    depth : (h, w) float32 metres of `view`, 0 where missing.
+    others : other views and their depth maps.
+    tolerance : maximum relative difference of depth for agreement.
+    looser : wider tolerance, for near agreement.
+    threads : thread count.
     """
     maps = [(view.pixels_to(other), measured) for other, measured in others]
     same, nearly = _kernels.agreeing(depth, maps, tolerances=(tolerance, looser), wanted_threads=threads)

@@ -1,10 +1,11 @@
-"""Where a view shows nothing that could be matched: a backdrop, a clipped sky.
+"""Detection of background without texture: a backdrop or a clipped sky.
 
-A semi-global matcher fills such places from their rims, in every view alike, so that neither left against
-right nor view against view finds out. Plain they are, but so is a thing of plaster. Where the borders of the
-images have one colour in all views, what is plain and like it is the backdrop, up to the rim of what stands
-before it, and everything else is the scene, however plain. Else all that is plain is taken for background;
-the objects' rims must not shield what lies beside them.
+A semi-global matcher fills such areas from their borders, in all views alike. Left–right and cross-view
+checks therefore do not reject this depth. A plain object, such as a plaster cast, looks similar.
+
+If the image borders have one colour in all views, this colour is the backdrop. Plain pixels of this colour
+are background, up to the outline of the object, and all other pixels belong to the scene. Without a backdrop,
+all plain pixels are background, including plain pixels next to an object's outline.
 """
 
 from __future__ import annotations
@@ -19,49 +20,52 @@ from scanloom.stages.scans.model.scan import ColorImage
 
 Mask = NDArray[np.bool_]
 
-# Differences are averaged over so many pixels each way, odd.
+# Window for mean differences, pixels, odd.
 _WINDOW = 9
-# Of the images one in so many pixels each way is looked at, for what is dark and what is bright.
+# Pixel stride for the Otsu threshold.
 _STEP = 4
-# The outermost pixels, so many deep, are an image's border.
+# Width of the image border, pixels.
 _BORDER = 3
-# Of the border of most images at least this share must look like the backdrop.
+# Minimum ratio of an image's border pixels with the backdrop's colour, and of images with such a border.
 _BORDER_SHARE = 0.6
 _IMAGES_SHARE = 0.8
-# The border spreads about the backdrop's colour by no more than this, grey levels: else there is none.
+# Maximum median deviation of the borders from the backdrop's colour, grey levels.
 _SPREAD = 10.0
-# What differs from it by less than this share of what tells dark from bright in the differences (Otsu) looks
-# like it: light that spills over the rim of a thing, a cloth in the shade; but in these bounds, grey levels.
+# Tolerance of the backdrop's colour relative to the Otsu threshold between backdrop and scene, and its limits
+# in grey levels. It includes light that spills over an object's outline and shaded folds of a cloth.
 _SHARE = 0.5
 _LEAST, _MOST = 6.0, 40.0
 
 
 @dataclass(frozen=True, eq=False)
 class Backdrop:
-    """What a thing stands before in all views.
+    """Uniform background around an object in all views.
 
     Attributes
     ----------
     color : (3,) grey levels.
-    tolerance : a pixel none of whose channels differs by more looks like it, grey levels.
+    tolerance : maximum difference of any channel for pixels that match the backdrop, grey levels.
     """
 
     color: NDArray[np.float32]
     tolerance: float
 
     def alike(self, image: ColorImage) -> Mask:
-        """Return which pixels (…) of an image (…, 3) look like the backdrop."""
+        """Return a mask of pixels (…, 3) that match the backdrop's colour."""
         return np.asarray(_off(image, self.color) <= self.tolerance)
 
 
 def common_backdrop(images: Sequence[ColorImage], seen: Sequence[Mask]) -> Backdrop | None:
-    """Return the backdrop of views, by the colour that the borders of nearly all have; None if there is none.
+    """Detect a backdrop from the colour of the image borders.
 
     Parameters
     ----------
-    images : (h, w, 3) uint8, some of the views.
-    seen : (h, w) each, what of them shows anything. Where lens distortion was removed, black may lie around
-        what the camera saw; it is no backdrop.
+    images : (h, w, 3) uint8, sampled views.
+    seen : (h, w) each, valid pixels. Undistorted images have black, invalid areas at the border.
+
+    Returns
+    -------
+    The backdrop; None if the borders have no common colour.
     """
     import cv2
 
@@ -84,12 +88,17 @@ def common_backdrop(images: Sequence[ColorImage], seen: Sequence[Mask]) -> Backd
 
 
 def before_backdrop(image: ColorImage, backdrop: Backdrop, least: float) -> Mask:
-    """Return where an image (h, w, 3) shows what stands before the backdrop.
+    """Segment the foreground in front of the backdrop.
 
     Parameters
     ----------
-    least : as of `measurable`; what is like the backdrop but farther than a window from all that is so plain
-        belongs to the scene.
+    image : (h, w, 3) uint8.
+    least : texture threshold, as in `measurable`. Pixels of the backdrop's colour are foreground if no plain
+        pixel of this colour is within a window of them.
+
+    Returns
+    -------
+    (h, w) mask of the foreground.
     """
     import cv2
 
@@ -100,13 +109,13 @@ def before_backdrop(image: ColorImage, backdrop: Backdrop, least: float) -> Mask
 
 
 def measurable(image: NDArray[np.uint8], least: float) -> Mask:
-    """Return where an image has texture all around.
+    """Return a mask of pixels with texture on all sides.
 
     Parameters
     ----------
     image : (h, w) uint8.
-    least : grey levels by which pixels two apart, across or down, must differ in the mean of every window
-        that holds the pixel.
+    least : minimum mean difference between pixels two apart (horizontally or vertically), grey levels. It
+        must hold in every window that contains the pixel.
     """
     import cv2
 
@@ -115,12 +124,14 @@ def measurable(image: NDArray[np.uint8], least: float) -> Mask:
 
 
 def steps(image: NDArray[np.uint8], window: int) -> NDArray[np.float32]:
-    """Return the sum over the window around each pixel of how much pixels two apart differ, across or down.
+    """Sum the local gradients in a window around each pixel.
+
+    A gradient is the larger of the horizontal and the vertical difference between pixels two apart.
 
     Parameters
     ----------
     image : (h, w) uint8.
-    window : px, its width and height.
+    window : width and height of the window, pixels.
 
     Returns
     -------
@@ -145,7 +156,7 @@ def _textured(image: NDArray[np.uint8], least: float) -> Mask:
 
 
 def _border(image: ColorImage, seen: Mask) -> ColorImage:
-    """Return the outermost pixels of what an image shows, (n, 3)."""
+    """Return the pixels (n, 3) at the border of the valid area."""
     import cv2
 
     window = np.ones((2 * _BORDER + 1, 2 * _BORDER + 1), np.uint8)
@@ -154,12 +165,12 @@ def _border(image: ColorImage, seen: Mask) -> ColorImage:
 
 
 def _off(image: ColorImage, color: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return by how many grey levels pixels (…, 3) differ from a colour, at most of the channels."""
+    """Return the maximum channel difference of pixels (…, 3) to a colour."""
     return np.asarray(np.abs(image - color).max(axis=-1))
 
 
 def _without_specks(shown: Mask) -> Mask:
-    """Return a mask without connected pieces smaller than a window: what is left of noise is no thing."""
+    """Remove connected components smaller than a window, which are noise."""
     import cv2
 
     _, label, stats, _ = cv2.connectedComponentsWithStats(shown.astype(np.uint8), connectivity=4)

@@ -1,9 +1,12 @@
-"""Depth by a network of the user's own, held to what our own has to pass.
+"""Depth from a user-supplied neural network.
 
-Of a pair, the network is run on the mirrored pair too, which gives the right image's disparity; what both do
-not agree on, small pieces and what is flat go, and the rest has the confidence of
-`scanloom.stages.stereo.confidence`. Of one image, what it says is fitted to measured depth, and used only
-where there is none.
+Its results pass the same checks as the results of the built-in matchers. A stereo network also runs on the
+mirrored pair, which gives the disparity of the right image. Pixels that fail the left–right check, small
+components and plain pixels are removed. The remaining pixels get the confidence of
+`scanloom.stages.stereo.confidence`.
+
+The output of a monocular network is fitted to measured depth in scale and shift. It only fills pixels without
+measured depth.
 """
 
 from __future__ import annotations
@@ -31,32 +34,34 @@ RESULT_VERSION = 1
 Image = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
-# Only the matchers know of these.
+# Parameters without effect if a network replaces the matcher.
 _OF_MATCHERS = ("matcher", "sgbm")
-# If left and right agree on less of the image, its sidecar is wrong rather than the network.
+# Ratio of matched pixels below which the sidecar is probably wrong, not the network.
 _AGREEING = 0.01
-# Scale and shift come from so many pixels, evenly taken: the repeated median looks at all pairs of them.
+# Number of evenly sampled pixels for scale and shift; the repeated median compares all pairs of them.
 _SAMPLES = 600
-# From fewer measured pixels they are not told.
+# Minimum number of measured pixels for a fit of scale and shift.
 _FEWEST = 200
-# What is nearer or farther than all but this share of what was measured is not filled in: nothing tells how
-# the network goes on there.
+# Quantile of measured values ignored at either end. Depth outside the remaining range is not filled, because
+# the fit does not constrain the network there.
 _STRAY = 0.01
 
 
 def network_of(params: DepthParams) -> Network | None:
-    """Return the network that the parameters name, if any; it is loaded once for a whole scan.
+    """Load the network given by `model`, if any.
+
+    A scan loads it once.
 
     Raises
     ------
     InputError, UsageError
-        As `Network`, and for parameters that do nothing with a network of pairs.
+        As `Network`; UsageError also for parameters without effect with a stereo network.
     """
     if params.model is None:
         return None
     network = Network(Path(params.model), round(params.model_memory * 1e6), params.model_seconds)
     if network.is_stereo:
-        params.require_default(_OF_MATCHERS, "a network of pairs (model)")
+        params.require_default(_OF_MATCHERS, "a stereo network (model)")
     return network
 
 
@@ -68,12 +73,16 @@ def network_disparity(
     search: SearchRange,
     params: DepthParams,
 ) -> tuple[Map, NDArray[np.uint8]]:
-    """Return disparity, (h, w) float32 px, NaN where there is none, and confidence, by a network of pairs.
+    """Compute the disparity of a pair with a stereo network.
 
     Parameters
     ----------
-    left, right : (h, w, 3) RGB or (h, w) grey uint8, whose rows correspond.
-    search : disparities that can be; others are none.
+    left, right : (h, w, 3) RGB or (h, w) grey uint8, rectified.
+    search : valid disparities; others are dropped.
+
+    Returns
+    -------
+    Disparity, (h, w) float32 px, NaN where missing, and confidence, (h, w) uint8.
 
     Raises
     ------
@@ -98,24 +107,25 @@ def network_disparity(
 
 
 def report_agreement(network: Network, trust: NDArray[np.uint8]) -> None:
-    """Warn if left and right hardly agree by a network of pairs, as its confidence shows."""
+    """Warn if almost no pixel passes the left–right check of a network."""
     if np.count_nonzero(trust) < _AGREEING * trust.size:
         emit(
             DEPTH_NETWORK_SIDECAR_INVALID.warning(
-                "by this network left and right agree on next to nothing",
+                "almost no pixel passes the left–right check with this network",
                 Where(file=network.file.name),
                 remedy=(
-                    "look at unit, sign, range and inputs of its sidecar, or have it guessed: scanloom probe"
+                    "check unit, sign, range and inputs in its sidecar, or guess them with scanloom probe"
                 ),
             )
         )
 
 
 def completed(measured: DepthMap, network: Network, params: DepthParams) -> DepthMap:
-    """Fill in depth where there is none by a network of single images.
+    """Fill missing depth with a monocular network.
 
-    What the network says is right but for a scale and a shift, which are the repeated median's (Siegel 1982)
-    over measured pixels; up to half of them may be wrong. Where the network does not fit, that is emitted.
+    The network's output has an unknown scale and shift. Both are fitted to measured pixels with the repeated
+    median (Siegel 1982), which tolerates up to half of the pixels as outliers. If the fit fails, the map is
+    returned unchanged and a warning is emitted.
 
     Raises
     ------
@@ -129,7 +139,7 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
     known = np.flatnonzero((measured.depth > 0) & np.isfinite(told))
     nothing = replace(measured, filled=np.zeros(measured.depth.shape, bool))
     if len(known) < _FEWEST:
-        _report_no_effect(network, "there is too little measured depth to fit it to")
+        _report_no_effect(network, "too few pixels have measured depth to fit it")
         return nothing
     depth, values = measured.depth.ravel()[known].astype(np.float64), told.ravel()[known].astype(np.float64)
     wanted = 1 / depth if is_inverse else depth
@@ -138,9 +148,9 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
     off = float(np.median(np.abs(scale * values + shift - wanted) / wanted))
     if not scale > 0 or not off <= params.model_error:
         why = (
-            "it differs by more than depth.model_error allows"
+            "its median error exceeds depth.model_error"
             if scale > 0
-            else "what it calls near is far; look at unit and sign of its sidecar"
+            else "its depth order is inverted; check unit and sign in its sidecar"
         )
         _report_no_effect(network, why)
         return nothing
@@ -155,16 +165,19 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
 
 
 def _report_no_effect(network: Network, why: str) -> None:
-    # Equal for all images, so that a scan reports it once.
+    # Without image names, so that a scan reports the warning only once.
     emit(
         DEPTH_NETWORK_NO_EFFECT.warning(
-            "the network fills in nothing in some images: {why}", Where(file=network.file.name), why=why
+            "the network fills no depth in some images: {why}", Where(file=network.file.name), why=why
         )
     )
 
 
 def _fixed_point(disparity: Map, search: SearchRange, none: int) -> NDArray[np.int16]:
-    """Return a disparity as the matchers have it, sixteenths of a pixel; what is out of range is `none`."""
+    """Convert disparity to the matchers' fixed point, 1/16 px.
+
+    Values out of range become `none`.
+    """
     with np.errstate(invalid="ignore"):
         there = (disparity >= search.lowest) & (disparity < search.end)
     return np.where(there, np.rint(SUBPIXELS * np.where(there, disparity, 0)), none).astype(np.int16)

@@ -1,4 +1,4 @@
-"""Depth maps that a scan has already, filled in by a network of single images."""
+"""Completion of existing depth maps with a monocular network."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 1
 
-# Depth is kept in whole steps of 16 bits: millimetres, or those of the scan's own files if they are finer.
+# Depth files have 16-bit steps: 1 mm, or the scan's own unit if it is finer.
 _STEPS = np.iinfo(np.uint16).max
 _COARSEST = 1000
 
@@ -44,31 +44,35 @@ def completed_scan(
     progress: Progress = silent,
     **changes: Unpack[DepthKeywords],
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
-    """Fill in the depth maps of a scan by a network of single images, in the order of its frames.
+    """Fill missing depth of a scan with a monocular network.
 
-    Measured depth stays as it is, with a confidence of 255; what is filled in has 1. Frames keep their
-    photos, poses and cameras, without lens distortion.
+    Measured depth is unchanged and has a confidence of 255; filled depth has 1. Frames keep their photos,
+    poses and cameras, without lens distortion.
 
     Parameters
     ----------
     scan : with depth and colour.
-    params, changes : of the depth stage; `model` must be given.
+    params, changes : parameters of the depth stage; `model` is required.
     progress : called after each frame.
+
+    Returns
+    -------
+    Iterator over the frames in order, each with its depth map or the reason why it was skipped.
 
     Raises
     ------
     InputError
         If the network cannot be run, or more than `max_skipped` of the frames cannot be used.
     UsageError
-        If the network is one of pairs, or none is named.
+        If no network is given, or it is a stereo network.
     """
     params = resolve(DepthParams, params, changes)
     network = network_of(params)
     if network is None or network.is_stereo:
-        what = "" if network is None else f"; {network.file.name} is a network of pairs"
+        what = "" if network is None else f"; {network.file.name} is a stereo network"
         raise UsageError(
             DEPTH_NETWORK_NO_EFFECT,
-            "the scan has depth, which only a network of single images (depth.model) fills in{what}.",
+            "the scan already has depth, which only a monocular network (depth.model) can fill{what}.",
             what=what,
         )
     finest = max([_COARSEST, *(frame.depth_scale for frame in scan.frames)])
@@ -88,8 +92,8 @@ def completed_scan(
                 raise InputError(
                     SCAN_TOO_MANY_FRAMES_SKIPPED,
                     (
-                        "{skipped} of the scan's {frames_count} frames cannot be used, more than the "
-                        "share of {max_skipped:g} that max_skipped allows; the last of them, {last}: {reason}"
+                        "{skipped} of the scan's {frames_count} frames cannot be used; max_skipped allows "
+                        "a ratio of {max_skipped:g}. Last unusable frame, {last}: {reason}"
                     ),
                     scan.folder,
                     skipped=skipped,
@@ -109,7 +113,7 @@ def _completed_frame(
         depth, photo = read_depth(frame), read_color(frame)
         if depth is None or photo is None:
             missing = "depth map" if depth is None else "photo"
-            why = FRAME_IMAGE_MISSING.warning("there is no {missing}", missing=missing)
+            why = FRAME_IMAGE_MISSING.warning("the {missing} is missing", missing=missing)
             return frame, SkippedFrame(frame.name, why)
         color = read_matching_color(frame, depth)
         seen = read_seen(frame) if frame.mask is not None else None
@@ -131,14 +135,14 @@ def _completed_frame(
         if too_far.any():
             emit(
                 DEPTH_FAR_LEFT_OUT.warning(
-                    "depth beyond {farthest:.4g} m is left out (depth.max_depth)", farthest=farthest
+                    "depth beyond {farthest:.4g} m is dropped (depth.max_depth)", farthest=farthest
                 )
             )
         whole = completed(measured, network, params)
     whole = replace(whole, diagnostics=tuple(diagnostics))
     mask = None
     if seen is not None:
-        # Where the image shows nothing of the scene there is nothing to fill in.
+        # Masked pixels are not filled.
         inside = np.where(seen, whole.depth, np.float32(0))
         whole = replace(whole, depth=inside, filled=(inside > 0) & (measured.depth == 0))
         mask = 255 * seen.astype(np.uint8)

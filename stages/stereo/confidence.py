@@ -1,11 +1,12 @@
-"""How far a disparity can be trusted, from what the matcher's own result says about it.
+"""Confidence of a disparity map from the matcher's own result.
 
-Three signs, each in pixels, add up to a spread: the left–right residual; how far the disparity departs
-from a plane around the pixel; and the share of neighbours without a match. On the Middlebury pairs with
-ground truth most wrong matches that survive the left–right check are the fringe of the background (and of
-what the right camera cannot see) that takes on a foreground's disparity; they lie within two pixels of a
-jump, and the second sign finds them. A plane has none of it however obliquely it is seen, so that roads
-and floors stay.
+Three indicators, in pixels, add up to a spread: the left–right residual; the deviation of the disparity from
+a local plane; and the ratio of neighbours without a match.
+
+On the Middlebury pairs with ground truth, most wrong matches that pass the left–right check are background or
+occluded pixels next to a foreground object. They have the disparity of the foreground, and are within two
+pixels of a disparity jump. The second indicator detects them. It is zero on a plane at any angle, so that
+roads and floors keep their confidence.
 """
 
 from __future__ import annotations
@@ -15,31 +16,37 @@ from numpy.typing import NDArray
 
 from scanloom.stages.stereo.matching import SUBPIXELS, Disparity16, Mask, SearchRange
 
-# Second differences reach this far each way: a block of 3 or 5 pixels blurs a jump by that much.
+# Reach of the second differences, pixels: a matching block of 3 or 5 pixels blurs a jump by this much.
 _REACH = 2
-# A missing neighbour stands for the farthest disparity matched this near to it: behind the gap beside
-# a foreground lies the background.
+# Window in which a missing pixel takes the farthest disparity: a gap next to a foreground object is
+# background.
 _FILL = 9
-# Spread, in pixels, of a pixel none of whose neighbours this far each way has a match.
+# Spread, in pixels, of a pixel without matched neighbours, and the reach of the neighbourhood in pixels.
 _ALONE = 4
 _NEIGHBOURS = 4
-# The spread at which confidence is one half. Chosen on Middlebury's Motorcycle (2014), looked at on Cones
-# (2003), and checked on the street of KITTI by how well consecutive frames' depth agrees.
+# Spread at which the confidence is one half, pixels. Chosen on Middlebury Motorcycle (2014) and checked on
+# Cones (2003), and on KITTI by the agreement of depth between consecutive frames.
 _HALF = 1.5
-# Departures beyond this change nothing: confidence is a hundredth by then.
+# Clipping limit: the confidence is 1 % there already.
 _LARGEST = 16 * SUBPIXELS
 
 
 def confidence(
     disparity: Disparity16, residual: NDArray[np.int16], matched: Mask, search: SearchRange
 ) -> NDArray[np.uint8]:
-    """Confidence of each left pixel, 255 / (1 + (spread / 1.5 px)²); 0 where not matched.
+    """Compute the confidence of each left pixel.
+
+    The confidence is 255 / (1 + (spread / 1.5 px)²), and 0 where not matched.
 
     Parameters
     ----------
     disparity : (h, w) int16, 1/16 px.
-    residual : (h, w) int16, 1/16 px, left against right (see `scanloom.stages.stereo.matching`).
-    matched : (h, w), the pixels that hold a measurement.
+    residual : (h, w) int16, 1/16 px, left–right residual (see `scanloom.stages.stereo.matching`).
+    matched : (h, w), pixels with a measurement.
+
+    Returns
+    -------
+    (h, w) uint8.
     """
     import cv2
 
@@ -54,7 +61,7 @@ def confidence(
 
 
 def _departure(disparity: Disparity16, matched: Mask, search: SearchRange) -> NDArray[np.int16]:
-    """Return the largest second difference over the four directions through each pixel, clipped."""
+    """Return the maximum second difference of four directions, clipped."""
     import cv2
 
     beyond = np.int16(SUBPIXELS * search.end)
@@ -68,7 +75,7 @@ def _departure(disparity: Disparity16, matched: Mask, search: SearchRange) -> ND
         kernel[row, column] = kernel[size - 1 - row, size - 1 - column] = -1
         kernel[_REACH, _REACH] = 2
         bend = cv2.filter2D(filled, cv2.CV_16S, kernel, borderType=cv2.BORDER_REPLICATE)
-        # Clipped first: the negative of the smallest int16 is none.
+        # Clipped first, because the absolute value of the minimum int16 overflows.
         np.maximum(result, np.abs(np.clip(bend, -_LARGEST, _LARGEST)), out=result)
     return result
 

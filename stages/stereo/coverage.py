@@ -1,4 +1,7 @@
-"""Depth coverage of views: pixels lost at each step, and warnings if little is left."""
+"""Depth coverage of views, with warnings if little is left.
+
+The report counts the pixels lost at each step.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +11,28 @@ from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.stereo.codes import DEPTH_COVERAGE_LOW, DEPTH_OBJECT_INCOMPLETE, DEPTH_SCENE_INCOMPLETE
 from scanloom.stages.stereo.params import SWEEP, DepthParams
 
-# Depth is little if it covers less than this share of a thing whose outline is known, or of whole images,
-# much of which may lie where no partner looks.
+# Minimum depth coverage: of an object with known outline, and of whole images, where much may be outside of
+# every partner's view.
 _OF_A_THING = 0.5
 _OF_AN_IMAGE = 0.15
-# A step is named if it took at least this share.
+# Minimum ratio of pixels that a step must have removed to be named in the warning.
 _MUCH = 0.1
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Pixels of one view, or of several.
+    """Pixel counts of one view or of several.
 
     Attributes
     ----------
-    all, shown : all, and those that show the scene: not masked out, nor a backdrop.
-    plain : those of them without texture all around, which are taken for background.
-    matched : those of the others that were measured with some partner.
-    kept : those of them that enough other views agree with.
-    filled : those that no view measured, and that lie on the hull of the silhouettes.
-    planar : those that no view measured, and that lie on planes of what is measured around.
-    outlined : pixels of views whose scene is told from the rest by a mask or a backdrop.
+    all : all pixels.
+    shown : pixels of the scene: neither masked out nor backdrop.
+    plain : `shown` pixels without texture, treated as background.
+    matched : remaining `shown` pixels with depth from any partner.
+    kept : `matched` pixels that enough other views agree with.
+    filled : pixels filled from the visual hull.
+    planar : pixels filled from planes.
+    outlined : pixels of views in which a mask or a backdrop separates the object.
     """
 
     all: int = 0
@@ -41,7 +45,7 @@ class Counts:
     outlined: int = 0
 
     def __add__(self, other: Counts) -> Counts:
-        """Return the sum."""
+        """Return the sum of both counts."""
         return Counts(
             self.all + other.all,
             self.shown + other.shown,
@@ -55,14 +59,14 @@ class Counts:
 
 
 def report_coverage(counts: Counts, params: DepthParams) -> None:
-    """Warn if the depth of a scan's views covers little, or if much of it was not measured."""
+    """Warn if depth covers little, or if much of it was filled."""
     _report_low_coverage(counts, params)
     share = _share_of_depth(counts.filled, counts)
     if share >= _MUCH:
         emit(
             DEPTH_OBJECT_INCOMPLETE.warning(
-                "{share:.0%} of the thing's depth was measured by no view, and is that of the hull of its "
-                "silhouettes (depth.on_hull=false leaves it out; more views measure more)",
+                "{share:.0%} of the object's depth is not measured, but filled from the visual hull of its "
+                "silhouettes (depth.on_hull=false drops it; more views measure more)",
                 share=share,
             )
         )
@@ -70,8 +74,8 @@ def report_coverage(counts: Counts, params: DepthParams) -> None:
     if share >= _MUCH:
         emit(
             DEPTH_SCENE_INCOMPLETE.warning(
-                "{share:.0%} of the depth was measured by no view, and is that of planes on which measured "
-                "depth around it lies (depth.on_planes=false leaves it out)",
+                "{share:.0%} of the depth is not measured, but filled from planes through the depth around "
+                "it (depth.on_planes=false drops it)",
                 share=share,
             )
         )
@@ -83,21 +87,24 @@ def _report_low_coverage(counts: Counts, params: DepthParams) -> None:
     kept = counts.kept + counts.planar
     if not counts.shown or kept >= least * counts.shown:
         return
-    what = "what the masks or the backdrop leave of the views" if is_thing else "the views' pixels"
+    what = "the pixels inside masks or in front of the backdrop" if is_thing else "the views' pixels"
     rest = counts.shown - counts.plain
-    unsure, asks = "", "depth.agreeing_views asks for fewer"
+    unsure, asks = "", "a lower depth.agreeing_views keeps more"
     if params.views == SWEEP:
-        unsure = "is not sure, or "
-        asks = "depth.min_confidence=128 and a lower depth.agreeing_views ask less"
+        unsure = "have low confidence or "
+        asks = "depth.min_confidence=128 and a lower depth.agreeing_views keep more"
     steps = (
-        (counts.plain, "has too little texture (depth.backdrop=0 keeps it)"),
+        (counts.plain, "have too little texture (depth.backdrop=0 keeps them)"),
         (
             rest - counts.matched,
-            "matched no other view surely (depth.min_confidence=1 and depth.sgbm.uniqueness=0 ask less)",
+            (
+                "have no reliable match in another view (depth.min_confidence=1 and "
+                "depth.sgbm.uniqueness=0 keep more)"
+            ),
         ),
         (
             counts.matched - kept,
-            f"{unsure}is not seen alike by {params.agreeing_views} other views ({asks})",
+            f"{unsure}are not confirmed by {params.agreeing_views} other views ({asks})",
         ),
     )
     shares = [(count / counts.shown, text) for count, text in steps]

@@ -1,4 +1,4 @@
-"""The depth stage: a pair of images to metric depth with a confidence a pixel."""
+"""Depth stage for stereo pairs: metric depth with confidence per pixel."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ RESULT_VERSION = 4
 
 _Image = NDArray[np.uint8]
 
-# Disparities that are looked for when nothing says how near the scene is, as a share of the width.
+# Maximum disparity relative to the image width if the minimum depth is unknown.
 _WIDEST = 0.25
-# Least confidence and uniqueness (%) where a pair stands alone, and where others look at the same surface:
-# there, grass and foliage that match less surely are worth having.
+# Default minimum confidence and uniqueness (%), for one or two pairs and for more. With more pairs, fusion
+# rejects outliers, so that less certain matches, such as grass and foliage, are useful.
 _ALONE = (128, 20)
 _AMONG_OTHERS = (16, 5)
-# The same of our own matcher, whose confidence is a probability.
+# The same minimum confidence for the census matcher, whose confidence is a probability.
 _SURE_ALONE, _SURE_AMONG_OTHERS = 204, 128
 
 
@@ -73,24 +73,24 @@ def depth(
     params: DepthParams | None = None,
     **changes: Unpack[DepthKeywords],
 ) -> DepthMap:
-    """Measure depth from one calibrated pair.
+    """Compute depth from one calibrated pair.
 
-    The pair is rectified if it is not, matched semi-globally and checked left against right; every pixel gets
-    a confidence. What is below `min_confidence`, or beyond the range of the allowed depth error, has no
-    depth.
+    The pair is rectified if necessary, matched semi-globally, and checked left against right. Every pixel
+    gets a confidence. Pixels below `min_confidence`, or with a depth error above `max_relative_depth_error`,
+    have no depth.
 
     Parameters
     ----------
-    left, right : (h, w, 3) RGB or (h, w) grey uint8, of the size the rig is calibrated for.
-    rig : the calibration; `rig.rectified` says whether rows correspond already.
-    params, changes : the parameters, and changes to them by name.
+    left, right : (h, w, 3) RGB or (h, w) grey uint8, of the calibrated size.
+    rig : calibration; `rig.rectified` states that rows already correspond.
+    params, changes : parameters, and changes to them by name.
 
     Raises
     ------
     InputError
-        If images and calibration do not belong together, or left and right are swapped.
+        If images and calibration do not match, or left and right are swapped.
     UsageError
-        If a parameter is out of its range.
+        If a parameter is out of range.
     StageError
         If the matcher runs out of memory.
 
@@ -114,22 +114,27 @@ def depth_scan(
     progress: Progress = silent,
     **changes: Unpack[DepthKeywords],
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
-    """Measure the depth of every pair of a scan, on all cores, in the order of its frames.
+    """Compute depth for every stereo pair of a scan.
 
-    Each frame comes with its depth map in place of the right image, the camera of the rectified left image
-    and a pose turned alike; or unchanged, with the reason why it had to be skipped. Frames are matched
-    ahead of the caller, a few at a time. Results do not depend on the number of threads.
+    Frames are matched in parallel, a few ahead of the caller, and returned in order. Results do not depend on
+    the number of threads.
+
+    Returns
+    -------
+    Iterator over frames and depth maps. A measured frame has depth instead of a right image, and camera and
+    pose of the rectified left image. A skipped frame is unchanged and comes with the reason.
 
     Raises
     ------
     InputError
-        If the scan has no pairs, they are swapped, or more than `max_skipped` of its frames cannot be used.
+        If the scan has no pairs, left and right are swapped, or more than `max_skipped` of the frames cannot
+        be used.
     """
     params = resolve(DepthParams, params, changes)
     if scan.rig is None:
         raise InputError(
             DEPTH_ALREADY_MEASURED,
-            "the scan has no stereo pairs; its depth maps need no matching.",
+            "the scan has no stereo pairs, so there is nothing to match.",
             scan.folder,
         )
     stage = PairStage(
@@ -151,8 +156,8 @@ def depth_scan(
                 raise InputError(
                     SCAN_TOO_MANY_FRAMES_SKIPPED,
                     (
-                        "{skipped} of the scan's {total} pairs cannot be used, more than the share "
-                        "of {max_skipped:g} that max_skipped allows; the last of them, {last}: {reason}"
+                        "{skipped} of the scan's {total} pairs cannot be used; max_skipped allows a ratio "
+                        "of {max_skipped:g}. Last unusable pair, {last}: {reason}"
                     ),
                     scan.folder,
                     skipped=skipped,
@@ -166,12 +171,15 @@ def depth_scan(
 
 
 def _report_first_pair(stage: PairStage, scan: Scan) -> None:
-    """Check the first readable pair for exchanged images and differing rows: any pair shows them."""
+    """Check the first readable pair for swapped images and misaligned rows.
+
+    One pair suffices, because all pairs share the calibration.
+    """
     for frame in scan.frames:
         try:
             pair = _read_pair(stage, frame)
         except InputError:
-            continue  # Reported when its turn comes.
+            continue  # reported when the frame is measured
         try:
             stage.report_rows(*pair)
         except InputError as error:
@@ -184,7 +192,7 @@ def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[An
     if left is None or right is None:
         raise InputError(
             FRAME_IMAGE_MISSING,
-            "there is no {side} image.",
+            "the {side} image is missing.",
             Where(frame=frame.name),
             side="left" if left is None else "right",
         )
@@ -218,14 +226,18 @@ def _measure_frame(stage: PairStage, frame: Frame) -> tuple[Frame, DepthMap | Sk
 
 
 class PairStage:
-    """What all pairs of a rig share: rectification, search range, matcher, the bound of depth.
+    """Matching setup shared by all pairs of a rig.
+
+    It holds the search range, the matcher and the depth limit.
 
     Parameters
     ----------
-    pairs : how many measurements look at a surface: from three on, each may be less sure.
-    stated : the number of disparities that the calibration itself states, or None.
-    network : the user's own, that of `model`. One of pairs stands in for the matcher; one of single images
-        fills in what is not measured.
+    rig : rectified rig.
+    params : parameters of the depth stage.
+    pairs : number of pairs in the scan; from three on, lower confidence is accepted.
+    stated : number of disparities stated by the calibration, or None.
+    network : network of `model`. A stereo network replaces the matcher, a monocular network fills missing
+        depth.
     """
 
     def __init__(
@@ -242,18 +254,19 @@ class PairStage:
         derived = _AMONG_OTHERS if pairs >= SEVERAL else _ALONE
         given = params.min_confidence, params.sgbm.uniqueness
         least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
-        # A network searches in its own way: what it finds is only refused where it cannot be.
+        # A stereo network does not use the search range; disparities outside the image width are rejected
+        # afterwards.
         self.search = _search_range(rig, params, stated, 1.0 if self.is_by_network else _WIDEST)
         volume = volume_bytes(rig.left.width, rig.left.height, self.search.count)
         self.is_own = not self.is_by_network and params.is_own(pairs, volume)
         if self.is_own and params.min_confidence is None:
             least = _SURE_AMONG_OTHERS if pairs >= SEVERAL else _SURE_ALONE
-        # Of several pairs, as many are matched at a time as there are cores.
+        # Several pairs are matched in parallel instead, one per core.
         self.threads = 1 if pairs > 1 else params.threads
-        # Confidence 0 says that nothing was measured.
+        # A confidence of 0 means no measurement.
         self.least_confidence = max(least, 1)
         self.rig = rig
-        # Ours has its range narrowed by one that is fast.
+        # The census matcher uses the fast matcher only to narrow the search range.
         self.matcher = Matcher(
             FAST if self.is_own or params.matcher == AUTO else params.matcher,
             params.sgbm.block_size,
@@ -275,16 +288,16 @@ class PairStage:
         right: NDArray[np.uint8],
         files: tuple[Path | None, Path | None] = (None, None),
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return the pair with common rows, once it is known to fit the calibration."""
+        """Validate a pair against the calibration, and rectify it."""
         require_pair(left, right, self.rig.left, files)
         return self.rig.apply(left, right)
 
     def report_rows(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
-        """Warn if the rows of a rectified pair do not correspond; see `scanloom.stages.stereo.pairs`."""
+        """Warn if rows of a rectified pair differ; see `scanloom.stages.stereo.pairs`."""
         report_rows(_grey(left), _grey(right), self.rig.principal_offset)
 
     def measure(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> DepthMap:
-        """Match a pair whose rows correspond."""
+        """Compute depth of a rectified pair."""
         pair = _grey(left), _grey(right)
         search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
         if self.network is not None and self.is_by_network:
@@ -315,7 +328,12 @@ class PairStage:
     def _own(
         self, left: _Image, right: _Image, pair: tuple[_Image, _Image], search: SearchRange
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Return disparity, NaN where there is none, and confidence, by our own matcher."""
+        """Match a pair with the census matcher.
+
+        Returns
+        -------
+        Disparity, (h, w) float32 px, NaN where missing, and confidence, (h, w) uint8.
+        """
         found = stereo_disparity(
             left, right, search.end - 1, min_disparity=search.lowest, min_confidence=0, threads=self.threads
         )
@@ -326,7 +344,7 @@ class PairStage:
     def _matched(
         self, left: _Image, pair: tuple[_Image, _Image], search: SearchRange
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Return the same by one of OpenCV's."""
+        """Match a pair with an OpenCV matcher; returns as `_own`."""
         first = self.matcher.left(*pair, search)
         if self.params.sgbm.left_right == "match":
             residual = consistency(first, self.matcher.right(*pair, search), search)
@@ -349,7 +367,11 @@ class PairStage:
         return np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS)), trust
 
     def _depth(self, disparity: NDArray[np.float32], trust: NDArray[np.uint8]) -> DepthImage:
-        """Return z = f·b / (d + cx_right − cx_left), where it is to be trusted and within range."""
+        """Convert disparity to depth.
+
+        Depth is z = f·b / (d + cx_right − cx_left), and 0 where the confidence is too low or z is out of
+        range.
+        """
         parallel = disparity + np.float32(self.rig.principal_offset)
         used = (trust >= self.least_confidence) & (parallel > 0)
         z = np.divide(np.float32(self.rig.focal_baseline), parallel, out=np.zeros_like(parallel), where=used)
@@ -360,11 +382,11 @@ class PairStage:
 def _smooth_disparity(
     left: Disparity16, right: Disparity16, guide: ColorImage, sgbm: SgbmParams
 ) -> Disparity16:
-    """Smooth the left disparity along the edges of the left image, the `guide`; the result is dense.
+    """Smooth the left disparity, guided by the edges of the left image.
 
     This is the weighted least squares filter of ximgproc (Min et al., "Fast global image smoothing based on
-    weighted least squares", 2014). Pixels that fail its own left–right check are filled in from their
-    surroundings: a picture, not a measurement.
+    weighted least squares", 2014). The result is dense: pixels that fail the filter's left–right check are
+    interpolated from their surroundings, not measured.
     """
     import cv2
 
@@ -376,21 +398,29 @@ def _smooth_disparity(
 
 
 def _depth_bound(rig: RectifiedRig, params: DepthParams) -> float:
-    """Return the depth at which σ_z = z²/(f·b)·σ_d reaches its share of z, or `max_depth` if nearer."""
+    """Return the maximum depth.
+
+    It is the depth at which σ_z = z²/(f·b)·σ_d reaches the allowed ratio of z, or `max_depth` if smaller.
+    """
     bound = params.max_relative_depth_error * rig.focal_baseline / params.disparity_sigma
     return min(bound, params.max_depth) if params.max_depth is not None else bound
 
 
 def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, widest: float) -> SearchRange:
-    """Return the disparities of the depth range.
+    """Derive the disparity search range from the depth range.
 
     Parameters
     ----------
-    stated : the calibration's own number of them, from 0.
-    widest : where nothing tells the nearest depth, the largest of them as a share of the width.
+    stated : number of disparities stated by the calibration, from 0; None if not stated.
+    widest : maximum disparity relative to the image width, if the minimum depth is unknown.
+
+    Raises
+    ------
+    UsageError
+        If `max_depth` is smaller than the minimum depth that can be matched.
     """
     width, offset = rig.left.width, rig.principal_offset
-    # Rays are parallel at disparity −offset: nothing lies beyond.
+    # Rays are parallel at disparity −offset (infinite depth).
     parallel = 0.0 if params.max_depth is None else rig.focal_baseline / params.max_depth
     lowest = math.floor(parallel - offset)
     if params.disparities is not None:
@@ -402,14 +432,14 @@ def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, wi
         highest = stated - 1.0
     else:
         highest = max(lowest, 0) + width * widest
-    # At the image's width nothing of the scene is in both images.
+    # At a disparity of the image width, the images do not overlap.
     limit = min(width - 1, LARGEST_DISPARITY)
     if lowest > limit or highest < lowest:
         raise UsageError(
             DEPTH_RANGE_EMPTY,
-            "is {max_depth:g} m, nearer than the rig's pairs can be matched ({focal_baseline:.3g} m)",
+            "is {max_depth:g} m, but the rig measures depth from {focal_baseline:.3g} m only",
             Where(parameter="max_depth"),
-            remedy="give a larger one.",
+            remedy="increase it.",
             max_depth=params.max_depth,
             focal_baseline=rig.focal_baseline / (min(highest, limit) + offset),
         )

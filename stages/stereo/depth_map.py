@@ -1,4 +1,4 @@
-"""What the depth stage finds for an image: depth, how far it is to be trusted, and its camera."""
+"""Depth map with confidence and camera."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from scanloom.stages.stereo.matching import SearchRange
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """Depth of a rectified left image.
+    """Depth of a rectified left image, or of a single view.
 
     Attributes
     ----------
-    depth : (h, w) float32 metres along the optical axis; 0 where there is none to be trusted.
+    depth : (h, w) float32 metres along the optical axis; 0 where missing or rejected.
     confidence : (h, w) uint8, 0 (no measurement) to 255.
-    disparity : (h, w) float32 pixels, x of the left less x of the right image; NaN where there is none.
+    disparity : (h, w) float32 pixels, x of the left minus x of the right image; NaN where missing.
     color : (h, w, 3) uint8 RGB, the rectified left image.
-    camera : of the rectified left image.
-    rectified_from_left : (3, 3) float64, the turn from the calibrated camera's axes to the rectified ones'.
-    search : the disparities that were tried.
-    min_depth, max_depth : metres, the range that could be measured: of the disparities that were tried, or
-        up to where the expected error or the parameter ends it.
-    filled : (h, w) bool, where depth was not measured but told by a network of one image, by silhouettes or
-        by planes, with a confidence of 1; None if it is measured everywhere.
-    diagnostics : those of this image; the ones of a whole scan are only emitted.
+    camera : camera of the rectified left image.
+    rectified_from_left : (3, 3) float64, rotation from the calibrated to the rectified left camera.
+    search : disparities that were tried.
+    min_depth, max_depth : metres, range of measurable depth. It follows from the search range, the expected
+        error and the parameters.
+    filled : (h, w) bool, pixels filled by a monocular network, from silhouettes or from planes, with a
+        confidence of 1; None if all depth is measured.
+    diagnostics : warnings about this image. Warnings about the whole scan are only emitted.
     """
 
     depth: DepthImage
@@ -50,7 +50,7 @@ class DepthMap:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what was derived and what came out, for reports."""
+        """Return JSON-ready statistics for reports, with units in the keys."""
         used = self.depth > 0
         return {
             "width_px": self.camera.width,

@@ -1,9 +1,9 @@
-"""Disparity of a rectified pair by a semi-global matcher of our own, with a confidence that is a probability.
+"""Semi-global census matcher for rectified pairs, with probabilities as confidence.
 
 Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008, over census and
-gradient costs that are averaged over pixels of like colour. What left and right do not agree on, and what
-lies beside a jump, is taken from the surface around that has the pixel's colour (Ma et al., "Constant time
-weighted median filtering for stereo matching and beyond", 2013).
+gradient costs that are averaged over pixels of similar colour. Pixels that fail the left–right check, and
+pixels next to a disparity jump, are replaced by a weighted median. It prefers surrounding pixels of the same
+colour (Ma et al., "Constant time weighted median filtering for stereo matching and beyond", 2013).
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from scanloom.stages.printing import by_figures, table
 Map = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# Left and right agree within this, px.
+# Tolerance of the left–right check, px.
 _AGREE = 1
-# A jump between neighbours, px; what is so near to one may belong to either side.
+# Disparity difference of a jump, px; window around a jump in which a pixel may belong to either side, px.
 _JUMP = 2
 _BESIDE = 7
-# Pixels each way of a median, and how many levels of colour weigh 1/e; the wide one is for what has too
-# little of a known surface in the narrow one.
+# Radius of the weighted median, px, and colour difference with weight 1/e, grey levels. The wide window is
+# for pixels with too few matched pixels of their colour in the narrow one.
 _NARROW, _WIDE = (5, 8.0), (13, 6.0)
 _TOO_LITTLE = 0.15
-# Windows over which signs of doubt are gathered, px.
+# Windows of the confidence indicators, px: ratio of matched pixels, and range of disparities.
 _AROUND, _NEAR = 11, 5
-# Of sums of costs over eight paths, one path's part.
+# Number of aggregation paths; costs are sums over all paths.
 _PATHS = 8
-# The logistic regression of being right within 2 px, fitted to pairs with a known truth: Motorcycle and
-# Adirondack (Middlebury 2014), Cones (2003), Cloth3, Reindeer and Wood2 (2006), and four of KITTI 2015; as
-# many pixels of each, also such as the right image does not show. For each sign its weight, and that of its
-# square.
+# Logistic regression of the event that the disparity is right within 2 px: weights of each indicator and of
+# its square. Fitted to pairs with ground truth, with equal numbers of pixels, occluded pixels included:
+# Motorcycle and Adirondack (Middlebury 2014), Cones (2003), Cloth3, Reindeer and Wood2 (2006), and four pairs
+# of KITTI 2015.
 _WEIGHTS = {
     "margin": (-1.0657, 0.2672),
     "agreeing": (0.8425, 0.0),
@@ -49,9 +49,9 @@ _WEIGHTS = {
     "spread": (-0.0835, 0.0),
 }
 _BIAS = 0.0967
-# A wider spread of disparities says no more, px.
+# Clipping limit of the disparity range, px; a wider range carries no more information.
 _MOST_SPREAD = 12
-# Bytes of the three volumes for a pixel and a disparity.
+# Bytes per pixel and disparity for the three cost volumes.
 _VOLUME_BYTES = 6
 _LANES = 16
 _WIDEST = 1 << 13
@@ -63,9 +63,9 @@ class Disparity:
 
     Attributes
     ----------
-    disparity : (h, w) float32 px, x of the left less x of the right image; NaN where it is not sure enough.
-    confidence : (h, w) float32, 0 to 1: the probability of being right within 2 px, of every pixel.
-    filled : (h, w) bool, what was not matched itself but taken from the surface around.
+    disparity : (h, w) float32 px, x of the left minus x of the right image; NaN where confidence is too low.
+    confidence : (h, w) float32, 0 to 1: probability that the disparity is right within 2 px, for every pixel.
+    filled : (h, w) bool, pixels whose disparity comes from surrounding pixels.
     """
 
     disparity: Map
@@ -76,7 +76,7 @@ class Disparity:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what there is to say of it."""
+        """Return JSON-ready statistics, with units in the keys."""
         sure = np.isfinite(self.disparity)
         return {
             "width_px": self.disparity.shape[1],
@@ -97,26 +97,26 @@ def stereo_disparity(
     min_confidence: float = 0.8,
     threads: int | None = None,
 ) -> Disparity:
-    """Match a rectified pair.
+    """Compute the disparity of a rectified pair.
 
-    Results are the same for any number of threads.
+    Results do not depend on the number of threads.
 
     Parameters
     ----------
     left, right : (h, w, 3) RGB or (h, w) grey uint8, whose rows correspond.
-    max_disparity, min_disparity : px, the range that is searched, both ends included.
-    min_confidence : 0 to 1; what is less sure has no disparity. 0 gives every pixel one; more leaves out
-        more, and less of what is left is wrong.
-    threads : as many as there are cores if None.
+    max_disparity, min_disparity : px, inclusive search range.
+    min_confidence : 0 to 1; pixels below have no disparity. 0 keeps every pixel. Higher values keep fewer
+        pixels with fewer errors.
+    threads : thread count; None uses all cores.
 
     Raises
     ------
     InputError
-        If the images are no pair of one size.
+        If the images are invalid or differ in size.
     UsageError
         If the range is empty or wider than 8,192 px, or `min_confidence` is not from 0 to 1.
     MemoryError
-        If there is not enough: 6 bytes for each pixel and disparity.
+        If memory does not suffice: 6 bytes for each pixel and disparity.
     """
     import cv2
 
@@ -124,7 +124,7 @@ def stereo_disparity(
     if first.shape != second.shape:
         raise InputError(
             USAGE_ARGUMENT_INVALID,
-            "left and right are of different sizes: {size} and {size_2}.",
+            "left and right image differ in size: {size} and {size_2} px.",
             size=_size(first),
             size_2=_size(second),
         )
@@ -132,8 +132,8 @@ def stereo_disparity(
         raise UsageError(
             USAGE_ARGUMENT_INVALID,
             (
-                "max_disparity is {max_disparity} px; it must be from min_disparity, "
-                "{min_disparity}, to {min_disparity_2} px."
+                "max_disparity is {max_disparity} px; it must be from min_disparity ({min_disparity} px) "
+                "to {min_disparity_2} px."
             ),
             max_disparity=max_disparity,
             min_disparity=min_disparity,
@@ -190,7 +190,7 @@ def stereo_disparity(
         straight, bent = _WEIGHTS[name]
         logit += (straight + bent * sign) * sign
     confidence = (1 / (1 + np.exp(-logit))).astype(np.float32)
-    # The range is whole steps of the kernel's; what lies beyond what was asked for is none.
+    # The kernel rounds the range up to multiples of 16; disparities beyond the requested range are dropped.
     outside = (found < min_disparity - 0.5) | (found > max_disparity + 0.5) | ~np.isfinite(found)
     confidence[outside] = 0
     sure = (confidence >= min_confidence) & ~outside
@@ -198,12 +198,21 @@ def stereo_disparity(
 
 
 def volume_bytes(width: int, height: int, count: int) -> int:
-    """Return the memory that matching images of so many pixels takes, for so many disparities."""
+    """Return the memory of the cost volumes in bytes.
+
+    Parameters
+    ----------
+    width, height : image size, pixels.
+    count : number of disparities.
+    """
     return _VOLUME_BYTES * width * height * count
 
 
 def _facing(disparity: Map, of_right: Map) -> Map:
-    """Return the right image's disparity where each pixel's own leads; NaN beside the image."""
+    """Look up the right disparity at the match of each left pixel.
+
+    The result is NaN outside of the image.
+    """
     width = disparity.shape[1]
     columns = np.rint(np.arange(width, dtype=np.float32) - disparity)
     inside = (columns >= 0) & (columns < width)

@@ -1,4 +1,4 @@
-"""Where a point of one posed view may lie in another: on its epipolar line."""
+"""Epipolar geometry of two posed views."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from scanloom.stages.stereo.posed_views import PosedView
 
 
 def fundamental(first: PosedView, second: PosedView) -> NDArray[np.float64]:
-    """Return the (3, 3) fundamental matrix: takes pixels of the first view to lines of the second."""
+    """Return the fundamental matrix (3, 3).
+
+    It maps pixels of the first view to epipolar lines of the second view.
+    """
     second_from_first = inverted(second.world_from_camera) @ first.world_from_camera
     x, y, z = second_from_first[:3, 3]
     across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -21,12 +24,12 @@ def fundamental(first: PosedView, second: PosedView) -> NDArray[np.float64]:
 def off_line(
     lines: NDArray[np.float64], here: NDArray[np.float64], there: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return by how many pixels points of the second view are off the lines of those of the first, (n,).
+    """Return distances (n,) of points to their epipolar lines, pixels.
 
     Parameters
     ----------
-    lines : the fundamental matrix of both views.
-    here, there : (n, 2) pixels.
+    lines : fundamental matrix from the first to the second view.
+    here, there : (n, 2) corresponding pixels of the first and second view.
     """
     ones = np.ones((len(here), 1))
     line = np.hstack([here, ones]) @ lines.T
@@ -37,6 +40,13 @@ def off_line(
 def off_lines(
     first: PosedView, second: PosedView, here: NDArray[np.float64], there: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return by how many pixels points of two views (n, 2) are off each other's lines, the larger, (n,)."""
+    """Return the symmetric epipolar distance (n,) of correspondences, pixels.
+
+    The distance is the larger one of both views.
+
+    Parameters
+    ----------
+    here, there : (n, 2) corresponding pixels of the first and second view.
+    """
     lines = fundamental(first, second)
     return np.maximum(off_line(lines, here, there), off_line(lines.T, there, here))

@@ -1,4 +1,4 @@
-"""Depth that no view measured: put into a map and marked there, whatever tells it."""
+"""Filling of depth maps with depth that no view measured."""
 
 from __future__ import annotations
 
@@ -14,12 +14,17 @@ from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Skip
 from scanloom.stages.stereo.depth_map import DepthMap
 from scanloom.stages.stereo.view_images import color_of
 
-# Confidence of such depth: less than any that is measured needs.
+# Confidence of filled depth, below every threshold for measured depth.
 FILLED = 1
 
 
 def filled_with(found: DepthMap, told: DepthImage) -> DepthMap:
-    """Return a map with depth told, (h, w) metres and 0 for none, in place of its own, and marked."""
+    """Put valid depth of `told` into a map, marked as filled.
+
+    Parameters
+    ----------
+    told : (h, w) float32 metres, 0 where no depth is filled.
+    """
     filled = told > 0
     return replace(
         found,
@@ -35,12 +40,19 @@ def filled_again(
     depths: Callable[[int, ColorImage], tuple[DepthImage, NDArray[np.uint8], DepthImage]],
     threads: int,
 ) -> Iterator[DepthMap | SkippedFrame]:
-    """Give maps of views their images again, which were kept in files, and depth that is told.
+    """Restore the images of stored depth maps, and fill missing depth.
 
     Parameters
     ----------
-    rest : what `without_images` left, of each view.
-    depths : from a view's place and its colour to its own depth, its confidence, and depth told.
+    rest : depth map of each view without images, as returned by `without_images`.
+    frames : frames of the views.
+    depths : function from view index and colour image to measured depth, its confidence, and depth to fill
+        in.
+    threads : thread count.
+
+    Returns
+    -------
+    Iterator over the depth maps in order.
     """
 
     def fill(at: int) -> DepthMap | SkippedFrame:
@@ -58,7 +70,10 @@ def filled_again(
 
 
 def without_images(found: DepthMap) -> DepthMap:
-    """Return what a map says beside its images, while these are kept in files."""
+    """Remove the images of a depth map.
+
+    They are stored in files meanwhile, to save memory.
+    """
     none, colorless = np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)
     depthless = none.astype(np.float32)
     return replace(found, depth=depthless, confidence=none, disparity=depthless, color=colorless)
@@ -67,6 +82,6 @@ def without_images(found: DepthMap) -> DepthMap:
 def _with_images(
     found: DepthMap, depth: DepthImage, confidence: NDArray[np.uint8], color: ColorImage
 ) -> DepthMap:
-    """Return a map of a view with its images again; of views no disparity is kept."""
+    """Restore the images of a depth map. The disparity of views is NaN."""
     nothing = np.full(depth.shape, np.nan, np.float32)
     return replace(found, depth=depth, confidence=confidence, disparity=nothing, color=color)

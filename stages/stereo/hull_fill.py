@@ -1,9 +1,8 @@
-"""Where a thing was not measured, but its silhouettes tell where it ends: depth on their hull.
+"""Filling of unmeasured object surface from the visual hull of silhouettes.
 
-The hull of silhouettes (Laurentini, 1994) is never behind the thing, and touches it where any of the views
-sees its rim. Between measured depth the thing is about as far behind the hull as it is around; that distance
-is spread into what was not measured (by pulling and pushing, Gortler et al., "The lumigraph", 1996). What is
-hollow stays as the hull has it only where no view measured it.
+The visual hull (Laurentini 1994) is never behind the object, and touches it at the silhouettes. The distance
+from the hull to measured depth is interpolated into unmeasured pixels (pull-push, Gortler et al., "The
+lumigraph", 1996). Concavities are filled too far in front, but only where no view measured them.
 """
 
 from __future__ import annotations
@@ -27,13 +26,14 @@ from scanloom.stages.stereo.shown import Outline, Silhouette, hull_front, shown
 Mask = NDArray[np.bool_]
 Map = NDArray[np.float32]
 
-# What other views measured up to this share of depth before a place is behind it, or the place itself.
+# A view confirms or sees past a point if its depth is at most this ratio in front of the point.
 _BEFORE = 0.02
-# Measured depth that is spread lies at most this share of depth behind the hull: farther, that is no guide.
+# Maximum distance of measured depth behind the hull, relative to depth; larger distances are not
+# extrapolated.
 _BEHIND = 0.2
-# Levels of the pyramid in which it is spread.
+# Maximum number of pyramid levels for the interpolation.
 _LEVELS = 10
-# So many other views, those that look the most alike, are asked what they measured.
+# Maximum number of views, most similar in direction first, that filled depth is checked against.
 _ASKED = 24
 
 
@@ -46,12 +46,20 @@ def filled_in(
     folder: Path,
     progress: Callable[[int], object],
 ) -> Iterator[DepthMap | SkippedFrame]:
-    """Give maps of all views, in their order, the depth of the hull where no view measured any.
+    """Fill depth maps of all views from the visual hull.
 
     Parameters
     ----------
-    folder : where maps are kept until all of them are there.
-    progress : called with the number of those that are.
+    checked : depth maps after the consistency check, in the order of the views.
+    scan, views : frames and posed views.
+    outline : silhouettes of the object.
+    params : parameters of the depth stage.
+    folder : folder for maps while not all of them are checked.
+    progress : called with the number of checked maps.
+
+    Returns
+    -------
+    Iterator over the filled maps in the order of the views.
     """
     maps = KeptMaps(folder / "checked")
     rest: list[DepthMap | SkippedFrame] = []
@@ -74,7 +82,10 @@ def filled_in(
 
 
 def _alike(views: Sequence[PosedView], at: int, among: Sequence[int]) -> list[int]:
-    """Return the places of other views that look from the same side, those that look the most alike first."""
+    """Return indices of other views from the same side.
+
+    Views are sorted by similarity of their direction.
+    """
     way = views[at].world_from_camera[:3, 2]
     cosines = {other: float(views[other].world_from_camera[:3, 2] @ way) for other in among if other != at}
     order = sorted(cosines, key=lambda other: -cosines[other])
@@ -87,12 +98,17 @@ def on_hull(
     shown: Mask,
     outlines: Sequence[Silhouette],
 ) -> DepthImage:
-    """Return depth (h, w) at pixels that show the thing and have none; 0 elsewhere, and where none bounds it.
+    """Compute depth on the visual hull for unmeasured object pixels.
 
     Parameters
     ----------
     depth : (h, w) float32 metres, as measured.
-    shown : (h, w), what shows the thing.
+    shown : (h, w), pixels of the object.
+    outlines : silhouettes of the hull.
+
+    Returns
+    -------
+    (h, w) float32 metres; 0 at measured pixels, outside of the object, and where the hull is unbounded.
     """
     nothing = np.zeros_like(depth)
     rows, columns = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
@@ -113,7 +129,13 @@ def on_hull(
 def unmeasured(
     view: PosedView, depth: DepthImage, others: Sequence[tuple[PosedView, DepthImage]], most: int
 ) -> DepthImage:
-    """Return depth (h, w) without what at least `most` other views measured, or see something behind."""
+    """Remove depth that other views contradict or have measured.
+
+    Parameters
+    ----------
+    depth : (h, w) float32 metres.
+    most : minimum number of other views that measured the point, or see something behind it.
+    """
     count = _kernels.not_before(
         depth,
         [(view.pixels_to(other), measured) for other, measured in others],
@@ -124,14 +146,14 @@ def unmeasured(
 
 
 def spread(values: Map, known: Mask) -> Map:
-    """Return values (h, w) of which some are known, and the others go smoothly from one to the next."""
+    """Interpolate known values (h, w) smoothly into unknown pixels (pull-push)."""
     import cv2
 
     weights = [known.astype(np.float32)]
     sums = [np.where(known, values, 0).astype(np.float32)]
     while len(sums) < _LEVELS and max(sums[-1].shape) > 1:
         weight, total = cv2.pyrDown(weights[-1]), cv2.pyrDown(sums[-1])
-        # What is known well enough counts once.
+        # Saturates the weight at 1, as in pull-push.
         over = np.maximum(weight, 1)
         weights.append(np.asarray(weight / over, np.float32))
         sums.append(np.asarray(total / over, np.float32))

@@ -1,4 +1,7 @@
-"""Depth maps of many views, kept on disk until all are there: thousands of them do not fill the memory."""
+"""Disk store for depth maps of many views.
+
+Thousands of maps would not fit in memory.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +17,22 @@ from scanloom.stages.scans.model.scan import DepthImage
 
 
 class KeptMaps:
-    """Depth and confidence by the place of their view, in files of a folder that the caller removes."""
+    """Files with depth and confidence maps by view index.
+
+    The caller removes the folder.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         folder.mkdir(exist_ok=True)
 
     def put(self, at: int, depth: DepthImage, confidence: NDArray[np.uint8]) -> None:
-        """Keep the maps of a view.
+        """Store the maps of a view.
 
         Raises
         ------
         StageError
-            If the disk is full.
+            If the files cannot be written, such as on a full disk.
         """
         try:
             np.save(self._folder / f"depth{at}.npy", depth, allow_pickle=False)
@@ -34,16 +40,16 @@ class KeptMaps:
         except OSError as error:
             raise StageError(
                 MACHINE_DISK_FAILED,
-                "the depth maps of the views cannot be kept in {folder} ({detail})",
-                remedy="make room there, or name another folder in TMPDIR.",
+                "temporary depth maps cannot be written to {folder} ({detail})",
+                remedy="free disk space, or set TMPDIR to another folder.",
                 folder=self._folder,
                 detail=error.strerror or error,
             ) from error
 
     def depth(self, at: int) -> DepthImage:
-        """Return the depth that was kept for a view."""
+        """Return the stored depth of a view, (h, w) float32 metres."""
         return np.array(mapped(self._folder / f"depth{at}.npy"), np.float32)
 
     def confidence(self, at: int) -> NDArray[np.uint8]:
-        """Return the confidence that was kept for a view."""
+        """Return the stored confidence of a view, (h, w) uint8."""
         return np.array(mapped(self._folder / f"confidence{at}.npy"), np.uint8)

@@ -1,8 +1,8 @@
-"""Semi-global matching of a rectified pair, and the check of left against right.
+"""Semi-global matching of rectified pairs with OpenCV, and the left–right check.
 
-Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008, as OpenCV
-implements it (Birchfield–Tomasi cost on horizontal gradients, parabolic sub-pixel position). Disparities
-are int16 in sixteenths of a pixel here, as the matcher returns them.
+Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008, as OpenCV implements it
+(Birchfield–Tomasi cost on horizontal gradients, parabolic sub-pixel position). Disparities are int16 in
+sixteenths of a pixel, as OpenCV returns them.
 """
 
 from __future__ import annotations
@@ -21,54 +21,63 @@ Grey = NDArray[np.uint8]
 Disparity16 = NDArray[np.int16]
 Mask = NDArray[np.bool_]
 
-# The matcher's fixed point: disparities are multiples of 1/16 px.
+# Fixed point of OpenCV: disparities are multiples of 1/16 px.
 SUBPIXELS = 16
-# The largest disparity that fits into int16, and a step less: what is missing lies beyond the range.
+# Maximum disparity whose fixed point fits int16, with one step left for the marker of missing values.
 LARGEST_DISPARITY = 2000
-# The matcher takes its number of disparities in steps of this.
+# OpenCV requires a multiple of this number of disparities.
 _STEP = 16
-# The range is first looked for in images this much smaller, at a sixty-fourth of the work.
+# Downscaling factor for narrowing the search range; it takes 1/64 of the work.
 _COARSE = 4
-# How far beyond the largest disparity found so the range goes on: what is small or thin is lost in
-# the small images, and their disparity is known to a pixel of theirs at best.
+# Margin beyond the maximum disparity of the downscaled pair: small or thin objects may be missing there, and
+# its disparities are accurate to one downscaled pixel at best.
 _MARGIN_PX = 6
 _MARGIN_RELATIVE = 0.05
-# False matches must not widen the range to all there is: they are few, in small pieces, or where the
-# image is flat.
+# Filters against false matches, which would widen the range: they are few, in small components, or in plain
+# areas.
 _LARGEST_PERCENTILE = 99.8
 _COARSE_PIECE = 50
 _COARSE_TEXTURE = 3.0
-# Texture is averaged over this many pixels each way.
+# Window for mean texture, pixels.
 _TEXTURE_WINDOW = 9
 
 
 @dataclass(frozen=True)
 class SearchRange:
-    """Disparities that are tried, pixels: `lowest` to `lowest + count − 1`; `count` is a multiple of 16."""
+    """Disparity search range, pixels.
+
+    Attributes
+    ----------
+    lowest : smallest disparity.
+    count : number of disparities, a multiple of 16.
+    """
 
     lowest: int
     count: int
 
     @property
     def end(self) -> int:
-        """Return one more than the largest disparity."""
+        """Return the exclusive upper end of the range."""
         return self.lowest + self.count
 
     @classmethod
     def covering(cls, lowest: float, highest: float) -> SearchRange:
-        """Return the smallest range that holds both ends."""
+        """Create the smallest range that contains both ends."""
         first = math.floor(lowest)
         return cls(first, max(-(-(math.ceil(highest) + 1 - first) // _STEP), 1) * _STEP)
 
 
 @dataclass(frozen=True)
 class Matcher:
-    """Settings of the matcher, each as OpenCV's StereoSGBM has it.
+    """Settings of OpenCV's StereoSGBM.
 
     Attributes
     ----------
-    mode : "3way", "hh4", "sgbm" or "hh": how many paths the costs are gathered along, and how.
+    mode : "3way", "hh4", "sgbm" or "hh": number of aggregation paths and memory layout.
+    block_size : width of the matched blocks, pixels.
     p1, p2 : penalty for a change of disparity by one pixel, and by more.
+    prefilter_cap : clipping limit of the horizontal gradients, grey levels.
+    uniqueness : margin by which the best match must beat every other, per cent.
     """
 
     mode: str
@@ -79,18 +88,24 @@ class Matcher:
     uniqueness: int
 
     def left(self, left: Grey, right: Grey, search: SearchRange) -> Disparity16:
-        """Disparity of the left image's pixels; below `16 · search.lowest` where there is none."""
+        """Compute the disparity of the left image, 1/16 px.
+
+        Values below `16 · search.lowest` are missing.
+        """
         return self._run(left, right, search.lowest, search.count, self.uniqueness)
 
     def right(self, left: Grey, right: Grey, search: SearchRange) -> Disparity16:
-        """Disparity of the right image's pixels, negated; `−16 · search.end` where there is none."""
+        """Compute the negated disparity of the right image, 1/16 px.
+
+        The value `−16 · search.end` is missing.
+        """
         return self._run(right, left, 1 - search.end, search.count, 0)
 
     def _run(self, image: Grey, other: Grey, lowest: int, count: int, uniqueness: int) -> Disparity16:
         import cv2
 
-        # The matcher leaves out the columns whose search range ends beyond the image: padded by that much, it
-        # answers them too, from the part of the range that is inside.
+        # OpenCV skips columns whose search range ends outside the image. Padding by the range matches these
+        # columns, too, within the part of the range that is inside.
         left, right = max(lowest + count, 0), max(-lowest, 0)
         pair = [cv2.copyMakeBorder(i, 0, 0, left, right, cv2.BORDER_REPLICATE) for i in (image, other)]
         sgbm = cv2.StereoSGBM.create(
@@ -112,8 +127,8 @@ class Matcher:
             raise StageError(
                 MACHINE_OUT_OF_MEMORY,
                 (
-                    "a pair of {image_shape}×{image_shape_2} with {count} disparities could not "
-                    "be matched ({detail}); matcher=3way needs the least memory."
+                    "a pair of {image_shape}×{image_shape_2} px with {count} disparities cannot be matched "
+                    "({detail}); matcher=3way needs less memory than the other modes."
                 ),
                 image_shape=image.shape[1],
                 image_shape_2=image.shape[0],
@@ -124,9 +139,10 @@ class Matcher:
 
 
 def consistency(left: Disparity16, right: Disparity16, search: SearchRange) -> NDArray[np.int16]:
-    """How far each left pixel's disparity differs from that of the right pixel it points to, in 1/16 px.
+    """Return the left–right residual of each left pixel, 1/16 px.
 
-    32767 where either has no match. `right` is negated, as `Matcher.right` returns it.
+    The residual is the difference between the pixel's disparity and the disparity of its match in the right
+    image. It is 32767 where either is missing. `right` is negated, as `Matcher.right` returns it.
     """
     import cv2
 
@@ -148,15 +164,18 @@ def consistency(left: Disparity16, right: Disparity16, search: SearchRange) -> N
 
 
 def projected(left: Disparity16, search: SearchRange, tolerance: float) -> NDArray[np.int16]:
-    """Stand in for `consistency` without a match of the right image, at half the work.
+    """Approximate `consistency` without matching the right image.
 
-    Where several left pixels claim one of the right image, the nearest surface has it; those whose disparity
-    is smaller by more than `tolerance` px are hidden from the right camera: 32767, as what claims a place
-    outside the right image; the others 0.
+    This halves the work. If several left pixels map to one right pixel, the nearest surface wins. Pixels
+    whose disparity is smaller by more than `tolerance` px are occluded in the right image.
+
+    Returns
+    -------
+    (h, w) int16; 0 for visible pixels, 32767 for occluded pixels and for matches outside the right image.
     """
     import cv2
 
-    # Only columns from the end of the range on are looked at, hence the padding.
+    # OpenCV ignores columns below the end of the range, hence the padding.
     before, after = max(search.end, 0), max(-search.lowest, 0)
     none = np.int16(SUBPIXELS * (search.lowest - 1))
     claims = cv2.copyMakeBorder(left, 0, 0, before, after, cv2.BORDER_CONSTANT, value=float(none))
@@ -177,10 +196,14 @@ def matched_pixels(
     speckle_size: int,
     speckle_range: float,
 ) -> Mask:
-    """Return the pixels whose residual is within `tolerance` px, in connected pieces that are no speckles.
+    """Return a mask of pixels that pass left–right check and speckle filter.
 
-    Pieces of fewer than `speckle_size` pixels are; pixels whose disparities differ by more than
-    `speckle_range` px are not connected.
+    Parameters
+    ----------
+    residual : (h, w) int16, 1/16 px, as returned by `consistency`.
+    tolerance : maximum residual, pixels.
+    speckle_size : connected components with fewer pixels are removed.
+    speckle_range : neighbours whose disparities differ by more are not connected, pixels.
     """
     import cv2
 
@@ -192,7 +215,12 @@ def matched_pixels(
 
 
 def textured(image: Grey, least: float) -> Mask:
-    """Return where pixels two apart in a row differ by at least so many grey levels, in the mean around."""
+    """Return a mask of pixels with enough horizontal texture.
+
+    Parameters
+    ----------
+    least : minimum mean difference between pixels two apart in a row, grey levels.
+    """
     import cv2
 
     difference = np.abs(cv2.Sobel(image, cv2.CV_16S, 1, 0, ksize=1))
@@ -201,9 +229,10 @@ def textured(image: Grey, least: float) -> Mask:
 
 
 def narrowed(left: Grey, right: Grey, search: SearchRange, matcher: Matcher) -> SearchRange:
-    """Return the part of a range that the pair uses, found by matching it at a quarter of its size.
+    """Narrow a search range to the disparities that a pair uses.
 
-    The lower end stays. Where too little matches, so does the upper one.
+    The pair is matched at a quarter of its size. Only the upper end changes. It stays as well if too few
+    pixels match.
     """
     import cv2
 
@@ -219,7 +248,7 @@ def narrowed(left: Grey, right: Grey, search: SearchRange, matcher: Matcher) -> 
     matched = matched_pixels(
         disparity, residual, coarse, tolerance=1, speckle_size=_COARSE_PIECE, speckle_range=1
     )
-    # A clear sky matches itself at any disparity.
+    # A clear sky matches at any disparity.
     found = disparity[matched & textured(first, _COARSE_TEXTURE)]
     if found.size < _COARSE_PIECE:
         return search

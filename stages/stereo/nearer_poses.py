@@ -1,9 +1,9 @@
-"""Poses of views brought nearer to what the views recognise in each other, held to those that are given.
+"""Refinement of camera poses from feature matches.
 
-Points that two views recognise lie on each other's epipolar lines, if the poses are right. Each pose moves so
-that they come nearer to their lines, without places of the points themselves (epipolar adjustment), held to
-where it was given: what the lines leave open, such as the scale, stays as it is. Damped Gauss-Newton steps,
-with weights by which wrong matches count little.
+Matches between two views are on each other's epipolar lines if the poses are right. The refinement minimises
+the distances to the epipolar lines without estimating 3-D points (epipolar adjustment). The given poses are a
+prior, which holds everything that matches do not constrain, such as the scale. The solver takes damped
+Gauss-Newton steps with robust weights against outliers.
 
 Rodehorst, Heinrichs and Hellwich, "Evaluation of relative pose estimation methods for multi-camera setups",
 2008; Sampson, "Fitting conic sections to very scattered data", 1982; Huber, "Robust statistics", 1981.
@@ -23,27 +23,28 @@ from scanloom.stages.stereo.posed_views import PosedView
 
 Floats = NDArray[np.float64]
 
-# How far poses may be off: turned by so much (radians), and moved by this share of the distance to the scene.
+# Standard deviation of the pose prior: rotation in radians, translation relative to the distance to the
+# scene.
 _PRIOR = 0.01
-# Pixels that a match is off by itself.
+# Standard deviation of a match, pixels.
 _EXACT_PX = 1.0
-# A match in so many is held out, and judges.
+# Every n-th match is held out to evaluate the result.
 _HELD_OUT = 5
-# What is found is used if held-out points come nearer to their lines by this share.
+# Minimum relative reduction of the held-out error for the result to be used.
 _BETTER_SHARE = 0.2
 _STEPS = 15
-_ENOUGH = 1e-3  # Steps of less than this share of the prior are none.
-_SMALL = 1e-6  # What a pose is moved by to see where that leads.
+_ENOUGH = 1e-3  # convergence: maximum step, in standard deviations of the prior
+_SMALL = 1e-6  # step of numerical derivatives
 
 
 @dataclass(frozen=True, eq=False)
 class Nearer:
-    """Poses that fit better.
+    """Refined poses.
 
     Attributes
     ----------
     poses : world_from_camera of all views.
-    before, after : pixels, how far the median held-out point is off its lines.
+    before, after : median epipolar distance of held-out matches, pixels.
     """
 
     poses: tuple[Pose, ...]
@@ -53,7 +54,14 @@ class Nearer:
 
 @dataclass(frozen=True, eq=False)
 class _Matches:
-    """Points that pairs of views recognise: the views, the rays of z = 1, and pixels a unit of ray."""
+    """Feature matches of all pairs of views, concatenated.
+
+    Attributes
+    ----------
+    first, second : (n,) indices of the views.
+    here, there : (n, 3) rays of z = 1 in camera axes.
+    focal : (n,) pixels, mean focal length of both views.
+    """
 
     first: NDArray[np.intp]
     second: NDArray[np.intp]
@@ -67,13 +75,17 @@ def nearer_poses(
     matched: Mapping[tuple[int, int], tuple[Floats, Floats]],
     distance: float,
 ) -> Nearer | None:
-    """Bring poses nearer to what views recognise in each other; None if that makes nothing better.
+    """Refine poses from feature matches.
 
     Parameters
     ----------
-    views : without distortion.
-    matched : by the places of two views, the pixels (n, 2) of both that are recognised to be the same.
-    distance : metres from the views to the scene, roughly.
+    views : undistorted views.
+    matched : by indices of two views, matching pixels (n, 2) of both.
+    distance : rough distance from the views to the scene, metres.
+
+    Returns
+    -------
+    Refined poses; None if the held-out matches do not improve enough.
     """
     fitted = _gathered(views, {pair: _every(points, held=False) for pair, points in matched.items()})
     judging = {pair: _every(points, held=True) for pair, points in matched.items()}
@@ -123,12 +135,12 @@ def _gathered(
 
 
 def _solved(given: Floats, matches: _Matches, distance: float) -> Floats:
-    """Return the poses (n, 4, 4) at which points come nearest to their lines."""
+    """Return the refined poses (n, 4, 4)."""
     from scipy.sparse import coo_matrix, identity
     from scipy.sparse.linalg import spsolve
 
     count = len(given)
-    # Of each pose: turned by so much, moved by so much; both in units of the prior.
+    # Six unknowns per pose, rotation and translation, in standard deviations of the prior.
     unit = _PRIOR * np.array([1.0] * 3 + [distance] * 3)
     moved = np.zeros((count, 6))
     damping = 1e-3
@@ -157,14 +169,17 @@ def _solved(given: Floats, matches: _Matches, distance: float) -> Floats:
 
 
 def _total(given: Floats, moved: Floats, unit: Floats, matches: _Matches) -> float:
-    """Return what is made small: how far points are off their lines, and poses off those given."""
+    """Return the cost: robust epipolar distances plus the pose prior."""
     off = _sampson(_at(given, moved, unit), matches)
     robust = 2 * (np.sqrt(1 + (off / _EXACT_PX) ** 2) - 1)
     return float(robust.sum() + (moved**2).sum())
 
 
 def _at(given: Floats, moved: Floats, unit: Floats) -> Floats:
-    """Return poses (n, 4, 4) turned and moved in their own axes by (n, 6) units."""
+    """Apply pose changes (n, 6) to poses (n, 4, 4).
+
+    Rotation and translation are in camera axes, in standard deviations of the prior.
+    """
     from scipy.spatial.transform import Rotation
 
     by = moved * unit
@@ -175,13 +190,13 @@ def _at(given: Floats, moved: Floats, unit: Floats) -> Floats:
 
 
 def _sampson(poses: Floats, matches: _Matches) -> Floats:
-    """Return how far points are off their epipolar lines, both at once, in pixels (n,), with a sign."""
+    """Return the signed Sampson distance (n,) of the matches, pixels."""
     first, second = poses[matches.first], poses[matches.second]
-    # In world axes, so that a pose of one view alone is turned for it.
+    # In world axes, so that rays are rotated once per pose instead of once per pair.
     across = second[:, :3, 3] - first[:, :3, 3]
     here = np.einsum("nij,nj->ni", first[:, :3, :3], matches.here)
     there = np.einsum("nij,nj->ni", second[:, :3, :3], matches.there)
-    # here · (across × there) = 0: both rays and the line between the views lie in one plane.
+    # here · (across × there) = 0: both rays and the baseline are coplanar.
     plane_of_there, plane_of_here = np.cross(across, there), np.cross(here, across)
     value = (here * plane_of_there).sum(axis=1)
     by_here = np.einsum("nji,nj->ni", first[:, :3, :3], plane_of_there)[:, :2]
@@ -191,10 +206,11 @@ def _sampson(poses: Floats, matches: _Matches) -> Floats:
 
 
 def _linearized(poses: Floats, unit: Floats, matches: _Matches) -> tuple[Floats, Floats]:
-    """Return how far points are off (n,), and how that goes with the six units of both poses (n, 12)."""
+    """Return the residuals (n,), and their derivatives by both poses (n, 12)."""
     off = _sampson(poses, matches)
     slopes = np.empty((len(off), 12))
-    # All first views of pairs are moved at once, then all second ones.
+    # Perturbs the first views of all pairs at once, then the second views. Separate copies keep them
+    # independent.
     count = len(poses)
     both = np.concatenate([poses, poses])
     apart = _Matches(matches.first, matches.second + count, matches.here, matches.there, matches.focal)

@@ -1,4 +1,4 @@
-"""What can be told about a pair before it is matched: sizes, left and right, rows."""
+"""Checks of a pair before matching: sizes, swapped images, row alignment."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from scanloom.stages.scans.codes import CAMERA_CALIBRATION_MISMATCH
 from scanloom.stages.scans.model.scan import Camera
 from scanloom.stages.stereo.codes import DEPTH_PAIR_ROWS_DIFFER, DEPTH_PAIR_SWAPPED
 
-# Fewer matched corners say nothing.
+# Minimum number of matched corners for a check.
 _ENOUGH = 40
-# Corners matched farther off their row are false matches or no rectified pair at all.
+# Maximum row difference of matched corners, pixels; larger ones are false matches or an unrectified pair.
 _ROWS = 8.0
-# Rows that differ by more than this cost the matcher its best match.
+# Row difference in pixels above which the matcher misses the right match.
 _ROW_TOLERANCE = 0.5
-# Corners differ in no more bits of 256 when they are the same point.
+# Maximum Hamming distance of ORB descriptors (of 256 bits) for the same point.
 _SAME_CORNER = 40
 
 
@@ -31,7 +31,7 @@ def require_pair(
     camera: Camera,
     files: tuple[Path | None, Path | None] = (None, None),
 ) -> None:
-    """Raise InputError unless both images are 8-bit and of the size the camera is calibrated for."""
+    """Raise InputError unless both images are 8-bit and of the calibrated size."""
     for image, file, side in zip((left, right), files, ("left", "right"), strict=True):
         grey = image.ndim == 2
         if image.dtype != np.uint8 or not (grey or (image.ndim == 3 and image.shape[2] == 3)):
@@ -47,9 +47,9 @@ def require_pair(
         other = f" ({files[0]})" if files[0] is not None else ""
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
-            "the right image is {size}, but the left one{other} is {size_2}",
+            "the right image is {size} px, but the left one{other} is {size_2} px",
             files[1],
-            remedy="give both images of a pair in one size.",
+            remedy="both images of a pair must have the same size.",
             size=_size(right),
             other=other,
             size_2=_size(left),
@@ -57,9 +57,9 @@ def require_pair(
     if left.shape[:2] != (camera.height, camera.width):
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
-            "the image is {size}, but its camera is calibrated for {camera_width}×{camera_height}.",
+            "the image is {size} px, but its camera is calibrated for {camera_width}×{camera_height} px.",
             files[0],
-            remedy="Give images of the calibrated size, or the calibration of this size.",
+            remedy="Use images of the calibrated size, or a calibration for this size.",
             size=_size(left),
             camera_width=camera.width,
             camera_height=camera.height,
@@ -67,12 +67,14 @@ def require_pair(
 
 
 def report_rows(left: NDArray[np.uint8], right: NDArray[np.uint8], principal_offset: float) -> None:
-    """Warn if the rows of a rectified grey pair do not correspond, by corners matched between its images.
+    """Warn if the rows of a rectified grey pair do not correspond.
+
+    The check uses corners matched between the images.
 
     Raises
     ------
     InputError
-        If points lie farther right in the right image than in the left one: the pair is swapped.
+        If most disparities are negative: left and right are swapped.
     """
     shift = _corner_shifts(left, right)
     shift = shift[np.abs(shift[:, 1]) < _ROWS]
@@ -84,9 +86,9 @@ def report_rows(left: NDArray[np.uint8], right: NDArray[np.uint8], principal_off
             DEPTH_PAIR_SWAPPED,
             (
                 "left and right images seem swapped: {mean:.0%} of the corners found in both "
-                "lie farther right in the right image."
+                "are farther right in the right image."
             ),
-            remedy="Exchange the images.",
+            remedy="Swap the images.",
             mean=np.mean(disparity < 0),
         )
     rows = float(np.median(shift[:, 1]))
@@ -94,7 +96,7 @@ def report_rows(left: NDArray[np.uint8], right: NDArray[np.uint8], principal_off
         emit(
             DEPTH_PAIR_ROWS_DIFFER.warning(
                 "rows of the pair differ by {rows:.1f} px (median of {corners} corners), more than "
-                "{tolerance:g} px: the calibration does not fit the images well, and depth will have holes",
+                "{tolerance:g} px: the calibration is inaccurate, and depth will have holes",
                 rows=abs(rows),
                 corners=len(shift),
                 tolerance=_ROW_TOLERANCE,
@@ -103,7 +105,7 @@ def report_rows(left: NDArray[np.uint8], right: NDArray[np.uint8], principal_off
 
 
 def _corner_shifts(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Position in the left less position in the right image of the corners found in both, (n, 2) pixels."""
+    """Return left minus right position of matched corners, (n, 2) pixels."""
     import cv2
 
     orb = cv2.ORB.create(1000)

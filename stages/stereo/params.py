@@ -1,4 +1,4 @@
-"""How the depth stage matches pairs and views, and what it keeps."""
+"""Parameters of the depth stage."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import check, find_changed, param
 from scanloom.stages.stereo.matching import LARGEST_DISPARITY
 
-# How views are measured.
+# Methods for single views.
 SWEEP, PAIRS = "sweep", "pairs"
-# Our own matcher, and the fast one of OpenCV's.
+# Matchers: automatic choice, the built-in census matcher, and the fast mode of OpenCV.
 AUTO, CENSUS, FAST = "auto", "census", "3way"
-# Section and parameters that our own matcher does not have.
+# Sections and parameters without effect on the census matcher.
 _OF_OTHERS = ("sgbm", "left_right_tolerance", "speckle_size", "speckle_range")
-# From this many pairs on, fusion sees most surfaces several times and drops what a single pair says.
+# From this number of pairs on, fusion observes most surfaces several times and rejects outliers of single
+# pairs.
 SEVERAL = 3
-# Bytes that our own matcher may take where it was not asked for.
+# Memory limit in bytes above which `auto` does not choose the census matcher.
 _LARGEST_VOLUME = 4 << 30
 
 
@@ -29,48 +30,52 @@ class SgbmParams:
 
     block_size: int = param(
         3,
-        "Width of the compared blocks, odd: larger ones stand more noise, smaller ones keep detail",
+        "Width of the matched blocks, odd: larger ones tolerate more noise, smaller ones keep detail",
         unit="px",
         low=1,
         high=11,
     )
     p1: int | None = param(
         None,
-        "Penalty for a change of disparity by 1 px between neighbours; 16·block_size² by default",
+        "Penalty for a disparity change of 1 px between neighbours; 16·block_size² by default",
         low=0,
     )
     p2: int | None = param(
-        None, "Penalty for a larger change, more than p1; 32·block_size² by default", low=1, high=10000
+        None, "Penalty for a larger disparity change, above p1; 32·block_size² by default", low=1, high=10000
     )
     prefilter_cap: int = param(
         15,
-        "Horizontal gradients are cut off here before comparison",
+        "Horizontal gradients are clipped to this before matching",
         unit="grey levels",
         low=15,
         high=63,
     )
     uniqueness: int | None = param(
         None,
-        "By how much the best match must beat every other, else there is none. Default: 20 for one or two "
-        "pairs, 5 for more",
+        "Minimum margin of the best match over every other match; pixels below get no depth. Default: 20 for "
+        "one or two pairs, 5 for more",
         unit="%",
         low=0,
         high=100,
     )
     left_right: str = param(
         "project",
-        "How left and right are checked against each other: project claims each right pixel for the nearest "
-        "surface, match matches the right image too, which takes twice the time and errs a little less",
+        "Left–right check: project assigns each right pixel to the nearest surface; match also matches the "
+        "right image, which takes twice the time and is slightly more accurate",
         choices=("project", "match"),
     )
     smooth: bool = param(
         False,
-        "Smooth disparity along the image's edges (weighted least squares): pleasant to look at, fuses "
-        "worse. What it fills in keeps its low confidence and gets no depth",
+        "Smooth disparity while keeping image edges (weighted least squares): looks better, but gives worse "
+        "meshes. Filled pixels keep their low confidence and get no depth",
     )
     smooth_lambda: float = param(1000.0, "Strength of the smoothing", low=0, low_open=True)
     smooth_sigma: float = param(
-        1.5, "How strong an edge of the image stops the smoothing", unit="grey levels", low=0, low_open=True
+        1.5,
+        "Sensitivity of the smoothing to image edges; smaller values keep weaker edges",
+        unit="grey levels",
+        low=0,
+        low_open=True,
     )
 
     def __post_init__(self) -> None:
@@ -93,7 +98,7 @@ class SgbmParams:
 
     @property
     def penalties(self) -> tuple[int, int]:
-        """Return p1 and p2 as used."""
+        """Return p1 and p2 with defaults resolved."""
         area = self.block_size**2
         return 16 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
 
@@ -104,67 +109,73 @@ class DepthParams:
 
     min_depth: float | None = param(
         None,
-        "Nearest depth that is looked for. If neither it nor `disparities` is given: the calibration's own "
-        "number of disparities, else up to a quarter of the image's width, narrowed to what a pair uses",
+        "Minimum depth. Default, unless `disparities` is given: from the number of disparities in the "
+        "calibration, else from disparities up to a quarter of the image width, narrowed for each pair",
         unit="m",
         low=0,
         low_open=True,
     )
     max_depth: float | None = param(
         None,
-        "Farthest depth that is looked for and used; without it, the depth error alone bounds the range",
+        "Maximum depth. By default only max_relative_depth_error limits the range",
         unit="m",
         low=0,
         low_open=True,
     )
     max_relative_depth_error: float = param(
         0.05,
-        "Depth is used up to where its expected error σ_z = z²/(f·b)·σ_d is this share of it",
+        "Maximum expected depth error σ_z = z²/(f·b)·σ_d relative to depth z; farther depth is dropped",
         low=0,
         low_open=True,
         high=1,
     )
     disparity_sigma: float = param(
-        0.25, "Standard deviation σ_d of a good match's disparity", unit="px", low=0, low_open=True, high=10
+        0.25,
+        "Standard deviation σ_d of the disparity of a correct match",
+        unit="px",
+        low=0,
+        low_open=True,
+        high=10,
     )
     min_confidence: int | None = param(
         None,
-        "Pixels of lower confidence get no depth. Of matcher census, and of views that are swept, it is 255 "
-        "times the probability of being right: 204 by default, 128 for three and more pairs, since fusion "
-        "drops what only one of them says; of the other matchers 128 is a spread of about 1.5 px: 128, or 16",
+        "Pixels of lower confidence get no depth. For matcher census and for plane sweeps, confidence is 255 "
+        "times the probability that depth is right; default: 204, or 128 for three or more pairs, because "
+        "fusion rejects outliers. For other matchers, 128 is a spread of 1.5 px; default: 128, or 16 for "
+        "three or more pairs",
         low=0,
         high=255,
     )
     matcher: str = param(
         AUTO,
-        "Semi-global matcher: 3way gathers costs along three paths, in little memory; hh4 along four, "
-        "erring a little less for twice the time; sgbm along five and hh along eight, for no gain. census is "
-        "our own, which covers more, with confidences that are probabilities, for seven times the time. auto "
-        "is census for one or two pairs, unless it would take more than 4 GB or an option of the others is "
-        "given, and 3way for more",
+        "Semi-global matcher. OpenCV modes: 3way aggregates costs along three paths and needs little memory; "
+        "hh4 along four, slightly more accurate in twice the time; sgbm along five and hh along eight, "
+        "without benefit. census is the built-in matcher: more coverage, and probabilities as confidence, in "
+        "seven times the time. auto is census for one or two pairs, unless it needs more than 4 GB or an "
+        "option of the OpenCV modes is given, else 3way",
         choices=(AUTO, FAST, "sgbm", "hh4", "hh", CENSUS),
     )
     model: str | None = param(
         None,
-        "File of a network of your own, FILE.onnx, with FILE.toml beside it (`scanloom probe` guesses "
-        "it), run by onnxruntime (`scanloom[network]`). One of pairs takes the matcher's place; what left "
-        "and right do not agree on is no depth. One of single images fills in depth where none was "
-        "measured, with scale and shift as measured depth has them, of confidence 1",
-        # What is in the file and beside it decides, not its name.
+        "Network file FILE.onnx with its sidecar FILE.toml (`scanloom probe` guesses it), run by "
+        "onnxruntime (`scanloom[network]`). A stereo network replaces the matcher; pixels that fail the "
+        "left–right check get no depth. A monocular network fills missing depth, fitted to measured depth "
+        "in scale and shift, with a confidence of 1",
+        # The cache key includes the content of the file and its sidecar instead of the name.
         invalidates=False,
         is_path=True,
     )
     model_error: float = param(
         0.1,
-        "A network of single images fills in depth where what it says of the mirrored image differs by less "
-        "than this share, and in images where it differs from measured depth by less in the median",
+        "Maximum relative error of a monocular network: per pixel between image and mirrored image, and in "
+        "the median against measured depth; beyond it nothing is filled",
         low=0,
         low_open=True,
         high=1,
     )
     model_memory: float = param(
         8000,
-        "A network is given up that takes more; as many run at once as pairs are matched at the same time",
+        "Memory limit of a network process; as many run at once as pairs are matched in parallel",
         unit="MB",
         low=100,
         high=1e7,
@@ -172,7 +183,7 @@ class DepthParams:
     )
     model_seconds: float = param(
         600,
-        "A network is given up that takes longer for an image or a pair, or to be loaded",
+        "Time limit of a network for an image or a pair, and for loading",
         unit="s",
         low=0,
         low_open=True,
@@ -181,109 +192,116 @@ class DepthParams:
     )
     disparities: int | None = param(
         None,
-        "Number of disparities that are tried, in place of those that follow from the depth range",
+        "Number of disparities to search, instead of the number derived from the depth range",
         unit="px",
         low=1,
         high=LARGEST_DISPARITY,
     )
     left_right_tolerance: float = param(
         1.0,
-        "How far the disparities of a pixel and of its match may differ",
+        "Maximum disparity difference between a pixel and its match in the left–right check",
         unit="px",
         low=0,
         high=100,
     )
     speckle_size: int = param(
-        100, "Connected pieces of fewer pixels are dropped as speckles; 0 keeps all", unit="px", low=0
+        100, "Connected components with fewer pixels are dropped as speckles; 0 keeps all", unit="px", low=0
     )
     speckle_range: float = param(
-        1.0, "Neighbours whose disparities differ by more are not connected", unit="px", low=0, high=100
+        1.0,
+        "Maximum disparity difference between connected neighbours in the speckle filter",
+        unit="px",
+        low=0,
+        high=100,
     )
     min_texture: float = param(
         0.5,
-        "Where pixels two apart in a row differ by less in the mean around, as in a clipped sky, nothing "
-        "was measured",
+        "Minimum mean difference between pixels two apart in a row; pixels with less texture, such as a "
+        "clipped sky, get no depth",
         unit="grey levels",
         low=0,
     )
     refine: bool = param(
         True,
-        "Move each disparity by the fraction of a pixel at which the images agree best; takes away the "
-        "matcher's bias on slanted surfaces. Smoothed disparities stay as they are",
+        "Refine disparities to sub-pixel accuracy from image intensities, which removes the matcher's bias "
+        "on slanted surfaces. No effect on smoothed disparities",
     )
     views: str = param(
         SWEEP,
-        "How single views with poses are measured: sweep matches a view with all of its partners at once, "
-        "plane by plane; pairs with each of them alone, as `matcher` says",
+        "Method for single views with poses: sweep matches a view with all partners at once by a plane "
+        "sweep; pairs matches it with each partner as a stereo pair, with `matcher`",
         choices=(SWEEP, PAIRS),
     )
     partners: int = param(
         6,
-        "Single views with poses: each is matched with at most so many others",
+        "Single views: maximum number of partner views that a view is matched with",
         unit="views",
         low=1,
         high=32,
     )
     agreeing_views: int = param(
         2,
-        "Single views: depth is kept where so many other views' depth maps agree with it",
+        "Single views: minimum number of other views whose depth maps must agree for depth to be kept",
         unit="views",
         low=0,
         high=64,
     )
     agreement: float | None = param(
         None,
-        "Single views: share of depth by which maps that agree may differ. Default: what a pixel of "
-        "disparity makes between neighbouring views",
+        "Single views: maximum relative difference of depth between maps that agree. Default: the depth "
+        "difference of one pixel of disparity between neighbouring views",
         low=0,
         low_open=True,
         high=1,
     )
     backdrop: float = param(
         3.0,
-        "Single views: where pixels two apart differ by less in the mean around, the image may show a "
-        "backdrop, which matches anything and gets no depth. Where all views have one of the same colour "
-        "around the thing, only what looks like it goes; where masks cut the thing out, they alone tell. "
-        "0 keeps all that no mask leaves out",
+        "Single views: texture limit of the backdrop, the mean difference between pixels two apart. Plainer "
+        "pixels match anything and get no depth. If all views have a backdrop of one colour around the "
+        "object, only pixels of this colour are dropped; if masks cut the object out, only masked pixels. 0 "
+        "keeps all unmasked pixels",
         unit="grey levels",
         low=0,
     )
     on_hull: bool = param(
         True,
-        "Single views of a thing that masks or a backdrop tell from the rest: what no view measured gets the "
-        "depth of the hull of the silhouettes, as far behind it as measured depth around is, and is marked. "
-        "Else the thing has holes there",
+        "Single views of an object with masks or a backdrop: fill unmeasured depth from the visual hull of "
+        "the silhouettes, offset to fit the measured depth around it, with a confidence of 1. Otherwise "
+        "these pixels remain holes",
     )
     on_planes: bool = param(
         True,
-        "Single views of a scene, swept: places without texture between measured depth get the depth of the "
-        "plane that this lies on, where other views say the same, and are marked. Else they are left open",
+        "Single views of a scene (views=sweep): fill areas without texture from planes through the measured "
+        "depth around them if other views agree, with a confidence of 1. Otherwise these pixels stay holes",
     )
     max_side: int = param(
         1600,
-        "Single views: larger images are made smaller, to this longer side, with a warning",
+        "Single views: maximum image side; larger images are downscaled, with a warning",
         unit="px",
         low=64,
         high=1 << 14,
     )
     max_pose_error: float = param(
         2.0,
-        "Single views: the scan is given up when points that two views recognise are off by more, in the "
-        "median, from where poses and calibration put them; little of its depth would be right",
+        "Single views: maximum median epipolar error of feature matches between views. Scans with a larger "
+        "error are rejected, because little of their depth would be right",
         unit="px",
         low=0,
         low_open=True,
     )
     turn_back: bool = param(
         True,
-        "Single views: images that are upside down against their poses, as corners found in several show, "
-        "are turned back, with a warning",
+        "Single views: rotate images by 180° that are upside down relative to their poses, with a warning",
     )
     max_skipped: float = param(
-        0.5, "The scan is given up when a larger share of its frames cannot be used", low=0, high=1
+        0.5, "Maximum ratio of frames that cannot be used; scans with more are rejected", low=0, high=1
     )
     threads: int | None = param(
-        None, "Pairs matched at the same time; one a core if not given", low=1, high=256, invalidates=False
+        None,
+        "Number of pairs matched in parallel; one per core by default",
+        low=1,
+        high=256,
+        invalidates=False,
     )
     sgbm: SgbmParams = field(default=SgbmParams())
 
@@ -301,28 +319,34 @@ class DepthParams:
             self.require_default(_OF_OTHERS, f"matcher {CENSUS}")
 
     def is_own(self, pairs: int, volume: int) -> bool:
-        """Return whether our own matcher measures so many pairs, whose volumes take so many bytes."""
+        """Return True if the census matcher is used.
+
+        Parameters
+        ----------
+        pairs : number of pairs in the scan.
+        volume : bytes of the cost volumes.
+        """
         if self.matcher != AUTO:
             return self.matcher == CENSUS
         return pairs < SEVERAL and volume <= _LARGEST_VOLUME and not self.find_idle(_OF_OTHERS)
 
     def find_idle(self, names: Collection[str]) -> list[str]:
-        """Return the parameters with these names, or in sections of these names, that were set."""
+        """Return changed parameters with these names, or in sections with these names."""
         return [name for name in find_changed(self) if name.partition(".")[0] in names]
 
     def require_default(self, names: Collection[str], place: str) -> None:
-        """Raise UsageError for a parameter that was set and would do nothing."""
+        """Raise UsageError for a changed parameter that would have no effect."""
         if idle := self.find_idle(names):
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
                 "has no effect with {place}",
                 Where(parameter=idle[0]),
-                remedy="leave it out.",
+                remedy="omit it.",
                 place=place,
             )
 
 
-# What views that are swept have no use for.
+# Parameters without effect on plane sweeps.
 OF_PAIRS = (
     "max_relative_depth_error",
     "disparity_sigma",

@@ -1,7 +1,7 @@
-"""Which other views a view is matched with: those that see the same from a little aside.
+"""Selection of partner views for matching.
 
-The angle under which two views see a point says how exact its depth comes out, and how alike it looks from
-both; a few degrees to twenty are useful. Yao et al., "MVSNet", 2018, weigh angles alike.
+The triangulation angle of two views decides how accurate depth is, and how similar a point looks in both.
+Angles from a few degrees to twenty are useful. Yao et al., "MVSNet", 2018, score angles in a similar way.
 """
 
 from __future__ import annotations
@@ -14,28 +14,40 @@ from numpy.typing import NDArray
 
 from scanloom.stages.stereo.posed_views import PosedView
 
-# Points of a view at which angle and overlap are measured: so many a row and a column.
+# Grid of sampled points for angle and overlap, per side.
 _GRID = 8
-# Degrees: the best angle, how soon smaller and larger ones get worse, the smallest and the largest taken.
+# Triangulation angles in degrees: the best one, and the standard deviations of the score below and above it;
+# then the accepted range.
 _BEST, _BELOW, _ABOVE = 8.0, 4.0, 12.0
 _SMALLEST, _LARGEST = 1.0, 35.0
-# A view whose angle at the middle alone is wider is not looked at any closer.
+# Maximum angle at the central point for a view to be scored at all, degrees.
 _WIDEST = 60.0
-# Of a view's points, the share that the other must see.
+# Minimum ratio of sampled points that are visible in the partner.
 _LEAST_OVERLAP = 0.25
-# The other view must show the scene in between half and twice this view's scale.
+# Maximum ratio of image scales, either way.
 _SCALE = 2.0
 
 
 def partners(views: Sequence[PosedView], at: int, count: int) -> list[int]:
-    """Return the places of at most `count` partners of `views[at]`, the best first; equal ones in order."""
+    """Return the indices of a view's partners, best first.
+
+    Ties are in index order.
+
+    Parameters
+    ----------
+    at : index of the view.
+    count : maximum number of partners.
+    """
     scores = {int(other): affinity(views[at], views[other]) for other in _candidates(views, at)}
     order = sorted(scores, key=lambda other: -scores[other])
     return [other for other in order[:count] if scores[other] > 0]
 
 
 def _candidates(views: Sequence[PosedView], at: int) -> NDArray[np.int64]:
-    """Return the places of views that look at the point in the middle of a view from an angle that may do."""
+    """Return indices of views with a suitable angle to a view.
+
+    The angle is measured at the point in the image centre, at the middle of the depth range.
+    """
     view = views[at]
     point = view.centre + view.middle * view.world_from_camera[:3, 2]
     ways = point - np.stack([other.centre for other in views])
@@ -47,10 +59,10 @@ def _candidates(views: Sequence[PosedView], at: int) -> NDArray[np.int64]:
 
 
 def affinity(first: PosedView, second: PosedView) -> float:
-    """Return how well a view suits another as a partner, from 0 (not at all) to 1.
+    """Score a view as partner of another, from 0 (unsuitable) to 1.
 
-    Measured at points of the first view at two depths, the geometric and the arithmetic mean of its range:
-    where little is known of the scene the two are far apart, and either may be nearer to the truth.
+    The score is the mean over two depths: the geometric and the arithmetic mean of the first view's depth
+    range. They differ much if little is known about the scene, and either may be closer to the truth.
     """
     depths = (first.middle, (first.near + first.far) / 2)
     return sum(_affinity_at(first, second, depth) for depth in depths) / len(depths)

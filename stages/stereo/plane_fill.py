@@ -1,12 +1,13 @@
-"""Where a view shows a plain patch of a plane: depth of the plane that measured depth around it lies on.
+"""Filling of textureless planar patches from measured depth around them.
 
-What has no texture matches anything and is not measured, but floors, walls and tops of tables are flat. A
-patch of the photo without gradients is taken for one surface. Inverse depth of a plane is linear in the
-image's coordinates, so that a plane is three numbers, found by random samples (RANSAC, Fischler and
-Bolles, 1981) among sure depth at the patch's own pixels and at its rim. It tells depth only between what
-was measured, where it is well determined, and where the maps of other views say the same and none that
-looks there says otherwise. Similar planes guide PatchMatch in ACMP (Xu and Tao, "Planar prior assisted
-PatchMatch multi-view stereo", 2020), which asks for no such agreement.
+Areas without texture match anything and are not measured, but floors, walls and table tops are flat. Each
+connected patch of the photo without gradients is assumed to be one surface. The inverse depth of a plane is
+linear in image coordinates. A plane is fitted by RANSAC (Fischler and Bolles, 1981) to reliable depth in the
+patch and at its border.
+
+The plane fills pixels only between measured depth, where it is well determined. Filled depth of other views
+must agree, and their measured depth must not contradict. Similar planes guide PatchMatch in ACMP (Xu and Tao,
+"Planar prior assisted PatchMatch multi-view stereo", 2020), which requires no such agreement.
 """
 
 from __future__ import annotations
@@ -28,26 +29,29 @@ from scanloom.stages.stereo.params import DepthParams
 from scanloom.stages.stereo.posed_views import PosedView
 
 Mask = NDArray[np.bool_]
-# From pixels to those of another view, and what that has there.
+# Projection matrix (3, 4) from pixels to another view, and the depth map of that view.
 _Seen = tuple[NDArray[np.float64], DepthImage]
 Numbers = NDArray[np.float64]
 
-# Grey levels a pixel of any channel, after a blur of a pixel: less is no edge.
+# Maximum gradient of a plain pixel in any channel, grey levels per pixel, after a blur of one pixel.
 _PLAIN = 3.0
-# A patch is at least this share of the image. Depth counts this far beyond it, px: edges are of what is near.
+# Minimum patch area relative to the image; margin around a patch for depth, px, because edges displace depth.
 _LEAST_PATCH, _RIM = 1e-3, 3
-# Depth that planes are fitted to, of 255: what is beside plain places and less sure is of something nearer.
+# Minimum confidence of 255 for fitting planes. Less certain depth next to plain areas belongs to nearer
+# objects.
 _SURE = 230
-# Depth is averaged in squares of so many pixels a side, of so many at least: its noise is alike within them.
+# Depth is averaged in squares of this side, px, with at least this number of valid pixels; neighbouring
+# pixels share their noise.
 _SQUARE, _IN_A_SQUARE = 8, 6
-# Squares that a plane takes at least, their share of all at a patch, and how far off they are, as shares.
+# Minimum number of inlier squares, their minimum ratio, and the relative inlier distance in depth.
 _LEAST_SQUARES, _SHARE, _NOISE = 12, 0.6, 0.01
-# A plane has next to nothing behind it: what bounds it is its own rim, or before it.
+# Squares this far behind the plane, relative to depth, may be at most this ratio of all: the border of a
+# surface is its own edge or an object in front.
 _BEHIND, _MOST_BEHIND = 0.03, 0.05
 _SAMPLES = 120
-# Noise of a place on the plane, over that of a square, squared.
+# Maximum variance of the plane's depth relative to the variance of a square.
 _MOST_LEVERAGE = 0.3
-# Maps of other views that are alike, as a share of depth, and those that do not differ.
+# Relative differences of depth between views: maximum for agreement, and for no contradiction.
 _SAME, _NEARLY = 0.02, 0.04
 
 
@@ -61,14 +65,21 @@ def filled_on_planes(
     folder: Path,
     progress: Callable[[int], object],
 ) -> Iterator[DepthMap | SkippedFrame]:
-    """Give maps of all views, in their order, the depth of planes where none was measured.
+    """Fill depth maps of all views from planes.
 
     Parameters
     ----------
-    chosen : for each view the others that its depth is checked on.
-    within : from a view's depth to that of what may be kept of it.
-    folder : where maps are kept until all of them are there.
-    progress : called with the number of those that are.
+    checked : depth maps after the consistency check, in the order of the views.
+    scan, views : frames and posed views.
+    chosen : for each view, indices of the views that its depth is checked against.
+    within : function from view index and depth to the depth inside the mask, box and hull.
+    params : parameters of the depth stage.
+    folder : folder for maps while not all of them are checked.
+    progress : called with the number of checked maps.
+
+    Returns
+    -------
+    Iterator over the filled maps in the order of the views.
     """
     measured, whole = KeptMaps(folder / "measured"), KeptMaps(folder / "whole")
 
@@ -102,7 +113,14 @@ def filled_on_planes(
 
 
 def _agreed(told: DepthImage, whole: Sequence[_Seen], measured: Sequence[_Seen], least: int) -> Mask:
-    """Return where so many others say the same (h, w), and no more measured something else than the same."""
+    """Return a mask (h, w) of filled depth that other views confirm.
+
+    Parameters
+    ----------
+    told : (h, w) filled depth, metres.
+    whole, measured : other views with their filled, and only measured, depth.
+    least : minimum number of agreeing views. Measured depth may contradict in no more views than agree.
+    """
     same, _ = _kernels.agreeing(told, whole, tolerances=(_SAME, _NEARLY), wanted_threads=1)
     _, nearly = _kernels.agreeing(told, measured, tolerances=(_SAME, _NEARLY), wanted_threads=1)
     looking = _kernels.not_before(told, measured, share=0.0, wanted_threads=1)
@@ -110,14 +128,18 @@ def _agreed(told: DepthImage, whole: Sequence[_Seen], measured: Sequence[_Seen],
 
 
 def on_planes(depth: DepthImage, trust: NDArray[np.uint8], color: ColorImage, *, seed: int = 0) -> DepthImage:
-    """Return depth (h, w) at pixels of plain patches that have none, by the plane of what has; 0 elsewhere.
+    """Compute depth of unmeasured pixels in plain patches from planes.
 
     Parameters
     ----------
-    depth : (h, w) float32 metres, 0 where none was measured.
-    trust : (h, w) uint8, 255 times the probability that it is right.
-    color : (h, w, 3) uint8 RGB, of a camera without distortion.
-    seed : of the random samples.
+    depth : (h, w) float32 metres, 0 where not measured.
+    trust : (h, w) uint8, 255 times the probability that depth is right.
+    color : (h, w, 3) uint8 RGB, undistorted.
+    seed : seed of the random samples.
+
+    Returns
+    -------
+    (h, w) float32 metres; 0 at measured pixels and where no plane was found.
     """
     import cv2
 
@@ -146,7 +168,7 @@ def on_planes(depth: DepthImage, trust: NDArray[np.uint8], color: ColorImage, *,
 
 
 def _is_plain(color: ColorImage) -> Mask:
-    """Return where a photo has no edge, (h, w)."""
+    """Return a mask (h, w) of pixels without gradient."""
     import cv2
 
     soft = cv2.GaussianBlur(color, (0, 0), 1.0).astype(np.float32)
@@ -155,7 +177,12 @@ def _is_plain(color: ColorImage) -> Mask:
 
 
 def _squares(depth: DepthImage, known: Mask) -> Numbers:
-    """Return (n, 3) column, row and inverse depth: the means of what is known in each square."""
+    """Average known depth in squares of the image.
+
+    Returns
+    -------
+    (n, 3) column and row (px), and inverse depth (1/m).
+    """
     rows, columns = np.nonzero(known)
     if not len(rows):
         return np.zeros((0, 3))
@@ -169,15 +196,19 @@ def _squares(depth: DepthImage, known: Mask) -> Numbers:
 
 
 def plane_of(squares: Numbers, random: np.random.Generator) -> Mask | None:
-    """Return which squares (n,) lie on the plane that takes the most; None if most lie elsewhere.
+    """Fit a plane to squares by RANSAC.
 
     Parameters
     ----------
     squares : (n, 3) column and row, px, and inverse depth, 1/m.
+
+    Returns
+    -------
+    (n,) mask of inliers; None if most squares are not on one plane.
     """
     if len(squares) < _LEAST_SQUARES:
         return None
-    # Of a square at depth z, z · (a, b, c) · (column, row, 1) is 1 on the plane, and more behind it.
+    # For a square at depth z, z · (a, b, c) · (column, row, 1) is 1 on the plane, and larger behind it.
     scaled = _homogeneous(squares) / squares[:, 2:]
     triples = scaled[random.integers(len(squares), size=(_SAMPLES, 3))]
     with np.errstate(all="ignore"):
@@ -199,7 +230,10 @@ def plane_of(squares: Numbers, random: np.random.Generator) -> Mask | None:
 
 
 def _between(squares: Numbers, bare: Mask) -> NDArray[np.float32]:
-    """Return the depth of the squares' plane at the pixels of a mask, 0 where they do not tell it."""
+    """Return the plane's depth at the pixels of a mask.
+
+    Depth is 0 outside of the convex hull of the squares, and where the plane is not well determined.
+    """
     import cv2
 
     scaled = _homogeneous(squares) / squares[:, 2:]

@@ -1,7 +1,8 @@
-"""The fraction of a plane at which a view and its partners are most alike.
+"""Sub-plane refinement of plane-sweep depth.
 
-Small windows of the view are compared with the partners' images at the depth that was found, and a little
-before and behind it; a parabola through the sums of squared differences has its lowest point at the fraction.
+Small windows of the view are compared with the partners' images at three depths: as found by the sweep,
+slightly in front and slightly behind. A parabola through the sums of squared differences gives the refined
+depth.
 """
 
 from __future__ import annotations
@@ -15,32 +16,38 @@ from scanloom.stages.stereo.view_images import Seen
 
 Map = NDArray[np.float32]
 
-# Width of the windows, px, and how far before and behind is looked, steps between planes.
+# Window width, px; offset in front and behind, in plane distances.
 _WINDOW = 5
 _ASIDE = 0.5
-# Width of the median before, px, and how many planes are near to it.
+# Width of the median filter before refinement, px; maximum difference that it replaces, in planes.
 _MEDIAN, _NEAR = 5, 3
-# Squared grey levels a pixel of a window that differs by noise alone: a partner that differs by more, because
-# it sees something else, counts less.
+# Noise variance, squared grey levels per pixel of a window. Partners with larger differences are probably
+# occluded, and get less weight.
 _NOISE = 30.0
-# A parabola bends by this at least, squared grey levels a pixel, or says nothing.
+# Minimum curvature of the parabola, squared grey levels per pixel; flatter ones are not significant.
 _LEAST_BEND = 0.5
 
 
 def refined(main: Seen, partners: Sequence[Seen], inverse: Map, step: float) -> Map:
-    """Return inverse depth, (h, w) 1/m, moved by at most a step to where the images agree best.
+    """Refine inverse depth by at most one plane distance.
 
     Parameters
     ----------
-    inverse : (h, w) 1/m, found by a sweep.
-    step : 1/m, between its planes.
+    main, partners : view and partners with their images.
+    inverse : (h, w) float32 1/m, from the sweep.
+    step : distance between planes, 1/m.
+
+    Returns
+    -------
+    (h, w) float32 1/m.
     """
     import cv2
 
     def mean(image: Map) -> Map:
         return np.asarray(cv2.boxFilter(image, -1, (_WINDOW, _WINDOW)), np.float32)
 
-    # A pixel alone that is a plane or two off would spoil the windows around it; what is farther may be thin.
+    # Single pixels that are a few planes off would spoil the windows around them; larger differences may be
+    # thin objects.
     middle = np.asarray(cv2.medianBlur(inverse, _MEDIAN), np.float32)
     inverse = np.where(np.abs(middle - inverse) <= _NEAR * step, middle, inverse)
     height, width = inverse.shape

@@ -1,12 +1,13 @@
-"""Depth of a view from its partners all at once: planes before the view are swept, coarse images first.
+"""Multi-view plane sweep, coarse to fine.
 
-Collins, "A space-sweep approach to true multi-image matching", 1996, with semi-global sums of the costs
-(Hirschmüller, 2008). On coarse images all planes are tried at each pixel, on finer ones those about what was
-found around it (Rothermel et al., "SURE: Photogrammetric surface reconstruction from imagery", 2012), so that
-the width of the search costs next to nothing.
+Collins, "A space-sweep approach to true multi-image matching", 1996, with semi-global aggregation of costs
+(Hirschmüller, 2008). On coarse images every pixel tries all planes. On finer images it tries the planes found
+around it (Rothermel et al., "SURE: Photogrammetric surface reconstruction from imagery", 2012), so that the
+width of the search range hardly affects the run time.
 
-The planes are parallel to the view's image, and a step between two of them moves the image of the partner
-that sees the most parallax by a pixel. Nothing is rectified: views above each other, or turned, need no care.
+The planes are parallel to the view's image. Their distance moves the image of the partner with the most
+parallax by one pixel. Images are not rectified, so that vertical or rotated camera arrangements need no
+special treatment.
 """
 
 from __future__ import annotations
@@ -28,41 +29,44 @@ Grey = NDArray[np.uint8]
 Map = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# The coarsest image is at most so long, and has at most so many planes.
+# Maximum image side, px, and maximum number of planes at the coarsest level.
 _COARSEST_PX = 256
 _COARSEST_PLANES = 192
-# Planes come in steps of so many, as the kernel takes them; of each pixel at least so many, and at most.
+# The kernel takes a multiple of this number of planes per pixel, up to the maximum.
 _LANES = 16
 _MOST = 96
-# Planes tried beyond those that were found around a pixel, either way.
+# Additional planes on either side of the range found around a pixel.
 _BEYOND = 3
-# What is taken for found is more distinct than this (see `Swept`).
+# Minimum distinctness of a reliable result (see `Swept`).
 _DISTINCT = 0.3
-# Found around a pixel, px each way: surely found, and else farther off.
+# Reach in px for collecting reliable planes around a pixel; the wide one if the narrow one has none.
 _NEAR, _WIDE = 1, 5
-# A warped partner may be so many times as large as the view: parallax moves what it shows beyond its edges.
+# Maximum area of a warped partner image relative to the view: parallax moves its content beyond the image
+# edges.
 _LARGEST_AREA = 3.0
-# Rays at which parallax is looked at: so many a row and a column.
+# Grid of rays for measuring parallax, per side.
 _GRID = 5
-# Margin of the best sum, in costs of eight paths, at which it is called one half.
+# Margin between the best and the second-best cost, summed over eight paths, at which distinctness is one
+# half.
 HALF_MARGIN = 120.0
-# What a partner's warped image says of a pixel, as the kernel has it.
+# State of a warped partner pixel, as in the kernel: outside of the image, scene, background of the object.
 _NOTHING, _SCENE, _EMPTY = 0, 1, 2
-# What the farthest plane costs more than one at the nearest place there can be.
+# Additional cost of the farthest plane relative to a plane on the visual hull.
 _LEAN = 120.0
-# Room around what is looked at: that of coarse images' pixels, px.
+# Margin around the object, px, so that coarse levels have context.
 _ROOM = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """What a sweep found.
+    """Result of a plane sweep.
 
     Attributes
     ----------
-    depth : (h, w) float32 metres along the optical axis; 0 only where the view's masks leave nothing.
-    distinct : (h, w) float32 from 0 to 1, how much worse the next plane is; one half at a margin of 120.
-    planes : how many were tried.
+    depth : (h, w) float32 metres along the optical axis; 0 only outside of the object's window.
+    distinct : (h, w) float32 from 0 to 1, distinctness of the best plane from its competitors; one half at a
+        cost margin of 120.
+    planes : number of planes.
     """
 
     depth: DepthImage
@@ -73,20 +77,20 @@ class Swept:
 def plane_sweep(
     main: Seen, partners: Sequence[Seen], front: DepthImage | None = None, threads: int = 1
 ) -> Swept:
-    """Find the depth of each pixel of a view.
+    """Estimate the depth of each pixel of a view from its partners.
 
     Parameters
     ----------
-    main : the view; planes lie between its `near` and `far`. Its pixels about the thing are looked at.
-    partners : one or more others that see the same from aside.
-    front : (h, w) metres, the nearest at which a pixel can lie, 0 where nothing is known of it. Where images
-        do not tell, it is taken to lie near there.
-    threads : results are the same for any number of them.
+    main : the view; planes are between its `near` and `far`. Only a window around the object is processed.
+    partners : one or more other views of the same scene.
+    front : (h, w) metres, minimum depth of each pixel from the visual hull, 0 where unknown. Where images are
+        ambiguous, depth close to it is preferred.
+    threads : thread count; results do not depend on it.
 
     Raises
     ------
     MemoryError
-        If there is not enough.
+        If memory does not suffice.
     """
     rows, columns = _window(main)
     whole = main.grey.shape
@@ -122,14 +126,19 @@ def plane_sweep(
 
 
 def _inverse(front: DepthImage) -> Map:
-    """Return inverse depth (h, w), 1/m, 0 where nothing is known."""
+    """Return inverse depth (h, w), 1/m, 0 where unknown."""
     return np.divide(1, front, out=np.zeros_like(front), where=front > 0)
 
 
 def _bound(
     nearest: Map, shape: tuple[int, ...], view: PosedView, step: float, count: int
 ) -> tuple[Map, float]:
-    """Return the nearest plane of each pixel, NaN where none is known, and what each plane farther costs."""
+    """Return the nearest allowed plane of each pixel.
+
+    Returns
+    -------
+    (h, w) float32 plane, NaN where unknown, and the cost per plane behind it.
+    """
     import cv2
 
     small = cv2.resize(nearest, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
@@ -138,7 +147,7 @@ def _bound(
 
 
 def _window(one: Seen) -> tuple[slice, slice]:
-    """Return the rows and columns that hold the thing, with some room."""
+    """Return rows and columns of the object with a margin."""
     if one.thing is None or not one.thing.any():
         return slice(0, one.grey.shape[0]), slice(0, one.grey.shape[1])
     ends = []
@@ -165,7 +174,10 @@ def _cut(one: Seen, rows: slice, columns: slice) -> Seen:
 
 
 def _step(view: PosedView, partners: Sequence[PosedView]) -> float:
-    """Return the difference in inverse depth, 1/m, that moves the fastest partner's image by a pixel."""
+    """Return the plane distance in inverse depth, 1/m.
+
+    It moves the image of the partner with the most parallax by one pixel.
+    """
     middle = 2 / (1 / view.near + 1 / view.far)
     rays = view.spread_rays(_GRID)
     points = view.to_world(rays * middle)
@@ -184,7 +196,7 @@ def _step(view: PosedView, partners: Sequence[PosedView]) -> float:
 
 
 def _halvings(camera: Camera, planes: float) -> int:
-    """Return how often images are halved for the first search."""
+    """Return the number of pyramid levels above the full image."""
     long = math.log2(max(camera.width, camera.height) / _COARSEST_PX)
     many = math.log2(max(planes, 1) / _COARSEST_PLANES)
     return max(math.ceil(max(long, many)), 0)
@@ -207,12 +219,17 @@ def _halved(one: Seen, times: int) -> Seen:
 def _warped(
     view: PosedView, partner: Seen, inverse: NDArray[np.float64], count: int
 ) -> tuple[Grey, Grey, Map]:
-    """Return a partner's image in the view, what of it is shown, and the map of each plane.
+    """Warp a partner image to the view.
 
-    The plane in the middle maps the image. A pixel of ray r, of z = 1, on the plane of inverse depth ρ is
-    where the partner, which stands at c in the view's axes, sees the direction r - ρ c. On the plane ρ₀ the
-    ray r' is seen there for which r' - ρ₀ c is the same direction: r' = s r + (ρ₀ - s ρ) c with
-    s = (1 - ρ₀ c_z) / (1 - ρ c_z).
+    The warp is the homography of the middle plane, of inverse depth ρ₀. The partner's centre is c in the
+    view's axes. A pixel with ray r (z = 1) on the plane of inverse depth ρ has the direction r - ρ c from the
+    partner. On the middle plane this direction belongs to the ray r', for which r' - ρ₀ c is parallel to r -
+    ρ c: r' = s r + (ρ₀ - s ρ) c with s = (1 - ρ₀ c_z) / (1 - ρ c_z).
+
+    Returns
+    -------
+    The warped image (h', w') uint8, the state of its pixels (h', w') uint8, and for each plane scale and
+    offsets from pixels of the view to pixels of the warped image, (planes, 3) float32.
     """
     import cv2
 
@@ -221,7 +238,7 @@ def _warped(
     c = (other.centre - view.centre) @ turn
     middle = float(inverse[count // 2])
     ahead = 1 - inverse * c[2]
-    # Planes behind the partner are seen by nobody; the map leads far away.
+    # Planes behind the partner are invisible to it; the offset maps them outside of the image.
     behind = ahead <= 1e-3
     scale = np.where(behind, 0, (1 - middle * c[2]) / np.where(behind, 1, ahead))
     shift = middle - scale * inverse
@@ -240,12 +257,13 @@ def _warped(
         some = np.array([(1.0, 0.0, 0.0)])
     places = some[:, None, :1] * corners + some[:, None, 1:]
     low, high = places.min(axis=(0, 1)), places.max(axis=(0, 1))
-    # No larger than it must be, and not larger than it may: then what moves farther is not seen.
+    # The warped image is as small as possible, and limited in size. Content beyond the limit is treated as
+    # invisible.
     room = (math.sqrt(_LARGEST_AREA) - 1) / 2 * np.array((camera.width, camera.height))
     low = np.floor(np.maximum(low, -room)).astype(int)
     high = np.ceil(np.minimum(high, corners[-1] + room)).astype(int)
     size = tuple(int(n) for n in np.maximum(high - low + 1, 1))
-    # From pixels of the warped image to the partner's.
+    # Homography from pixels of the warped image to the partner's pixels.
     back = other.world_from_camera[:3, :3].T @ turn
     into = back @ (np.eye(3) - middle * np.outer(c, (0.0, 0.0, 1.0)))
     offset = np.array([[1.0, 0, low[0]], [0, 1.0, low[1]], [0, 0, 1]])
@@ -264,7 +282,18 @@ def _warped(
 def _ranges(
     plane: Map, distinct: Map, shape: tuple[int, ...], planes: int
 ) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
-    """Return the first plane and the number of planes of each pixel of an image of twice the size."""
+    """Derive the plane range of each pixel from a coarser level.
+
+    Parameters
+    ----------
+    plane, distinct : result at half the size.
+    shape : size of the finer level.
+    planes : number of planes at the finer level.
+
+    Returns
+    -------
+    First plane, (h, w) int32, and number of planes, (h, w) uint16.
+    """
     import cv2
 
     known = distinct >= _DISTINCT
@@ -279,7 +308,7 @@ def _ranges(
         low, high = np.where(open_, least, low), np.where(open_, most, high)
     alone = np.isnan(low)
     low, high = np.where(alone, plane, low), np.where(alone, plane, high)
-    # What was found there itself lies within.
+    # The range includes the pixel's own coarse result.
     low, high = np.minimum(low, plane), np.maximum(high, plane)
     size = (shape[1], shape[0])
     least, most, own = (
@@ -288,11 +317,11 @@ def _ranges(
     )
     first, end = np.floor(least) - _BEYOND, np.ceil(most) + _BEYOND + 1
     wide = np.ceil((end - first) / _LANES) * _LANES
-    # Too wide a range is cut about the pixel's own.
+    # Ranges above the maximum are cut around the pixel's own result.
     cut = wide > _MOST
     first = np.where(cut, np.clip(np.rint(own) - _MOST / 2, first, end - _MOST), first)
     wide = np.minimum(np.minimum(wide, _MOST), planes)
-    # The range is in the middle of what is tried.
+    # Rounding up to the kernel's multiple extends the range on both sides equally.
     first = np.where(cut, first, np.rint((first + end - wide) / 2))
     first = np.clip(first, 0, planes - wide)
     return first.astype(np.int32), wide.astype(np.uint16)

@@ -1,4 +1,4 @@
-"""How far away the scene is: the poses of two views tell where each point stands that both recognise."""
+"""Triangulation of feature matches between posed views."""
 
 from __future__ import annotations
 
@@ -13,31 +13,30 @@ from scanloom.stages.frames.features import Keypoints, match_descriptors
 from scanloom.stages.stereo.epipolar import off_lines
 from scanloom.stages.stereo.posed_views import PosedView
 
-# Of the views that look the same way, each is compared with the nearest, the second, the fourth … : frames of
-# a video stand so close that the nearest tell nothing, and the farther see something else.
+# Each view is paired with its nearest, second-nearest, fourth-nearest … neighbour of similar direction. The
+# nearest frames of a video have too little parallax, the farthest see something else.
 _RANKS = (1, 2, 4, 8, 16)
-# Degrees between the optical axes of views that may see the same.
+# Maximum angle between the optical axes of a pair, degrees.
 _WIDEST = 45.0
-# Share of the image's diagonal that a match may be off its epipolar line, 8 px of 640×480: poses of phones
-# are off by several pixels.
+# Maximum epipolar distance of a match relative to the image diagonal: 8 px for 640×480. Poses of phones are
+# off by several pixels.
 _TOLERANCE = 0.01
-# Views see the same where so many matches are on their lines, and this share of all of them.
+# Minimum number of inliers, and minimum ratio of inliers among the matches, for views that overlap.
 _ENOUGH, _SHARE = 12, 0.3
-# A match tells how far away it is where the rays differ by so many degrees, and by so many times what the
-# matches of the pair are off.
+# Minimum triangulation angle for depth: degrees, and multiples of the median epipolar error of the pair.
 _SMALLEST, _SURE = 1.0, 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Recognised:
-    """What two views recognise in each other.
+    """Verified matches of two views.
 
     Attributes
     ----------
-    off : pixels, how far the median match lies off its epipolar line; more than one says that poses or
-        calibration do not fit the images.
-    depths : of the matches that tell, (n,) metres along the axis of the first view, and of the second.
-    pixels : of the matches near their lines, (n, 2) in the first view, and in the second.
+    off : median epipolar distance of the inliers, pixels. Values above one mean that poses or calibration do
+        not fit the images.
+    depths : triangulated depths (n,) of well-conditioned matches, metres, in the first and the second view.
+    pixels : inlier pixels (n, 2) in the first and the second view.
     """
 
     off: float
@@ -46,7 +45,10 @@ class Recognised:
 
 
 def neighbours(views: Sequence[PosedView]) -> list[tuple[int, int]]:
-    """Return the places of pairs of views that may see the same as far as their poses tell, in order."""
+    """Return sorted index pairs of views that may overlap.
+
+    Poses decide: the optical axes must be within 45°, and the distance of the views is small.
+    """
     centres = np.stack([view.centre for view in views])
     axes = np.stack([view.world_from_camera[:3, 2] for view in views])
     pairs: set[tuple[int, int]] = set()
@@ -59,11 +61,15 @@ def neighbours(views: Sequence[PosedView]) -> list[tuple[int, int]]:
 
 
 def recognised(first: PosedView, second: PosedView, here: Keypoints, there: Keypoints) -> Recognised | None:
-    """Return what two views recognise in each other; None where they do not see the same.
+    """Match keypoints of two views, and triangulate the inliers.
 
     Parameters
     ----------
-    here, there : the points of both images, without distortion.
+    here, there : keypoints of both undistorted images.
+
+    Returns
+    -------
+    The verified matches; None if the views do not overlap.
     """
     same = match_descriptors(here.descriptors, there.descriptors)
     one, other = (
@@ -86,9 +92,17 @@ def recognised(first: PosedView, second: PosedView, here: Keypoints, there: Keyp
 def _where_rays_meet(
     first: NDArray[np.float64], second: NDArray[np.float64], across: NDArray[np.float64], least: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how far along rays (n, 3) of z = 1, `across` apart, they come nearest to each other.
+    """Triangulate pairs of rays by their closest points.
 
-    Only of those that differ by the `least` angle (radians), and meet before both views.
+    Parameters
+    ----------
+    first, second : (n, 3) rays in world axes, with z = 1 in their cameras.
+    across : (3,) vector from the first to the second camera centre.
+    least : minimum angle between the rays, radians.
+
+    Returns
+    -------
+    Depths along both rays, without rays below the minimum angle and points behind a camera.
     """
     aa, bb, ab = ((u * v).sum(axis=1) for u, v in ((first, first), (second, second), (first, second)))
     wide = ab < math.cos(least) * np.sqrt(aa * bb)

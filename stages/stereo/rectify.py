@@ -1,4 +1,4 @@
-"""Turn a calibrated pair so that corresponding points lie on the same row."""
+"""Rectification of a calibrated stereo pair."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_INVALID, CAMERA_CALIBRATION_MISMATCH
 from scanloom.stages.scans.model.scan import Camera, StereoRig
 
-# The lengths of distortion OpenCV knows: k1 k2 p1 p2, + k3, + k4–k6, + thin prism, + tilt.
+# Numbers of distortion coefficients OpenCV supports: k1 k2 p1 p2, + k3, + k4–k6, + thin prism, + tilt.
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 _FISHEYE_LENGTH = 4
-# A rig that claims to be rectified may differ by rounding in its file, not by a visible fraction of a pixel.
+# Maximum difference of cy in a rectified rig, pixels: rounding in calibration files, but no visible
+# misalignment.
 _ROW_TOLERANCE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class RectifiedRig:
-    """Two cameras side by side with parallel axes and common rows.
+    """Rectified stereo rig: parallel optical axes and common rows.
 
     Attributes
     ----------
-    left, right : without distortion, of equal focal length and cy.
+    left, right : undistorted cameras with equal focal length and cy.
     baseline : metres, > 0.
-    rectified_from_left : (3, 3) float64, turns points of the calibrated left camera into the rectified one.
+    rectified_from_left : (3, 3) float64, rotation from the calibrated to the rectified left camera.
     """
 
     left: Camera
@@ -38,16 +39,25 @@ class RectifiedRig:
 
     @property
     def focal_baseline(self) -> float:
-        """Return f·b in metre pixels: depth is this over the disparity of parallel rays."""
+        """Return focal length times baseline, pixel metres.
+
+        Depth is f·b / (d + principal_offset).
+        """
         return self.left.fx * self.baseline
 
     @property
     def principal_offset(self) -> float:
-        """Return cx of the right camera less that of the left (`doffs`), pixels: z = f·b / (d + this)."""
+        """Return cx_right − cx_left, pixels (Middlebury's `doffs`).
+
+        Depth is f·b / (d + principal_offset).
+        """
         return self.right.cx - self.left.cx
 
     def apply(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return both images as the rectified cameras see them; the images themselves if nothing changes."""
+        """Rectify a pair of images.
+
+        Images of a rig that is already rectified are returned unchanged.
+        """
         if self._maps is None:
             return left, right
         import cv2
@@ -60,24 +70,24 @@ class RectifiedRig:
 
 
 def rectified_rig(rig: StereoRig) -> RectifiedRig:
-    """Return the rig with common rows: as it is where rectified, else turned (Bouguet's method, in OpenCV).
+    """Rectify a stereo rig with Bouguet's method (OpenCV).
 
-    Both cameras are turned by half of the rotation between them and zoomed so that only pixels with
-    content remain. Fisheye cameras keep their focal length and size instead: what lies so far aside that no
-    plane image of this size can hold it is cut off.
+    A rig marked as rectified is only validated. Otherwise both cameras are rotated by half of their relative
+    rotation, and zoomed so that only valid pixels remain. Fisheye cameras keep their focal length and size
+    instead, so that their periphery is cropped.
 
     Raises
     ------
     InputError
-        If the cameras do not stand side by side, left one left, or the calibration cannot hold.
+        If the cameras are not side by side in the stated order, or the calibration is invalid.
     """
     left, right = rig.left, rig.right
     if (left.width, left.height) != (right.width, right.height):
         raise InputError(
             CAMERA_CALIBRATION_MISMATCH,
             (
-                "the left camera is calibrated for {left_width}×{left_height}, the right one "
-                "for {right_width}×{right_height}; a pair needs one size."
+                "the left camera is calibrated for {left_width}×{left_height} px, the right one for "
+                "{right_width}×{right_height} px; both must have the same size."
             ),
             left_width=left.width,
             left_height=left.height,
@@ -87,7 +97,7 @@ def rectified_rig(rig: StereoRig) -> RectifiedRig:
     if not np.isfinite(rig.right_from_left).all() or rig.baseline == 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the rig's two cameras stand at the same place",
+            "both cameras of the rig have the same position",
             remedy="give the baseline in metres.",
         )
     return _as_it_is(rig) if rig.rectified else _turned(rig)
@@ -101,8 +111,8 @@ def _as_it_is(rig: StereoRig) -> RectifiedRig:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
                 (
-                    "the pair is said to be rectified, but {name} is {a:g} on the left and {b:g} "
-                    "on the right; correct the calibration or mark it as not rectified."
+                    "the rig is marked as rectified, but {name} is {a:g} px on the left and {b:g} px on the "
+                    "right; correct the calibration, or mark the rig as not rectified."
                 ),
                 name=name,
                 a=a,
@@ -122,30 +132,27 @@ def _turned(rig: StereoRig) -> RectifiedRig:
         if camera.fisheye != left.fisheye:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "one camera of the pair is a fisheye and the other is not; both must be of a kind.",
+                "only one camera of the pair is a fisheye camera; both must have the same model.",
             )
         if camera.fisheye and len(camera.distortion) != _FISHEYE_LENGTH:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                "the {side} camera is a fisheye, which has {fisheye_length} coefficients.",
+                "the {side} fisheye camera must have {fisheye_length} distortion coefficients.",
                 side=side,
                 fisheye_length=_FISHEYE_LENGTH,
             )
         if len(camera.distortion) not in _DISTORTION_LENGTHS:
             raise InputError(
                 CAMERA_CALIBRATION_INVALID,
-                (
-                    "the {side} camera has {distortion_count} distortion coefficients; OpenCV's "
-                    "model has {map}."
-                ),
+                ("the {side} camera has {distortion_count} distortion coefficients; OpenCV supports {map}."),
                 side=side,
                 distortion_count=len(camera.distortion),
                 map=", ".join(map(str, _DISTORTION_LENGTHS)),
             )
     distortion = [np.array(camera.distortion or (0.0,) * 4, np.float64) for camera in (left, right)]
-    # The rotations do not depend on the lens; where a fisheye's pixels come to lie is decided below.
+    # The rotations do not depend on distortion. For fisheye cameras, the projection is set below.
     straight = [np.zeros(4) if left.fisheye else bent for bent in distortion]
-    # A column, as OpenCV 5 wants it; copies, because OpenCV does not look at strides.
+    # OpenCV 5 requires a column vector, and ignores strides, hence the copies.
     rotation, translation = rig.right_from_left[:3, :3].copy(), rig.right_from_left[:3, 3:].copy()
     r_left, r_right, p_left, p_right = cv2.stereoRectify(
         left.matrix,
@@ -161,8 +168,8 @@ def _turned(rig: StereoRig) -> RectifiedRig:
     if p_right[1, 3] != 0:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
-            "the cameras stand one above the other; only cameras side by side can be matched.",
-            remedy="Turn images and calibration by 90 degrees.",
+            "the cameras are one above the other; only cameras side by side can be matched.",
+            remedy="Rotate images and calibration by 90 degrees.",
         )
     baseline = -float(p_right[0, 3] / p_right[0, 0])
     _require_left_is_left(baseline)
@@ -194,9 +201,8 @@ def _require_left_is_left(baseline: float) -> None:
         raise InputError(
             CAMERA_CALIBRATION_INVALID,
             (
-                "the calibration puts the right camera left of the left one: the two are "
-                "swapped, or the rotation and translation take right-camera points to the "
-                "left camera"
+                "the right camera is left of the left one in the calibration: the cameras are swapped, or "
+                "rotation and translation map points from the right to the left camera"
             ),
-            remedy="give their inverse.",
+            remedy="swap the cameras, or invert rotation and translation.",
         )

@@ -1,9 +1,8 @@
-"""In which range of depth each view shows the scene.
+"""Depth range of the scene in each view.
 
-The folder may tell: by a bounding box, or by points that a reconstruction found in each view. Else points
-that views recognise in each other tell (see scanloom.stages.stereo.recognised). Where there are none, views
-are taken to look at one thing: it stands where their optical axes come nearest to each other, and reaches as
-far around as the usual view shows.
+The scan may state it, as a bounding box or as reconstructed points in each view. Otherwise it follows from
+feature matches between views (see scanloom.stages.stereo.recognised). Without matches, the views are assumed
+to look at one object: it is where the optical axes intersect, and its size is the median field of view there.
 """
 
 from __future__ import annotations
@@ -23,16 +22,17 @@ from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.stereo.codes import DEPTH_RANGE_EMPTY
 from scanloom.stages.stereo.posed_views import PosedView
 
-# A stated box is tight, and poses are off by a little: it is widened by this share of its diagonal.
+# Margin around a stated box, relative to its diagonal: boxes are tight, and poses inexact.
 _BOX_MARGIN = 0.02
-# Optical axes that differ by less than about 3 degrees from one another meet nowhere in particular.
+# Minimum mean squared sine between the optical axes. The intersection of axes within about 3° is
+# undetermined.
 _LEAST_SPREAD = math.sin(math.radians(3)) ** 2
-# What is nearer than this share of the distance to the scene's middle is not looked for.
+# Minimum depth relative to the far end of the box.
 _NEAREST = 0.1
 
 
 def stated_ranges(scan: Scan, views: Sequence[PosedView]) -> list[Range | None]:
-    """Return the range of depth of each view as the folder tells it, metres, or None."""
+    """Return the stated depth range of each view, metres, or None."""
     box = scene_box(scan)
     if box is not None:
         return [_range_of_box(view, box) for view in views]
@@ -46,18 +46,18 @@ def ranged_views(
     min_depth: float | None,
     max_depth: float | None,
 ) -> list[PosedView]:
-    """Return the views with their range of depth.
+    """Assign a depth range to each view.
 
     Parameters
     ----------
-    ranges : metres, of each view, as far as they are known. A view without one may show whatever others do;
-        without any, the scene is where the optical axes meet.
-    min_depth, max_depth : metres; what is given holds for every view, in place of all that.
+    ranges : known range of each view, metres, or None. A view without range gets the union of all known
+        ranges. Without any, the scene is where the optical axes intersect.
+    min_depth, max_depth : metres; override the range of every view if given.
 
     Raises
     ------
     InputError
-        If nothing tells where the scene is, or a range is none.
+        If the position of the scene is unknown, or a range is empty.
     """
     if min_depth is not None and max_depth is not None:
         return [replace(view, near=min_depth, far=max_depth) for view in views]
@@ -67,7 +67,7 @@ def ranged_views(
         if least >= most:
             raise InputError(
                 DEPTH_RANGE_EMPTY,
-                "depth from {least:.3g} m to {most:.3g} m is no range; correct min_depth or max_depth.",
+                "the depth range {least:.3g} m to {most:.3g} m is empty; correct min_depth or max_depth.",
                 scan.folder,
                 least=least,
                 most=most,
@@ -86,20 +86,19 @@ def _filled(scan: Scan, views: Sequence[PosedView], ranges: Sequence[Range | Non
         raise InputError(
             DEPTH_RANGE_UNKNOWN,
             (
-                "no points are recognised from view to view where the poses say, and the "
-                "views look past each other, so that nothing tells where the scene is"
+                "the position of the scene is unknown: no feature matches agree with the poses, and the "
+                "optical axes of the views do not intersect"
             ),
             scan.folder,
             remedy=(
-                "check the poses, or give the range of depth with depth.min_depth and "
-                "depth.max_depth (metres)."
+                "check the poses, or set the depth range with depth.min_depth and depth.max_depth (metres)."
             ),
         )
     return [_range_of_box(view, box) for view in views]
 
 
 def scene_box(scan: Scan) -> NDArray[np.float64] | None:
-    """Return the box the scan states, (2, 3) metres, a little widened, or None."""
+    """Return the stated box, (2, 3) metres, with a margin, or None."""
     if scan.box is None:
         return None
     margin = _BOX_MARGIN * float(np.linalg.norm(scan.box[1] - scan.box[0]))
@@ -107,10 +106,14 @@ def scene_box(scan: Scan) -> NDArray[np.float64] | None:
 
 
 def estimated_box(views: Sequence[PosedView]) -> NDArray[np.float64] | None:
-    """Return the cube, (2, 3) metres, around what all views look at; None where their axes do not meet.
+    """Estimate a cube around the point that all views look at.
 
-    Its middle is the point of the least sum of squared distances to the optical axes; half of its edge is
-    what half the longer side of an image shows at that distance, in the median.
+    The centre minimises the sum of squared distances to the optical axes. Half of the edge is the median half
+    width of the field of view there, along the longer image side.
+
+    Returns
+    -------
+    (2, 3) corners, metres; None if the axes do not intersect.
     """
     centres = np.stack([view.centre for view in views])
     axes = np.stack([view.world_from_camera[:3, 2] for view in views])
@@ -128,7 +131,10 @@ def estimated_box(views: Sequence[PosedView]) -> NDArray[np.float64] | None:
 
 
 def _range_of_box(view: PosedView, box: NDArray[np.float64]) -> Range:
-    """Return the depths between which the corners of a box lie; of the whole way where it is behind."""
+    """Return the depth range of a box in a view, metres.
+
+    If the box is behind the camera, its distance replaces the maximum depth.
+    """
     corners = np.array(list(itertools.product(*box.T)))
     depth = (corners - view.centre) @ view.world_from_camera[:3, 2]
     far = float(depth.max())

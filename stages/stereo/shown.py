@@ -1,11 +1,11 @@
-"""Which pixels of views show the scene, where nothing but it is to be measured.
+"""Foreground of single views, from masks or a backdrop.
 
-Masks tell it, where they cut one thing out of all views: these are its silhouettes. Else a backdrop tells it,
-that all views have around the thing. Of other views nothing is known but what is plain.
+Masks that cut one object out of all views are its silhouettes. Without such masks, a backdrop around the
+object in all views separates it. In other views, only plain areas are excluded.
 
-Laurentini, "The visual hull concept for silhouette-based image understanding", 1994: what projects outside
-one of the silhouettes is no part of the thing. Not every mask is a silhouette: that of what moves hides the
-scene behind it, and that of a lens's rim is the same in all views.
+Points that project outside of a silhouette are not part of the object (Laurentini, "The visual hull concept
+for silhouette-based image understanding", 1994). Not every mask is a silhouette: masks of moving objects hide
+the scene behind them, and masks of a lens border are the same in all views.
 """
 
 from __future__ import annotations
@@ -25,27 +25,28 @@ from scanloom.stages.stereo.posed_views import PosedView
 
 Mask = NDArray[np.bool_]
 
-# Silhouettes of so many views, evenly taken, bound the thing: more add little.
+# Number of evenly sampled views whose silhouettes bound the object; more add little.
 _VIEWS = 24
-# So many images, evenly taken, are looked at for a backdrop.
+# Number of evenly sampled images for the backdrop detection.
 _LOOKED_AT = 12
-# A mask is cut out of the image if it leaves at most this share of the image's border, and masks are those of
-# a lens if all leave the same but for this share.
+# Masks are silhouettes if at most this ratio of each image border is unmasked. They are masks of a lens
+# border if the intersection of all masks exceeds this ratio of their union.
 _ON_BORDER = 0.3
 _SAME = 0.9
-# So many silhouettes must see a place to bound it, or it may be far before the thing.
+# Minimum number of silhouettes that must see a point to bound it; fewer leave space far in front of the
+# object.
 _LEAST_VIEWS = 4
-# Views stand all around if the mean of their unit axes is shorter: that of half a circle is 0.64.
+# Views surround the object if the mean of their unit optical axes is shorter; for a half circle it is 0.64.
 _ONE_SIDED = 0.65
-# The hull is looked for in so many steps of inverse depth, over the view's whole range.
+# Number of steps in inverse depth along a ray in search of the hull.
 _STEPS = 128
-# Masks and poses are off by so many pixels.
+# Assumed error of masks and poses, pixels.
 _MARGIN_PX = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """A view, and where it shows the thing or may do: (h, w)."""
+    """View with a mask (h, w) of its possible object pixels."""
 
     view: PosedView
     shown: Mask
@@ -53,14 +54,17 @@ class Silhouette:
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """What tells a thing from all else in every view; neither where nothing does.
+    """Separation of an object from its background in all views.
+
+    Everything is empty if nothing separates the object.
 
     Attributes
     ----------
-    silhouettes : of masks; nothing of the thing is outside.
-    hull : silhouettes, of masks or of what stands before the backdrop, whose hull is near to the thing, since
-        the views stand all around; none if they do not. Of a thing before a backdrop, what looks like it may
-        yet be outside.
+    silhouettes : silhouettes from masks; nothing outside of them belongs to the object.
+    backdrop : backdrop around the object, if there are no silhouettes.
+    hull : silhouettes, from masks or from the backdrop, whose visual hull approximates the object, because
+        the views surround it; empty otherwise. With a backdrop, parts of the object in the backdrop's colour
+        may be outside.
     """
 
     silhouettes: Sequence[Silhouette] = ()
@@ -69,16 +73,16 @@ class Outline:
 
     @property
     def is_known(self) -> bool:
-        """Return whether anything does."""
+        """Return True if silhouettes or a backdrop are known."""
         return bool(self.silhouettes) or self.backdrop is not None
 
 
 def outline_of(scan: Scan, views: Sequence[PosedView], plain: float) -> Outline:
-    """Return what tells the thing from all else: masks before a backdrop.
+    """Detect the outline of an object: from masks, else from a backdrop.
 
     Parameters
     ----------
-    plain : grey levels, the parameter `backdrop`; 0 looks for none.
+    plain : texture threshold in grey levels (parameter `backdrop`); 0 disables the backdrop.
     """
     found = silhouettes(scan, views)
     if found or plain == 0:
@@ -88,7 +92,7 @@ def outline_of(scan: Scan, views: Sequence[PosedView], plain: float) -> Outline:
         try:
             image, mask = read_pinhole(frame), read_seen(frame)
         except InputError:
-            continue  # Reported when its turn comes.
+            continue  # reported when the view is measured
         if image is not None:
             images.append(image)
             seen.append(mask)
@@ -99,7 +103,7 @@ def outline_of(scan: Scan, views: Sequence[PosedView], plain: float) -> Outline:
 
 
 def shown(frame: Frame, color: ColorImage, outline: Outline, plain: float) -> tuple[Mask, Mask]:
-    """Return which pixels (h, w) of a view show the scene, and which of them can be measured."""
+    """Return masks (h, w) of scene pixels and of measurable pixels."""
     import cv2
 
     seen = read_seen(frame)
@@ -111,11 +115,15 @@ def shown(frame: Frame, color: ColorImage, outline: Outline, plain: float) -> tu
 
 
 def silhouettes(scan: Scan, views: Sequence[PosedView]) -> list[Silhouette]:
-    """Return silhouettes of some views of a scan; none if its masks do not cut a thing out of all images.
+    """Return silhouettes of sampled views.
 
     Parameters
     ----------
-    views : of the scan's frames.
+    views : posed views of the scan's frames.
+
+    Returns
+    -------
+    The silhouettes; empty if the masks do not cut one object out of all images.
     """
     if any(frame.mask is None for frame in scan.frames):
         return []
@@ -124,7 +132,7 @@ def silhouettes(scan: Scan, views: Sequence[PosedView]) -> list[Silhouette]:
         try:
             seen = read_seen(scan.frames[at])
         except InputError:
-            continue  # Reported when its turn comes.
+            continue  # reported when the view is measured
         border = np.concatenate([seen[0], seen[-1], seen[:, 0], seen[:, -1]])
         if border.mean() > _ON_BORDER:
             return []
@@ -133,20 +141,23 @@ def silhouettes(scan: Scan, views: Sequence[PosedView]) -> list[Silhouette]:
 
 
 def _before(backdrop: Backdrop, scan: Scan, views: Sequence[PosedView], plain: float) -> list[Silhouette]:
-    """Return what stands before the backdrop in some of the views."""
+    """Return silhouettes in front of the backdrop, of sampled views."""
     found = []
     for at in _evenly(len(views)):
         try:
             image, seen = read_pinhole(scan.frames[at]), read_seen(scan.frames[at])
         except InputError:
-            continue  # Reported when its turn comes.
+            continue  # reported when the view is measured
         if image is not None:
             found.append(Silhouette(views[at], grown(seen & before_backdrop(image, backdrop, plain))))
     return found
 
 
 def _around(found: list[Silhouette]) -> list[Silhouette]:
-    """Return silhouettes if their views stand all around, as far as half a circle does, else none."""
+    """Return the silhouettes if their views surround the object.
+
+    A half circle of views is enough. The result is empty otherwise.
+    """
     if not found:
         return []
     mean = np.mean([one.view.world_from_camera[:3, 2] for one in found], axis=0)
@@ -154,12 +165,12 @@ def _around(found: list[Silhouette]) -> list[Silhouette]:
 
 
 def _evenly(count: int) -> list[int]:
-    """Return the places of the views whose silhouettes are taken."""
+    """Return evenly sampled view indices for silhouettes."""
     return [int(at) for at in np.unique(np.linspace(0, count - 1, min(_VIEWS, count)).astype(int))]
 
 
 def grown(shown: Mask) -> Mask:
-    """Return a mask (h, w) with all that is as near to it as masks and poses are off."""
+    """Dilate a mask (h, w) by the error of masks and poses."""
     import cv2
 
     size = 2 * _MARGIN_PX + 1
@@ -167,7 +178,10 @@ def grown(shown: Mask) -> Mask:
 
 
 def in_hull(depth: DepthImage, view: PosedView, outlines: Sequence[Silhouette]) -> DepthImage:
-    """Return the depth (h, w) of a view whose places lie in all silhouettes of views that look at them."""
+    """Remove depth (h, w) outside of the visual hull.
+
+    A point is inside if it projects into the silhouette of every view that sees it.
+    """
     if not outlines:
         return depth
     inside = _kernels.inside_all(
@@ -177,10 +191,17 @@ def in_hull(depth: DepthImage, view: PosedView, outlines: Sequence[Silhouette]) 
 
 
 def hull_front(view: PosedView, wanted: Mask, outlines: Sequence[Silhouette], every: int = 1) -> DepthImage:
-    """Return the depth (h, w) at which the rays of wanted pixels enter the hull of silhouettes; 0 if never.
+    """Return the depth (h, w) at which rays enter the visual hull.
 
-    What few silhouettes see is not taken for bounded. With `every`, only one in so many pixels each way is
-    looked at, and those around it are given the same.
+    Parameters
+    ----------
+    wanted : (h, w), pixels to compute.
+    outlines : silhouettes of the hull. Points seen by too few of them are outside.
+    every : pixel stride; results are replicated to the pixels between.
+
+    Returns
+    -------
+    (h, w) float32 metres; 0 where the ray misses the hull.
     """
     import cv2
 
@@ -201,7 +222,7 @@ def hull_front(view: PosedView, wanted: Mask, outlines: Sequence[Silhouette], ev
 
 
 def _alike(found: Sequence[Silhouette]) -> bool:
-    """Return whether masks leave the same part of all images, as the rim of a lens does."""
+    """Return True if all masks are almost equal (a lens border)."""
     if len({one.shown.shape for one in found}) != 1:
         return False
     stack = np.stack([one.shown for one in found])

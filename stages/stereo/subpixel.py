@@ -1,9 +1,10 @@
-"""Sub-pixel disparity from the images themselves.
+"""Sub-pixel refinement of disparity from image intensities.
 
-The parabola through a semi-global matcher's summed costs is drawn towards the disparities its paths come
-from: on slanted surfaces it is off by up to a quarter of a pixel, the same way everywhere, so that fusion
-does not average it out. One step of Lucas and Kanade, "An iterative image registration technique with an
-application to stereo vision", 1981, moves each disparity to where the images themselves agree best.
+The parabola through the aggregated costs of a semi-global matcher is biased towards the disparities its paths
+come from. On slanted surfaces the bias reaches a quarter of a pixel with a constant sign, so that fusion does
+not average it out. One step of Lucas and Kanade moves each disparity to the best agreement of the images.
+
+Lucas and Kanade, "An iterative image registration technique with an application to stereo vision", 1981.
 """
 
 from __future__ import annotations
@@ -11,29 +12,33 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-# Half a dozen pixels each way hold enough gradient; more would blur edges of objects.
+# Window width, px: large enough for sufficient gradients, small enough to keep object edges.
 _WINDOW = 9
-# Blur of both images, px: bilinear sampling of unblurred ones prefers whole pixels.
+# Blur of both images, px: bilinear sampling of unblurred images favours whole pixels.
 _BLUR = 0.7
-# Gradients weaker than this many grey levels a pixel are noise, and draw the step towards zero.
+# Noise of gradients, grey levels per pixel; weaker gradients shrink the step to zero.
 _NOISE = 0.7
-# A longer step leaves the neighbourhood in which an image is nearly linear.
+# Maximum step, px; images are not linear beyond it.
 _LONGEST_STEP = 1.0
 
 
 def refined(
     left: NDArray[np.uint8], right: NDArray[np.uint8], disparity: NDArray[np.float32], used: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Move disparities by the fraction of a pixel at which left and right image agree best around them.
+    """Refine disparities by one Lucas–Kanade step.
 
-    Each pixel of a window is compared at its own disparity, so that a slant does no harm, and less the
-    window's mean, so that a difference in exposure does not either.
+    Each pixel of a window is compared at its own disparity, so that slanted surfaces are not biased. Window
+    means are subtracted, so that exposure differences have no effect.
 
     Parameters
     ----------
     left, right : (h, w) uint8, rectified.
-    disparity : (h, w) pixels; NaN where there is none.
-    used : (h, w), the pixels to move; their neighbours' evidence counts, that of the others does not.
+    disparity : (h, w) pixels; NaN where missing.
+    used : (h, w), pixels to refine; only these contribute to windows.
+
+    Returns
+    -------
+    (h, w) float32 pixels; unchanged where the step exceeds one pixel.
     """
     import cv2
 
@@ -56,7 +61,7 @@ def refined(
 
     slope = np.float32(0.5) * (_slope(first) + seen(_slope(second))) * weight
     difference = (first - seen(second)) * weight
-    # All ones wherever a pixel itself is used, so that the mean is never over nothing.
+    # At least 1, to avoid a division by zero in windows without used pixels.
     count = np.maximum(around(weight), 1)
     mean_slope, mean_difference = around(slope), around(difference)
     gradient2 = around(slope * slope) - mean_slope * mean_slope / count
@@ -67,7 +72,7 @@ def refined(
 
 
 def _slope(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the derivative along the row, grey levels a pixel."""
+    """Return the derivative along the row, grey levels per pixel."""
     import cv2
 
     return np.asarray(cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1, scale=0.5), np.float32)

@@ -1,8 +1,8 @@
-"""Find images that were turned upside down after their cameras were calibrated.
+"""Detection of images that were rotated by 180° after calibration.
 
-Whoever collects views of an object likes them the right way up; the poses then belong to other images.
-Corners that are found in two images tell: they lie on each other's epipolar lines only if both images are as
-their poses say. Two images that are both turned nearly fit as well, so that the views are judged together.
+Data sets of objects often store images upright, while the poses belong to the original images. Corner matches
+reveal it: they are on each other's epipolar lines only if both images match their poses. Two rotated images
+fit almost as well, so that all views are decided together.
 """
 
 from __future__ import annotations
@@ -18,20 +18,26 @@ from scanloom.stages.stereo.epipolar import fundamental, off_line
 from scanloom.stages.stereo.posed_views import PosedView
 
 _CORNERS = 1000
-# A corner and its surroundings need 31 px.
+# Minimum image side, px: ORB patches are 31 px wide.
 _SMALLEST_PX = 32
-# Corners differ in no more bits of 256 when they are the same point.
+# Maximum Hamming distance of ORB descriptors (of 256 bits) for the same point.
 _SAME_CORNER = 40
-# Share of the image's diagonal that a corner may be off its epipolar line: 1.6 px of 640×480.
+# Maximum epipolar distance relative to the image diagonal: 1.6 px for 640×480.
 _TOLERANCE = 0.002
-# Images count as turned when so many corners fit then, and by this factor more than without.
+# Images are rotated if at least this number of matches fit after rotation, and this factor more than before.
 _ENOUGH = 40
 _FACTOR = 1.25
 
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Corners of an image: (n, 2) float64 pixels, and n descriptors or None."""
+    """Corners of an image.
+
+    Attributes
+    ----------
+    points : (n, 2) float64 pixels.
+    descriptors : n ORB descriptors, or None.
+    """
 
     points: NDArray[np.float64]
     descriptors: Any
@@ -39,7 +45,13 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """How many corners of two views fit: `counts[a, b]`, the first turned if a is 1, the second if b is."""
+    """Number of inlier matches of two views for each combination of rotations.
+
+    Attributes
+    ----------
+    first, second : indices of the views.
+    counts : (2, 2); `counts[a, b]` has the first view rotated if a is 1, and the second if b is 1.
+    """
 
     first: int
     second: int
@@ -47,12 +59,12 @@ class _Fit:
 
     @property
     def differ(self) -> bool:
-        """Return whether one of the two is turned against the other."""
+        """Return True if the images are rotated relative to each other."""
         return self._differing > self._alike
 
     @property
     def evidence(self) -> int:
-        """Return by how many corners that is so, or is not."""
+        """Return the margin of inliers for the decision of `differ`."""
         return abs(self._differing - self._alike)
 
     @property
@@ -65,7 +77,7 @@ class _Fit:
 
 
 def corners(grey: NDArray[np.uint8]) -> Corners:
-    """Return the corners of an (h, w) image."""
+    """Detect the corners of an image (h, w)."""
     import cv2
 
     if min(grey.shape) < _SMALLEST_PX:
@@ -77,12 +89,16 @@ def corners(grey: NDArray[np.uint8]) -> Corners:
 def turned(
     views: Sequence[PosedView], found: Sequence[Corners | None], pairs: Sequence[tuple[int, int]]
 ) -> list[bool]:
-    """Return for each view whether its image is turned by 180 degrees against its pose.
+    """Decide which images are rotated by 180° relative to their poses.
 
     Parameters
     ----------
-    found : the corners of each view's image; None where it could not be read.
-    pairs : places of views that see the same.
+    found : corners of each view's image; None if the image is unreadable.
+    pairs : indices of overlapping views.
+
+    Returns
+    -------
+    True for each view whose image is rotated.
     """
     fits = []
     for first, second in pairs:
@@ -111,9 +127,13 @@ def _fitting(fit: _Fit, parity: Sequence[bool], flip: bool) -> int:
 
 
 def _grouped(count: int, fits: Sequence[_Fit]) -> tuple[list[int], list[bool]]:
-    """Return the group of each view that others are linked to, and whether it is turned against its first.
+    """Group views that are linked by matches.
 
-    The surest links are made first; what they settle is not asked again.
+    Links are merged in order of evidence. Links within a group are ignored.
+
+    Returns
+    -------
+    The group of each view, and for each view True if it is rotated relative to the first view of the group.
     """
     group, parity = list(range(count)), [False] * count
     for fit in fits:
@@ -150,5 +170,8 @@ def _counts(first: PosedView, second: PosedView, here: Corners, there: Corners) 
 def _both_ways(
     points: NDArray[np.float64], view: PosedView
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points (n, 2) as they are and turned about the middle of the image."""
+    """Return points (n, 2) unchanged, and rotated about the image centre.
+
+    The rotation is 180°.
+    """
     return points, np.array((view.camera.width - 1, view.camera.height - 1)) - points

@@ -1,4 +1,4 @@
-"""Images that are upside down against their poses, turned back."""
+"""Correction of images that are upside down relative to their poses."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from scanloom.stages.stereo.view_images import color_of, grey_of
 def turned_back(
     scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
 ) -> Scan:
-    """Return the scan with upside-down images turned back; that is emitted."""
+    """Rotate upside-down images of a scan by 180°, with a warning."""
 
     def read(frame: Frame) -> Corners | None:
         try:
             return corners(grey_of(color_of(frame)))
         except InputError:
-            return None  # Reported when its turn comes.
+            return None  # reported when the view is measured
 
     threads = params.threads or threads_to_use()
     found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
@@ -49,7 +49,8 @@ def turned_back(
         )
     emit(
         DEPTH_IMAGES_TURNED.warning(
-            "{count} images are upside down against their poses, the first {first}; they were turned back",
+            "{count} images are upside down relative to their poses and were rotated by 180 degrees; the "
+            "first is {first}",
             count=len(places),
             first=frames[places[0]].name,
         )
@@ -62,14 +63,17 @@ def _upside_down(
     source: Path | Packed | NDArray[np.uint8] | None,
     read: Callable[[Frame], NDArray[np.uint8] | None],
 ) -> Packed | NDArray[np.uint8] | None:
-    """Return an image of the frame turned by 180 degrees, read again each time if it is a file."""
+    """Rotate an image of a frame by 180°.
+
+    An image in a file is read and rotated on each access.
+    """
     if source is None:
         return None
 
     def load() -> NDArray[np.uint8]:
         image = read(frame)
         if image is None:
-            raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
+            raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", Where(frame=frame.name))
         return np.ascontiguousarray(image[::-1, ::-1])
 
     if isinstance(source, np.ndarray):

@@ -1,4 +1,4 @@
-"""Images of views, undistorted or downscaled."""
+"""Images of single views, undistorted or downscaled."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from scanloom.stages.stereo.posed_views import PosedView
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A view and its image.
+    """View with its image.
 
     Attributes
     ----------
+    view : posed view.
     grey : (h, w) uint8.
-    thing : (h, w), where the thing is that masks cut out of all views; what lies elsewhere is no part of it.
+    thing : (h, w), pixels that may show the object that masks cut out of all views; None without such masks.
     """
 
     view: PosedView
@@ -32,31 +33,35 @@ class Seen:
 
 
 def color_of(frame: Frame) -> ColorImage:
-    """Return the image of a frame, (h, w, 3) uint8.
+    """Read the undistorted image of a frame, (h, w, 3) uint8.
 
     Raises
     ------
     InputError
-        If there is none, or it cannot be read.
+        If the image is missing or cannot be read.
     """
     color = read_pinhole(frame)
     if color is None:
-        raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
+        raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", Where(frame=frame.name))
     return color
 
 
 def grey_of(color: ColorImage) -> NDArray[np.uint8]:
-    """Return the brightness of an image, (h, w) uint8."""
+    """Convert an RGB image to grey, (h, w) uint8."""
     import cv2
 
     return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def downscale(frame: Frame, max_side: int) -> Frame:
-    """Downscale the image and camera of a single view to at most `max_side` pixels wide and high.
+    """Downscale the image and the camera of a single view.
 
-    A frame whose image is small enough is returned as it is. An image in a file is read and downscaled each
-    time it is asked for.
+    A frame whose image is small enough is returned unchanged. An image in a file is read and downscaled on
+    each access.
+
+    Parameters
+    ----------
+    max_side : maximum width and height, pixels.
     """
     camera = frame.camera
     factor = max_side / max(camera.width, camera.height)
@@ -69,7 +74,7 @@ def downscale(frame: Frame, max_side: int) -> Frame:
 
         color = read_color(frame)
         if color is None:
-            raise InputError(FRAME_IMAGE_MISSING, "there is no image.", Where(frame=frame.name))
+            raise InputError(FRAME_IMAGE_MISSING, "the image is missing.", Where(frame=frame.name))
         require_size(color, camera, frame.color, frame.name)
         return np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
 

@@ -1,4 +1,7 @@
-"""Depth of one view from its partners: swept with all of them at once, or from pairs with each."""
+"""Depth of one view from its partners.
+
+The methods are a plane sweep with all partners at once, and pairwise matching.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +29,23 @@ from scanloom.stages.stereo.shown import Outline, grown, hull_front, shown
 from scanloom.stages.stereo.view_images import Seen, color_of, grey_of
 from scanloom.stages.stereo.view_pair import depth_in_view, rectified_views
 
-# Images of views, and where they show the thing, are kept up to so many bytes.
+# Cache size for images of views and their object masks, bytes.
 _KEPT_BYTES = 1 << 28
-# Where the hull begins is known well enough at one in so many pixels each way.
+# Pixel stride for the depth of the visual hull, which is smooth enough.
 _FRONT_EVERY = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What the partners of a view say together, before other views are asked."""
+    """Depth of a view from its partners, before the consistency check.
+
+    Attributes
+    ----------
+    depth : (h, w) float32 metres, 0 where missing.
+    confidence : (h, w) uint8.
+    search : search range in disparities or planes.
+    counts : pixel counts of the view.
+    """
 
     depth: DepthImage
     confidence: NDArray[np.uint8]
@@ -53,7 +64,17 @@ def measured_view(
     images: Callable[[int], Seen],
     at: int,
 ) -> Measured | SkippedFrame:
-    """Match one view with its partners."""
+    """Compute the depth of one view from its partners.
+
+    Parameters
+    ----------
+    chosen : for each view, indices of its partner candidates, best first.
+    tolerance : maximum relative difference of depth between agreeing pairs.
+    outline : outline of the object.
+    network : stereo network that replaces the matcher, or None.
+    images : function from view index to the image, as returned by `images_of`.
+    at : index of the view.
+    """
     name = scan.frames[at].name
     try:
         color = color_of(scan.frames[at])
@@ -73,11 +94,11 @@ def measured_view(
         try:
             second = color_of(scan.frames[other])
         except InputError:
-            continue  # Reported when its own turn comes.
+            continue  # reported when that view is measured
         rig, near, far = pair
         ranged = replace(params, min_depth=near, max_depth=far)
         stage = PairStage(rig, ranged, pairs=len(views), network=network)
-        # Views that hardly overlap agree on little, which is no fault of a network.
+        # Views with little overlap have few matches, which is no fault of the network: warnings are dropped.
         with collecting(forward=False):
             found = stage.measure(*rig.apply(color, second))
         depth, trust = depth_in_view(found.depth, found.confidence, rig, views[at], views[other])
@@ -100,9 +121,10 @@ def measured_view(
 
 
 def images_of(scan: Scan, views: Sequence[PosedView], outline: Outline) -> Callable[[int], Seen]:
-    """Return what reads the image of a view by its place; those read last are kept, for partners share them.
+    """Return a cached reader of view images.
 
-    It raises InputError where an image cannot be read.
+    The reader takes a view index and raises InputError if the image cannot be read. Recent images stay in
+    memory, because views share partners.
     """
     largest = max(view.camera.width * view.camera.height for view in views)
 
@@ -125,7 +147,7 @@ def _swept(
     at: int,
     color: ColorImage,
 ) -> Measured | SkippedFrame:
-    """Match one view with all of its partners at once."""
+    """Compute the depth of one view by a plane sweep."""
     others: list[Seen] = []
     for other in partners_of:
         if len(others) == params.partners:
@@ -133,7 +155,7 @@ def _swept(
         try:
             others.append(images(other))
         except InputError:
-            continue  # Reported when its own turn comes.
+            continue  # reported when that view is measured
     if not others:
         return _without_partners(scan.frames[at].name, bool(partners_of))
     measured, _ = shown(scan.frames[at], color, outline, params.backdrop)
@@ -151,11 +173,11 @@ def _swept(
 
 
 def _without_partners(name: str, are_before: bool) -> SkippedFrame:
-    place = "before or behind it" if are_before else "too near, too far aside, or look elsewhere"
+    place = "in front of it or behind it" if are_before else "too close, too far apart, or look elsewhere"
     return SkippedFrame(
         name,
         DEPTH_VIEW_WITHOUT_PARTNER.warning(
-            "no other view sees the same from a little aside (1 to 35 degrees); others stand {place}",
+            "no other view sees the same surface at an angle of 1 to 35 degrees; the other views are {place}",
             place=place,
         ),
     )

@@ -1,9 +1,9 @@
-"""Two posed views as a rectified pair, and depth back from it into the first view.
+"""Rectification of two posed views, and depth transfer back.
 
-The rectified cameras' x axis is the line from one view to the other, whichever way that runs in the images
-(Fusiello, Trucco and Verri, "A compact algorithm for rectification of stereo pairs", 2000). Views above
-each other, or turned about their axes, then need no care of their own. The rectified images hold what
-the first view shows, at its own scale; OpenCV's stereoRectify would crop or shrink turned ones.
+The x axis of the rectified cameras is the baseline, in any direction (Fusiello, Trucco and Verri, "A compact
+algorithm for rectification of stereo pairs", 2000). Vertical or rotated arrangements therefore need no
+special treatment. The rectified images contain the whole first view at its own scale. OpenCV's stereoRectify
+would crop or shrink rotated views.
 """
 
 from __future__ import annotations
@@ -17,27 +17,28 @@ from scanloom.stages.scans.model.scan import Camera, DepthImage
 from scanloom.stages.stereo.posed_views import PosedView
 from scanloom.stages.stereo.rectify import RectifiedRig
 
-# Rays more oblique than this to the rectified axis (cosine) would stretch the image, and are left out; where
-# that is half of them, the views stand one behind the other.
+# Minimum cosine between a ray and the rectified axis; more oblique rays would stretch the image, and are
+# dropped. If half of the rays are, one view is behind the other.
 _LEAST_COSINE = 0.5
-# Nor may the rectified images, with the room for disparity beside them, be larger than so many views.
+# Maximum size of the rectified images, including the margin for disparity: area relative to the view, and
+# side in px.
 _LARGEST_AREA = 6
 _LARGEST_SIDE = 1 << 14
-# Rays that are looked at: so many a row and a column.
+# Grid of sampled rays, per side.
 _GRID = 17
-# A position beyond every rectified image.
+# Coordinate outside of every rectified image.
 _OUTSIDE = 2.0 * _LARGEST_SIDE
-# Inverse depth is interpolated between pixels of one surface only, not across a jump of more than this share.
+# Maximum relative jump of inverse depth across which it is interpolated.
 _JUMP = 0.01
 
 
 def rectified_views(first: PosedView, second: PosedView) -> tuple[RectifiedRig, float, float] | None:
-    """Return the rig of two views, the first on the left, with the range of depth in its axes.
+    """Rectify two views, with the first one on the left.
 
     Returns
     -------
-    The rig, and the nearest and farthest depth of the first view's range, metres along the rectified axis;
-    None where no common rows can be had, because one view stands in front of the other.
+    The rig, and minimum and maximum depth of the first view's range along the rectified axis, metres. None if
+    the views cannot be rectified, because one is in front of the other.
     """
     import cv2
 
@@ -62,7 +63,8 @@ def rectified_views(first: PosedView, second: PosedView) -> tuple[RectifiedRig, 
     focal = math.sqrt(first.camera.fx * first.camera.fy)
     least, most = focal * baseline / far, focal * baseline / near
     low, high = (np.round(f(focal * rays[:, :2] / rays[:, 2:], axis=0)) for f in (np.min, np.max))
-    # What is near lies farther left in the second image, by up to this much: room for it on that side.
+    # Near points are farther left in the second image by up to this disparity, so that the image gets a
+    # margin there.
     room = math.ceil(most - least)
     width, height = int(high[0] - low[0]) + 1 + room, int(high[1] - low[1]) + 1
     if width * height > _LARGEST_AREA * first.camera.width * first.camera.height:
@@ -83,18 +85,18 @@ def rectified_views(first: PosedView, second: PosedView) -> tuple[RectifiedRig, 
 def depth_in_view(
     depth: DepthImage, confidence: NDArray[np.uint8], rig: RectifiedRig, first: PosedView, second: PosedView
 ) -> tuple[DepthImage, NDArray[np.uint8]]:
-    """Return depth along the first view's own axis at each of its pixels, and its confidence.
+    """Transfer depth from the rectified to the first view.
 
-    Both cameras stand in one place, so that each pixel of the view has one place in the rectified map.
+    Both cameras have the same centre, so that each pixel of the view has one position in the rectified map.
 
     Parameters
     ----------
-    depth, confidence : (h, w) of the rectified left image; depth in metres, 0 where there is none.
+    depth, confidence : (h, w) of the rectified left image; depth in metres, 0 where missing.
 
     Returns
     -------
-    (h, w) float32 metres, 0 where there is none, or where the second view does not see the place; and
-    (h, w) uint8, the confidence.
+    Depth along the first view's axis, (h, w) float32 metres, 0 where missing or outside of the second view;
+    and confidence, (h, w) uint8.
     """
     import cv2
 
@@ -103,7 +105,7 @@ def depth_in_view(
     rays = first.rays(columns, rows)
     turned = rays @ rig.rectified_from_left.T
     ahead = np.where(turned[..., 2] > 0, turned[..., 2], np.nan)
-    # What the rectified map does not hold lies outside it: -1.
+    # Rays outside of the rectified map get the coordinate -1.
     across, down = (
         np.nan_to_num(turned[..., axis] / ahead * focal + centre, nan=-1)
         .clip(-1, _OUTSIDE)
@@ -113,7 +115,7 @@ def depth_in_view(
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     nearest = cv2.remap(inverse, across, down, cv2.INTER_NEAREST)
     between = cv2.remap(inverse, across, down, cv2.INTER_LINEAR)
-    # A missing neighbour counts as 0 and shows as a jump.
+    # Missing neighbours are 0, and therefore count as a jump.
     smooth = np.abs(between - nearest) <= _JUMP * nearest
     inverse = np.where(smooth, between, nearest)
     found = inverse > 0

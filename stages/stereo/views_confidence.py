@@ -1,4 +1,4 @@
-"""How sure the depth of a view among others is: a probability, of what the sweep and other views say."""
+"""Confidence of swept depth as a probability, from sweep and cross-view indicators."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from scanloom.stages.stereo.plane_sweep import HALF_MARGIN
 
 Map = NDArray[np.float32]
 
-# The logistic regression of being right within 5 % of the depth, fitted to 58 views with depth of a sensor
-# and adjusted poses: a third of 7-Scenes' red kitchen and a box on a table, as many pixels of each. Second
-# numbers are of the sign's square.
+# Logistic regression of the event that depth is right within 5 %. The second weights are for the squared
+# indicators. Fitted to 58 views with sensor depth and adjusted poses: a third of 7-Scenes' red kitchen, and a
+# box on a table, with equal numbers of pixels.
 _BIAS = -5.614
 _WEIGHTS = {
     "margin": (0.632, 0.0),
@@ -25,19 +25,20 @@ _WEIGHTS = {
     "agreeing of open": (0.373, 0.0),
     "nearly agreeing of looking": (2.328, 0.0),
 }
-# Windows over which margins, texture and spread are gathered, px.
+# Windows for margins, texture and spread, px.
 _MARGINS, _TEXTURES, _AROUND = 9, 15, 5
-# The least texture of any window so wide that holds the pixel: beside an edge it is that of the plainer side,
-# which may be drawn along with what the edge is of.
+# Window for one-sided texture, px: the minimum over all windows that contain the pixel. Next to an edge it is
+# the texture of the plainer side, whose depth may be dragged along with the edge.
 _SIDES = 9
-# The longer side of the images of the regression, px.
+# Longer side of the images in the regression, px.
 _USUAL_PX = 640
-# A thing's texture counts as this at least.
+# Minimum texture assumed on an object.
 _OF_A_THING = 2.0
-# Texture of more, and a wider spread of inverse depth, say no more.
+# Clipping limits of texture and of the relative spread of inverse depth; beyond them they carry no more
+# information.
 _MOST_TEXTURE = 3.0
 _MOST_SPREAD = 0.5
-# Of sums of costs over eight paths, one path's part.
+# Number of aggregation paths, and clipping limit of the cost margin.
 _PATHS = 8
 _LARGEST_MARGIN = 3000.0
 
@@ -49,16 +50,20 @@ def views_confidence(
     said: Said,
     is_outlined: bool = False,
 ) -> NDArray[np.uint8]:
-    """Return 255 times the probability that depth is right within 5 %; 0 where there is none.
+    """Compute the confidence of swept depth.
 
     Parameters
     ----------
     depth : (h, w) float32 metres.
-    distinct : (h, w) uint8, 255 times that of the sweep.
+    distinct : (h, w) uint8, 255 times the distinctness of the sweep.
     grey : (h, w) uint8, the image.
-    said : what other views say. Of those that look there, the more agree, the surer; few may look there.
-    is_outlined : the view's depth is that of a thing that is told from what is behind it. A plain place of a
-        thing lies on it, where a plain background may lie anywhere.
+    said : counts of other views that support the depth.
+    is_outlined : True if the depth belongs to an object with known outline. A plain pixel is then on the
+        object, whereas plain background may be at any depth.
+
+    Returns
+    -------
+    (h, w) uint8, 255 times the probability that depth is right within 5 %; 0 where missing.
     """
     signs = _signs(depth, distinct, grey, said, is_outlined)
     logit = np.full(depth.shape, np.float32(_BIAS))
@@ -74,7 +79,7 @@ def _signs(
     said: Said,
     is_outlined: bool,
 ) -> dict[str, Map]:
-    """Return what the probability is made of, (h, w) each."""
+    """Return the indicators of the regression by name, (h, w) each."""
     import cv2
 
     margin = HALF_MARGIN * distinct.astype(np.float32) / np.maximum(255 - distinct.astype(np.float32), 0.255)
@@ -95,12 +100,15 @@ def _signs(
 
 
 def _spread(depth: DepthImage) -> Map:
-    """Return by how much inverse depth differs around each pixel: the logarithm of one more than per cent."""
+    """Return the log spread of inverse depth around each pixel.
+
+    It is log(1 + the relative difference of the maximum to the minimum, in per cent).
+    """
     import cv2
 
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     kernel = np.ones((_AROUND, _AROUND), np.uint8)
-    # What has no depth is neither the nearest nor the farthest around.
+    # Missing depth must not count as nearest or farthest.
     nearest = cv2.dilate(inverse, kernel)
     farthest = cv2.erode(np.where(depth > 0, inverse, np.float32(np.inf)), kernel)
     share = np.divide(nearest, farthest, out=np.ones_like(inverse), where=inverse > 0) - 1
@@ -108,10 +116,10 @@ def _spread(depth: DepthImage) -> Map:
 
 
 def _texture(grey: NDArray[np.uint8]) -> tuple[Map, Map]:
-    """Return the mean step between pixels two apart around each pixel, and of its plainest side, grey levels.
+    """Return mean texture around each pixel, and of its plainer side.
 
-    Of the image as it would be at the size of those that the regression is of: the same thing has smaller
-    steps in a larger image.
+    Both are in grey levels, on the image scaled to the size of the regression images. A larger image of the
+    same object has weaker gradients.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Depth of single views with poses: each is matched with a few others, and all are checked on each other."""
+"""Multi-view depth of posed single views, with a consistency check between views."""
 
 from __future__ import annotations
 
@@ -57,18 +57,19 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 7
 
-# Maps of one place agree when they differ by no more than this many pixels of disparity would make.
+# Maximum difference of agreeing depth maps, in pixels of disparity.
 _TOLERANCE_PX = 1.0
-# And nearly agree when they differ by so many times as much.
+# Tolerance of near agreement, relative to the tolerance of agreement.
 _NEARLY = 2.5
-# A view's map is checked on those of this many times its partners, the best first.
+# Number of views each map is checked against, relative to the number of partners; the best partners first.
 _CHECKED_ON = 2
-# Depth of a sweep is kept that is right in four of five cases; of a thing whose outline is known, in one of
-# two: nothing behind it can be meant.
+# Minimum confidence of swept depth, of 255: right in four of five cases; for an object with known outline one
+# of two, because there is no background behind it to be confused with.
 _LEAST, _LEAST_OF_A_THING = 204, 128
-# Points of a view that are looked for in others; those of all views are held at once, half a kilobyte each.
+# Keypoints per view. Keypoints of all views are in memory at once, 0.5 kB each.
 _KEYPOINTS = 1000
-# Rows of a pair that differ by more cost the matcher its best match.
+# Median epipolar error in pixels above which poses are refined; larger errors make the matcher miss the right
+# match.
 _LARGEST_OFF_PX = 1.0
 
 
@@ -78,49 +79,48 @@ def views_depth(
     progress: Progress = silent,
     **changes: Unpack[DepthKeywords],
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
-    """Measure the depth of every view of a scan without a rig, in the order of its frames.
+    """Compute depth for every view of a scan without stereo rig.
 
-    Each view is matched with a few others at once: planes of depth before it are swept (see
-    scanloom.stages.stereo.plane_sweep). With `views="pairs"`, or a network of pairs, it makes a stereo pair
-    with each of them instead: rows are made to correspond, the pair is matched as any other, depth is brought
-    back into the view, and what its partners say is merged. What is found stays where the maps of enough
-    other views say the same, and where it is sure enough with what they say.
+    Each view is matched with several partners at once by a plane sweep (see
+    scanloom.stages.stereo.plane_sweep). With `views="pairs"`, or a stereo network, it is instead rectified
+    and matched with each partner, and the depth maps are merged. Depth is kept where enough other views
+    agree, and where the resulting confidence is high enough.
 
-    Background matches anything, and gets no depth. Masks tell it, else a backdrop that all views have around
-    the thing (see scanloom.stages.stereo.background); in pairs also the want of texture. Where masks
-    cut a thing out of all views, nothing is kept outside the hull of its silhouettes. What no view measured
-    of a thing lies on that hull (see scanloom.stages.stereo.hull_fill); what no view measured of plain
-    patches of planes lies on these (see scanloom.stages.stereo.plane_fill). If depth covers little of what
-    the views show, or much of it was not measured, that is emitted after the last map.
+    Background without texture matches anything and gets no depth. It is detected from masks, else from a
+    backdrop around the object in all views (see scanloom.stages.stereo.background), and for pairs also from
+    missing texture. If masks cut one object out of all views, depth outside of its visual hull is dropped.
 
-    Images larger than `max_side` are made smaller first, and those that are upside down against their poses
-    are turned back (see scanloom.stages.stereo.turned); both are emitted before the first map.
+    Unmeasured surface of an object is filled from the visual hull (see scanloom.stages.stereo.hull_fill),
+    unmeasured planar patches from planes (see scanloom.stages.stereo.plane_fill). Low coverage or much filled
+    depth is reported after the last map.
 
-    Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
-    is kept either) or for each frame; else in that of the points which views recognise in each other, or of
-    a cube where the optical axes meet (see scanloom.stages.stereo.scene_depth). `min_depth` and `max_depth`
-    win over all of these. Where recognised points lie elsewhere than the poses say, poses are brought nearer
-    to them (see scanloom.stages.stereo.nearer_poses), which is emitted, too.
+    Images larger than `max_side` are downscaled first, and upside-down images are rotated (see
+    scanloom.stages.stereo.turned); both are reported before the first map.
+
+    The depth range comes from `min_depth` and `max_depth`, else from the scan: a box, which also crops depth,
+    or a range for each frame. Otherwise it comes from feature matches, or from the intersection of the
+    optical axes (see scanloom.stages.stereo.scene_depth). If feature matches contradict the poses, the poses
+    are refined, with a warning (see scanloom.stages.stereo.nearer_poses).
 
     Parameters
     ----------
     scan : with colour and poses, without depth.
-    params : of the depth stage; `partners`, `agreeing_views` and `agreement` are about views alone. Single
-        fields can be given by name instead.
-    progress : called after each view of each turn.
+    params, changes : parameters of the depth stage, and changes to them by name. `partners`, `agreeing_views`
+        and `agreement` apply to single views only.
+    progress : called after each view of each pass.
 
     Returns
     -------
-    Frames with depth, the camera without distortion, and the pose, as given or nearer. A map's `disparity` is
-    NaN everywhere, since each partner has another; `max_depth` is that of the farthest view, `search` is the
-    range tried with the best partner, or planes; `confidence` of pairs is that before the views were checked
-    on each other.
+    Iterator over frames and depth maps in order. Frames have depth, an undistorted camera, and the given or
+    refined pose. In the maps, `disparity` is NaN, because it differs between partners; `max_depth` is the
+    maximum of all views; `search` is the range of disparities with the best partner, or of planes;
+    `confidence` of pairs does not include the consistency check.
 
     Raises
     ------
     InputError
-        If a view has no pose, nothing tells where the scene is, the poses do not fit the images, or too many
-        views cannot be used.
+        If a view has no pose, the depth range is unknown, poses do not fit the images, or too many views
+        cannot be used.
     """
     params = resolve(DepthParams, params, changes)
     total = Counts()
@@ -133,7 +133,7 @@ def views_depth(
 def _results(
     scan: Scan, params: DepthParams, progress: Progress
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame, Counts]]:
-    """Measure the views, and count what becomes of the pixels of each."""
+    """Compute depth of the views, with pixel counts for the coverage report."""
     _require_enough(scan, params)
     network = network_of(params)
     frames = [downscale(frame, params.max_side) for frame in scan.frames]
@@ -147,7 +147,7 @@ def _results(
     if smaller:
         emit(
             DEPTH_IMAGES_SMALLER.warning(
-                "{count} images were made smaller, to {max_side} px (depth.max_side)",
+                "{count} images were downscaled to {max_side} px (depth.max_side)",
                 count=smaller,
                 max_side=params.max_side,
             )
@@ -165,7 +165,7 @@ def _results(
     sweeps = params.views == SWEEP and of_pairs is None
     if sweeps:
         params.require_default(OF_PAIRS, f"depth.views={SWEEP}")
-    # Things are seldom flat, and what masks leave of them lies on their hull.
+    # Planes are not filled on objects, which are seldom flat and are filled from their hull.
     on_planes = params.on_planes and sweeps and network is None and not outline.is_known
     turns = 3 if fills or on_planes else 2
     total = turns * len(views)
@@ -247,15 +247,15 @@ def _results(
 
 
 def _require_enough(scan: Scan, params: DepthParams) -> None:
-    """Refuse a scan none of whose depth could be agreed with."""
+    """Raise InputError if there are too few views for a check."""
     count, needed = len(scan.frames), max(params.agreeing_views + 1, 2)
     if count < needed:
-        alone = "one view alone has no depth" if count == 1 else f"of {count} views no depth is agreed with"
+        alone = "a single view has no depth" if count == 1 else f"{count} views are too few"
         raise InputError(
             DEPTH_VIEW_WITHOUT_PARTNER,
-            "{alone}: each place must be measured from {needed} views.",
+            "{alone}: each point must be measured in {needed} views.",
             scan.folder,
-            remedy="Give more views" + (", or lower depth.agreeing_views." if count > 1 else "."),
+            remedy="Use more views" + (", or lower depth.agreeing_views." if count > 1 else "."),
             alone=alone,
             needed=needed,
         )
@@ -264,16 +264,19 @@ def _require_enough(scan: Scan, params: DepthParams) -> None:
 def _recognised(
     scan: Scan, views: list[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
 ) -> tuple[Scan, list[PosedView], list[Range | None]]:
-    """Return the range of depth of what each view shows and others do; doubts about poses are emitted.
+    """Match features between views, and refine inaccurate poses.
 
-    Before that the scan and its views, whose poses are brought nearer to what is recognised if they are off.
+    Returns
+    -------
+    The scan and its views, with refined poses if necessary, and the depth range of the triangulated matches
+    in each view (None without matches).
     """
 
     def read(frame: Frame) -> Keypoints | None:
         try:
             return detect_keypoints(grey_of(color_of(frame)), _KEYPOINTS)
         except InputError:
-            return None  # Reported when its turn comes.
+            return None  # reported when the view is measured
 
     threads = params.threads or threads_to_use()
     points = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
@@ -298,8 +301,8 @@ def _recognised(
             seen = compared()
             emit(
                 DEPTH_POSES_MOVED.warning(
-                    "the poses are brought nearer to what views recognise in each other: held-out points lie "
-                    "{after:.1f} px off, {before:.1f} px before (median)",
+                    "the poses were refined from feature matches: the median epipolar error of held-out "
+                    "matches is now {after:.1f} px, {before:.1f} px before",
                     after=nearer.after,
                     before=nearer.before,
                 )
@@ -326,34 +329,43 @@ def _with_poses(
 
 
 def _report_misfit(usual: float, scan: Scan, params: DepthParams) -> None:
-    """Warn if recognised points lie beside where the poses put them; refuse a scan where that is too far."""
+    """Warn about poses that do not fit the feature matches.
+
+    Raises
+    ------
+    InputError
+        If the median error exceeds `max_pose_error`.
+    """
     if usual <= _LARGEST_OFF_PX:
         return
     if usual > params.max_pose_error:
         raise InputError(
             POSE_INCONSISTENT_WITH_IMAGES,
-            "what two views show is off by {off:.1f} px (median) from where their poses put it: poses or "
+            "feature matches between views have a median epipolar error of {off:.1f} px: poses or "
             "calibration do not fit the images.",
             scan.folder,
             remedy=(
-                "Give others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy; "
-                "depth.max_pose_error, {max_pose_error:g} px, says how much is borne."
+                "Set scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy. The maximum error is "
+                "depth.max_pose_error, {max_pose_error:g} px."
             ),
             off=usual,
             max_pose_error=params.max_pose_error,
         )
     emit(
         POSE_INCONSISTENT_WITH_IMAGES.warning(
-            "what two views show is off by {off:.1f} px (median) from where their poses put it: poses or "
-            "calibration do not fit the images well, and depth will have holes and errors",
-            remedy="scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy state others",
+            "feature matches between views have a median epipolar error of {off:.1f} px: poses or "
+            "calibration are inaccurate, and depth will have holes and errors",
+            remedy="set others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy",
             off=usual,
         )
     )
 
 
 def _tolerance(views: Sequence[PosedView], chosen: Sequence[Sequence[int]]) -> float:
-    """Return the share of depth that a pixel of disparity is between views and their best partners."""
+    """Return the relative depth difference of one pixel of disparity.
+
+    It is the median over the views with their best partners.
+    """
     shares = [
         view.middle / view.camera.fx / float(np.linalg.norm(views[best[0]].centre - view.centre))
         for view, best in zip(views, chosen, strict=True)
@@ -363,7 +375,7 @@ def _tolerance(views: Sequence[PosedView], chosen: Sequence[Sequence[int]]) -> f
 
 
 def _inside(depth: DepthImage, view: PosedView, box: NDArray[np.float64] | None) -> DepthImage:
-    """Return the depth of what lies in the box."""
+    """Remove depth outside of the scene box."""
     if box is None:
         return depth
     rows, columns = np.nonzero(depth)
@@ -385,14 +397,14 @@ def _depth_map(
     farthest: float,
 ) -> DepthMap | SkippedFrame:
     if not depth.any():
-        why = DEPTH_VIEW_UNCONFIRMED.warning("no depth of it agrees with that of other views")
+        why = DEPTH_VIEW_UNCONFIRMED.warning("its depth does not agree with other views")
         return SkippedFrame(frame.name, why)
     nothing = np.full(depth.shape, np.nan, np.float32)
     return DepthMap(depth, confidence, nothing, color, view.camera, np.eye(3), search, view.near, farthest)
 
 
 def _measured_frame(frame: Frame, view: PosedView, result: DepthMap) -> Frame:
-    # The image has no lens any more, and its mask goes with it: what comes later paints the thing alone.
+    # The image is undistorted now, and so must be its mask; texturing uses the mask to ignore the background.
     mask = None if frame.mask is None else read_seen(frame).astype(np.uint8) * 255
     return replace(
         frame, camera=view.camera, color=result.color, depth=result.depth, mask=mask, depth_range=None
@@ -405,9 +417,8 @@ def _require_share(skipped: Sequence[SkippedFrame], total: int, share: float, sc
         raise InputError(
             SCAN_TOO_MANY_FRAMES_SKIPPED,
             (
-                "{skipped_count} of the scan's {total} views cannot be used, more than the "
-                "share of {share:g} that max_skipped allows; the last of them, {last_name}: "
-                "{reason}"
+                "{skipped_count} of the scan's {total} views cannot be used; max_skipped allows a ratio "
+                "of {share:g}. Last unusable view, {last_name}: {reason}"
             ),
             scan.folder,
             skipped_count=len(skipped),

@@ -53,7 +53,7 @@ def test_a_network_takes_the_matchers_place(tmp_path: Path, capsys):
     assert told["used_share"] > 0.4
     assert 0.7 < told["median_depth_m"] < 1.2
     assert run_command(["depth", str(samples / "rgbd"), str(tmp_path / "no"), *words]) == 2
-    assert "is a network of pairs" in capsys.readouterr().err
+    assert "is a stereo network" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("path", ["", "nix.onnx"])

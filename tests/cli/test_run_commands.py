@@ -503,8 +503,8 @@ def test_a_crop_is_typed_as_numbers_and_told_in_the_figures(
     ("words", "said"),
     [
         (("--box", 0, 0, 0, 1, 1), "Option '--box' requires 6 arguments"),
-        (("--box", 1, 0, 0, 0, 1, 1), "--box is 1 0 0 0 1 1 m; its first three numbers must be the lowest"),
-        (("--box", 8, 8, 8, 9, 9, 9), "nothing is left to fuse: of "),
+        (("--box", 1, 0, 0, 0, 1, 1), "--box is 1 0 0 0 1 1 m; the first three numbers must be the lowest"),
+        (("--box", 8, 8, 8, 9, 9, 9), "the crop is empty: none of "),
         (("--radius", 0), "--radius is 0 m; it must be more than 0 m."),
     ],
 )
@@ -522,4 +522,4 @@ def test_a_plane_that_is_not_found_is_a_warning(scanloom: Run, tiny_scan: Path, 
         "fuse", tiny_scan, tmp_path / "ball.ply", "--voxel-size", 0.02, "--remove-plane", "--strict"
     )
     assert ran.exit_code == 1
-    assert "warning: remove_plane: nothing is removed, no plane under the thing is found" in ran.stderr
+    assert "warning: remove_plane: no plane is removed, because none was found" in ran.stderr

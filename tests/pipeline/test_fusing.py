@@ -89,7 +89,7 @@ def made(table: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_crop_that_leaves_nothing_stops_the_run(table: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="nothing is left to fuse: of "):
+    with pytest.raises(UsageError, match="the crop is empty: none of "):
         ran(table, tmp_path / "out", "fuse.box=5 5 5 6 6 6")
     assert not (tmp_path / "out" / "fused.ply").exists()
 

@@ -1,1 +1,1 @@
-"""A network of the user's own that tells depth from images: its file, what it wants, how it is run."""
+"""User-supplied neural networks for depth: sidecar, inputs and outputs, subprocesses."""

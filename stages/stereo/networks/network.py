@@ -1,4 +1,4 @@
-"""Run a network of the user's own on images: what its sidecar says is done to them, and undone after."""
+"""Inference of a user-supplied network, with pre- and postprocessing from its sidecar."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ RESULT_VERSION = 1
 Image = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
-# A map of fewer pixels than this share of each side of the image tells little of it.
+# Minimum size of an output map relative to the image, per side.
 _COARSEST = 1 / 16
 _HALF = "/2"
 
 
 @dataclass(frozen=True)
 class OfPair:
-    """What a network says of a rectified pair.
+    """Output of a stereo network for a rectified pair.
 
     Attributes
     ----------
-    left, right : (h, w) float32 px, x of the left less x of the right image, of each image's pixels; not
-        finite where the network gave no number. That of the right is the left's of the mirrored pair.
-    sure : (h, w) float32, 0 to 1, what the network itself says of the left; 1 everywhere if nothing.
+    left, right : (h, w) float32 px, disparity of each image (x of the left minus x of the right image). Not
+        finite where the network gave no number. The right one comes from the mirrored pair.
+    sure : (h, w) float32, 0 to 1, confidence of the left disparity by the network; 1 if it has no such
+        output.
     """
 
     left: Map
@@ -43,24 +44,22 @@ class OfPair:
 
 
 class Network:
-    """A network's file with its sidecar, ready to be run.
+    """Network file with its sidecar, ready to run.
 
-    `fixed_size` is the height and width that it takes alone, each None if it takes any.
-
-    Results are the same for any number of threads on one type of machine with one version of onnxruntime: a
-    process runs on one thread, and several pairs in several processes.
+    `fixed_size` is the required height and width, each None if any value is accepted. Results do not depend
+    on the number of threads, on one machine type and one version of onnxruntime: each process has one thread,
+    and several pairs run in several processes.
 
     Parameters
     ----------
-    file : ONNX; see scanloom.stages.stereo.networks.sidecar for what stands beside it.
-    memory, seconds : bytes and time that each of its processes may take; see
-        scanloom.stages.stereo.networks.process.
-    sidecar : in place of the one beside the file.
+    file : ONNX file; see scanloom.stages.stereo.networks.sidecar for its sidecar.
+    memory, seconds : limits per process, bytes and seconds; see scanloom.stages.stereo.networks.process.
+    sidecar : replaces the sidecar next to the file.
 
     Raises
     ------
     InputError
-        If there is no such file, it cannot be run, or it does not fit its sidecar.
+        If the file is missing, cannot be run, or does not match its sidecar.
     UsageError
         If onnxruntime is not installed.
     """
@@ -68,12 +67,12 @@ class Network:
     def __init__(self, file: Path, memory: int, seconds: float, sidecar: Sidecar | None = None) -> None:
         sidecar = sidecar or (read_sidecar(file) if file.is_file() else None)
         processes = NetworkProcesses(file, memory, seconds)
-        assert sidecar is not None  # where there is no file, the processes say so
+        assert sidecar is not None  # NetworkProcesses raises if the file is missing
         self._use(file, sidecar, processes)
 
     @classmethod
     def of(cls, processes: NetworkProcesses, sidecar: Sidecar) -> Network:
-        """Return a network of which there are processes already."""
+        """Create a network whose processes are already running."""
         network = cls.__new__(cls)
         network._use(processes.file, sidecar, processes)
         return network
@@ -87,7 +86,7 @@ class Network:
         if odd is not None:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "its inputs are {detail}, those of the network, and not {inputs}.",
+                "the sidecar names the inputs {inputs}, but the network has {detail}.",
                 sidecar.file or file,
                 detail=", ".join(self._inputs)[:200] or "none",
                 inputs=", ".join(sidecar.inputs)[:200],
@@ -96,11 +95,11 @@ class Network:
 
     @property
     def is_stereo(self) -> bool:
-        """Whether it takes pairs; else it takes one image."""
+        """Return True if the network takes pairs instead of single images."""
         return self.sidecar.kind == STEREO
 
     def of_pair(self, left: Image, right: Image, focal_baseline: float, offset: float) -> OfPair:
-        """Return the disparities of both images of a rectified pair.
+        """Compute the disparities of both images of a rectified pair.
 
         Parameters
         ----------
@@ -110,21 +109,24 @@ class Network:
         Raises
         ------
         InputError
-            If the network cannot be run on them, or what comes is no map.
+            If the network cannot be run, or its output is not a map of the image.
         """
         of_left, sure = self.of_left(left, right, focal_baseline, offset)
         mirrored, _ = self.of_left(_mirrored(right), _mirrored(left), focal_baseline, offset)
         return OfPair(of_left, _mirrored(mirrored), sure)
 
     def of_left(self, left: Image, right: Image, focal_baseline: float, offset: float) -> tuple[Map, Map]:
-        """Return the left image's disparity alone, and how sure it is; see `of_pair`."""
+        """Compute the left disparity and its confidence; see `of_pair`."""
         depth, *rest = self._maps({"left": left, "right": right})
         return self._in_pixels(depth, focal_baseline, offset), self._sure(rest, depth.shape)
 
     def of_image(self, image: Image) -> tuple[Map, Map]:
-        """Return what the network says of an image, and of its mirror image, turned back: (h, w) float32.
+        """Run a monocular network on an image and on its mirror image.
 
-        In the unit of the sidecar, more being farther for depth and nearer for inverse depth.
+        Returns
+        -------
+        Two maps (h, w) float32, the second one mirrored back, in the unit of the sidecar. Larger values are
+        farther for depth, and nearer for inverse depth.
 
         Raises
         ------
@@ -145,7 +147,7 @@ class Network:
             return np.asarray(np.float32(focal_baseline) * inverse - np.float32(offset), np.float32)
 
     def _sure(self, told: Sequence[Map], shape: tuple[int, ...]) -> Map:
-        """Return 0 to 1 of what the outputs of confidence and occlusion say."""
+        """Combine confidence and occlusion outputs to a confidence from 0 to 1."""
         sure = np.ones(shape, np.float32)
         for name, one in zip(self.sidecar.outputs[1:], told, strict=True):
             known = np.clip(np.nan_to_num(one, nan=1.0 if name == self.sidecar.occlusion else 0.0), 0, 1)
@@ -153,7 +155,7 @@ class Network:
         return sure
 
     def _maps(self, images: Mapping[str, Image]) -> list[Map]:
-        """Run the network, and return each output that is asked for in the size of the images."""
+        """Run the network and return its outputs at image size."""
         import cv2
 
         height, width = next(iter(images.values())).shape[:2]
@@ -179,18 +181,25 @@ class Network:
         if not np.isfinite(maps[0]).any():
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "its output {output} holds no number at all.",
+                "its output {output} has no finite values.",
                 self.file,
                 output=self.sidecar.output[:40],
             )
-        # Pixels of disparity are as much larger as the image is.
+        # Disparity in pixels scales with the image width.
         scale = self.sidecar.sign * (width / wide if self.sidecar.unit == PX else 1)
         with np.errstate(over="ignore", invalid="ignore"):
             maps[0] = maps[0] * np.float32(scale)
         return [_in_size(one, width, height) for one in maps]
 
     def _tensor(self, images: Mapping[str, Image], name: str, taken: str) -> NDArray[Any]:
-        """Return what an input takes, of the images by what they are."""
+        """Build the tensor of a network input.
+
+        Parameters
+        ----------
+        images : padded images by role: left, right or image.
+        name : name of the input.
+        taken : role of the input in the sidecar, such as "pair" or "left/2".
+        """
         import cv2
 
         is_half = taken.endswith(_HALF)
@@ -211,7 +220,12 @@ class Network:
         return values.astype(kind).reshape(*leading * (1,), *values.shape)
 
     def _values(self, image: Image) -> Map:
-        """Return an image (h, w, channels) as the network wants its numbers."""
+        """Normalise an image as the sidecar states.
+
+        Returns
+        -------
+        (h, w, channels) float32.
+        """
         import cv2
 
         colors = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
@@ -227,7 +241,17 @@ class Network:
         return np.asarray((values - mean) / std, np.float32)
 
     def _plane(self, output: Map, name: str, size: tuple[int, int]) -> Map:
-        """Return an output (h, w) in the size of what the network was given."""
+        """Return an output as a map (h, w).
+
+        Parameters
+        ----------
+        size : height and width of the network input, to which the output is resized.
+
+        Raises
+        ------
+        InputError
+            If the output is not a map of the input.
+        """
         plane = output
         while plane.ndim > 2 and plane.shape[0] == 1:
             plane = plane[0]
@@ -241,8 +265,8 @@ class Network:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
                 (
-                    "its output {name} is of shape {shape} for an image of {size} × {size_2} px, "
-                    "and no map of it."
+                    "its output {name} has shape {shape} for an image of {size} × {size_2} px, so it is not "
+                    "a map of the image."
                 ),
                 self.file,
                 name=name[:40],
@@ -253,14 +277,14 @@ class Network:
         return _in_size(plane, size[1], size[0])
 
     def _fixed_size(self) -> tuple[int | None, int | None]:
-        """Return the height and width that the network's inputs state, each None if it takes any."""
+        """Return the fixed height and width of the inputs, None where any."""
         heights, widths = set(), set()
         for name, taken in self.sidecar.inputs.items():
             about = self._inputs[name]
             if about["type"] not in TYPES:
                 raise InputError(
                     DEPTH_NETWORK_SIDECAR_INVALID,
-                    "its input {name} is of type {about}; known are {types}.",
+                    "its input {name} has type {about}; supported are {types}.",
                     self.file,
                     name=name[:40],
                     about=about["type"],
@@ -276,8 +300,8 @@ class Network:
                 raise InputError(
                     DEPTH_NETWORK_SIDECAR_INVALID,
                     (
-                        "its input {name} is of shape {shape}, and the sidecar's {taken} in {color}, "
-                        "{layout}, has {wanted} channels."
+                        "its input {name} has shape {shape}, but {taken} in {color}, {layout}, as the "
+                        "sidecar states, has {wanted} channels."
                     ),
                     self.file,
                     name=name[:40],
@@ -293,7 +317,7 @@ class Network:
         sizes = [{one for one in found if one is not None} for found in (heights, widths)]
         if any(len(one) > 1 for one in sizes):
             raise InputError(
-                DEPTH_NETWORK_SIDECAR_INVALID, "its inputs are of different fixed sizes.", self.file
+                DEPTH_NETWORK_SIDECAR_INVALID, "its inputs have different fixed sizes.", self.file
             )
         found = [next(iter(one), None) for one in sizes]
         return found[0], found[1]
@@ -305,7 +329,7 @@ def _require_outputs(sidecar: Sidecar, processes: NetworkProcesses) -> None:
         if name not in there:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "there is no output {name!r}; the network's are {there}.",
+                "the network has no output {name!r}, only {there}.",
                 sidecar.file or processes.file,
                 name=name[:40],
                 there=", ".join(there)[:200],

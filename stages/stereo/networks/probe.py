@@ -1,6 +1,8 @@
-"""Guess what a network takes and gives: it is run on a made pair whose shift is known, in all usual ways.
+"""Guessing of a network's sidecar by running the network.
 
-Of one image there is no known shift: its sidecar follows the customs of such networks, and is only tried.
+A stereo network runs with all common conventions on a synthetic pair of known disparity. The convention with
+the lowest error wins. A monocular network has no known result. Its sidecar follows the usual conventions, and
+is only checked for running.
 """
 
 from __future__ import annotations
@@ -22,9 +24,9 @@ from scanloom.stages.stereo.networks.network import Network
 from scanloom.stages.stereo.networks.process import NetworkProcesses
 from scanloom.stages.stereo.networks.sidecar import INVERSE_DEPTH, MONOCULAR, NORMALISED, PX, STEREO, Sidecar
 
-# Of ImageNet, RGB, as networks that began with its pictures want them.
+# Normalisation of ImageNet, RGB, for networks with pretrained encoders.
 _IMAGENET = {"range": (0.0, 1.0), "mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
-# The usual first: where several do as well, it is taken.
+# The most common first: it wins if several do equally well.
 _NUMBERS = (
     {"range": (0.0, 255.0)},
     {"range": (0.0, 1.0)},
@@ -32,12 +34,13 @@ _NUMBERS = (
     {"range": (-1.0, 1.0)},
 )
 _READINGS = tuple(product((PX, NORMALISED), (1, -1)))
-# Of networks without a size of their own, what nearly all take.
+# Multiple of the image size, and test image size (height, width), for networks without a fixed size.
 _MULTIPLE = 32
 _SIZE = (256, 384)
-# The shifts of the background and of what is before it: the width over so much.
+# Disparities of background and foreground of the test pair: image width divided by this.
 _FAR, _NEAR = 48, 19
-# Such a reading is right, px in the median; and one that is so much better than another is another.
+# Maximum median error of a correct convention, px; conventions within this much of the best error are
+# indistinguishable, px.
 _RIGHT = 1.5
 _BETTER = 0.05
 _SURE_WORDS, _HIDDEN_WORDS = ("conf", "certain"), ("occ", "hidden")
@@ -46,13 +49,13 @@ _DEPTH_WORDS = ("disp", "depth", "flow", "output")
 
 @dataclass(frozen=True, eq=False)
 class Probed:
-    """What was guessed of a network.
+    """Guessed sidecar of a network.
 
     Attributes
     ----------
     sidecar : the guess.
-    error_px : of the known shift, px in the median; None for one image, of which none is known.
-    alike : what does as well, in words: the pair cannot tell it apart.
+    error_px : median disparity error on the test pair, px; None for a monocular network.
+    alike : descriptions of other conventions that do equally well.
     """
 
     sidecar: Sidecar
@@ -63,7 +66,7 @@ class Probed:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what was guessed, ready for JSON."""
+        """Return the guess, JSON-ready."""
         told = {name: value for name, value in vars(self.sidecar).items() if name != "file"}
         return {"sidecar": told, "error_px": self.error_px, "alike": list(self.alike)}
 
@@ -71,20 +74,20 @@ class Probed:
 def probe_network(
     file: Path | str, *, memory: int = 8 << 30, seconds: float = 600, progress: Progress = silent
 ) -> Probed:
-    """Guess the sidecar of a network's file.
+    """Guess the sidecar of a network file.
 
     Parameters
     ----------
-    file : ONNX.
-    memory, seconds : bytes and time that it may take.
-    progress : called after each way that was tried.
+    file : ONNX file.
+    memory, seconds : limits of the network process, bytes and seconds.
+    progress : called after each convention that was tried.
 
     Raises
     ------
     InputError
-        If it cannot be run, or its inputs are no image and no pair.
+        If the network cannot be run, or its inputs are neither an image nor a pair.
     StageError
-        If none of the usual ways gives the known shift.
+        If no common convention reproduces the known disparity.
     UsageError
         If onnxruntime is not installed.
     """
@@ -111,7 +114,7 @@ def _of_image(processes: NetworkProcesses, base: Sidecar, channels: int) -> Prob
     if not np.isfinite(found).any():
         raise StageError(
             DEPTH_NETWORK_UNIDENTIFIED,
-            "it gives no number for an image, put as {said}.",
+            "it returns no finite values for an image given as {said}.",
             where=processes.file,
             said=_said(sidecar),
         )
@@ -122,7 +125,7 @@ def _of_pair(processes: NetworkProcesses, candidates: Sequence[Sidecar], progres
     tried: list[tuple[float, Sidecar]] = []
     for done, sidecar in enumerate(candidates, 1):
         network = Network.of(processes, sidecar)
-        # Of its own size, so that no pixel is another than it was.
+        # At the fixed size of the network, so that images are not resampled.
         left, right, truth = known_pair(*network.fixed_size)
         given, _ = network.of_left(left, right, 1.0, 0.0)
         for unit, sign in _READINGS:
@@ -136,8 +139,8 @@ def _of_pair(processes: NetworkProcesses, candidates: Sequence[Sidecar], progres
         raise StageError(
             DEPTH_NETWORK_UNIDENTIFIED,
             (
-                "in none of the usual ways does it give the shift of a known pair "
-                "within {right:g} px; the nearest, {said}, is off by {least:.3g} px."
+                "with none of the common conventions does it find the disparity of a test pair to "
+                "{right:g} px; the best one, {said}, has an error of {least:.3g} px."
             ),
             remedy="Write its sidecar by hand.",
             where=processes.file,
@@ -154,7 +157,7 @@ def _candidates(base: Sidecar, ways: Sequence[tuple[dict[str, str], int]]) -> It
     for inputs, channels in ways:
         for numbers in _NUMBERS:
             for color in ("grey",) if channels == 1 else ("rgb", "bgr"):
-                # Means and deviations of ImageNet go with its colours.
+                # Mean and deviation of ImageNet are in RGB order, so they are reversed for BGR.
                 backwards = {
                     name: value[::-1] if color == "bgr" and len(value) == 3 else value
                     for name, value in numbers.items()
@@ -165,12 +168,14 @@ def _candidates(base: Sidecar, ways: Sequence[tuple[dict[str, str], int]]) -> It
 def known_pair(
     height: int | None = None, width: int | None = None
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]:
-    """Make a pair with texture of all sizes: a background, and a rectangle before it.
+    """Create a synthetic pair: a rectangle in front of a background.
+
+    Both have texture at several scales.
 
     Returns
     -------
-    Left and right image, (h, w, 3) uint8 RGB, and the left's disparity, (h, w) float32 px; NaN at the border
-    and where the right image does not show it.
+    Left and right image, (h, w, 3) uint8 RGB, and the left disparity, (h, w) float32 px; NaN at the border
+    and where occluded in the right image.
     """
     import cv2
 
@@ -184,7 +189,7 @@ def known_pair(
             coarse = (high // size + 2, (wide + far) // size + 2, 3)
             noise = random.standard_normal(coarse).astype(np.float32)
             total += cv2.resize(noise, (wide + far, high), interpolation=cv2.INTER_CUBIC)
-        # Of different means, so that a wrong order of colours or a wrong range shows where it matters.
+        # Channels differ in their mean, so that a wrong channel order or value range increases the error.
         return np.asarray(np.clip(np.array([140, 110, 80], np.float32) + 22 * total, 0, 255), np.float32)
 
     back, front = texture(), texture()
@@ -200,7 +205,14 @@ def known_pair(
 
 
 def _ways(inputs: Sequence[Any], file: Path) -> tuple[str, str, list[tuple[dict[str, str], int]]]:
-    """Return the kind, the layout, and what the inputs may take, with the channels of an image."""
+    """Derive the possible conventions from the input shapes.
+
+    Returns
+    -------
+    kind : STEREO or MONOCULAR.
+    layout : "nchw" or "nhwc".
+    ways : candidates for the roles of the inputs, each with the number of channels of an image.
+    """
     shapes = [[*one["shape"]] for one in inputs]
     is_last = bool(shapes) and all(
         len(one) >= 3 and one[-1] in (1, 3, 6) and one[-3] not in (1, 2, 3, 6) for one in shapes
@@ -213,7 +225,7 @@ def _ways(inputs: Sequence[Any], file: Path) -> tuple[str, str, list[tuple[dict[
     if len(names) == 1 and counts[0] in (None, 1, 3):
         return MONOCULAR, layout, [({names[0]: "image"}, counts[0] or 3)]
     if len(names) in (2, 4) and all(count in (None, 1, 3) for count in counts):
-        # Of four, the first two are at half the size, by custom called init_….
+        # Networks with four inputs take the pair at half size first, usually named init_….
         half = ["/2" if len(names) == 4 and at < 2 else "" for at in range(len(names))]
         orders = (("left", "right"), ("right", "left"))
         ways = [
@@ -223,14 +235,14 @@ def _ways(inputs: Sequence[Any], file: Path) -> tuple[str, str, list[tuple[dict[
             )
             for order in orders
         ]
-        # A name that says which it is is believed.
+        # Inputs named left and right leave only one order.
         if "left" in names[0].lower() and "right" in names[1].lower():
             ways = ways[:1]
         return STEREO, layout, ways
     told = ", ".join(f"{one['name'][:40]} {one['shape']}" for one in inputs)
     raise InputError(
         DEPTH_NETWORK_UNIDENTIFIED,
-        "its inputs ({told}) are no image and no pair",
+        "its inputs ({told}) are neither an image nor a pair",
         file,
         remedy="write its sidecar by hand.",
         told=told[:200],
@@ -238,7 +250,7 @@ def _ways(inputs: Sequence[Any], file: Path) -> tuple[str, str, list[tuple[dict[
 
 
 def _outputs(outputs: Sequence[Any]) -> tuple[str, str | None, str | None]:
-    """Return the outputs of depth, of confidence and of occlusion, by their names."""
+    """Find the outputs for depth, confidence and occlusion by their names."""
     names = [one["name"] for one in outputs]
 
     def named(words: Sequence[str], among: Sequence[str]) -> str | None:
@@ -246,7 +258,7 @@ def _outputs(outputs: Sequence[Any]) -> tuple[str, str | None, str | None]:
 
     sure, hidden = named(_SURE_WORDS, names), named(_HIDDEN_WORDS, names)
     others = [name for name in names if name not in (sure, hidden)] or names
-    # Networks that refine in steps give the last one last.
+    # Networks with iterative refinement return the final result last.
     return named(_DEPTH_WORDS, others) or others[-1], sure, hidden
 
 
@@ -257,7 +269,7 @@ def _multiple(inputs: Sequence[Any], layout: str) -> int:
 
 def _said(sidecar: Sidecar) -> str:
     low, high = sidecar.range
-    takes = f"{sidecar.color} {low:g} to {high:g}" + (" less a mean" if any(sidecar.mean) else "")
+    takes = f"{sidecar.color} {low:g} to {high:g}" + (" minus a mean" if any(sidecar.mean) else "")
     order = "" if "pair" in sidecar.inputs.values() else f", {' and '.join(sidecar.inputs.values())}"
     sign = "−" if sidecar.sign < 0 else ""
     return f"{takes}{order}, {sign}{sidecar.unit}"

@@ -1,4 +1,4 @@
-"""Networks in processes of their own: started when wanted, several at once, ended with their owner."""
+"""Pool of subprocesses that run a network."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from scanloom.stages.stereo.codes import DEPTH_NETWORK_UNUSABLE
 
 Map = NDArray[np.float32]
 
-# A line that tells of inputs, outputs or what is wrong is a page at most.
+# Maximum length of a JSON message in bytes; messages have only metadata or an error.
 _LONGEST_LINE = 1 << 20
 
 
 class NetworkProcesses:
-    """A network's file, run by as many processes as are asked at the same time.
+    """Network file with a pool of processes, one per concurrent call.
 
     Attributes
     ----------
-    file : of the network.
-    inputs, outputs : what it says of them itself: `name`, `shape` with None for what is open, and `type`.
+    file : network file.
+    inputs, outputs : as the network declares them: `name`, `shape` (None for a free dimension) and `type`.
     """
 
     def __init__(self, file: Path, memory: int, seconds: float) -> None:
@@ -41,27 +41,28 @@ class NetworkProcesses:
 
         Parameters
         ----------
-        memory : bytes that each process may take beyond what it begins with, where systems have limits.
-        seconds : that loading it, and each run of it, may take.
+        memory : additional memory limit per process, bytes, where the operating system has limits.
+        seconds : time limit for loading, and for each run.
 
         Raises
         ------
         InputError
-            If it is no network that can be run.
+            If the network cannot be run.
         UsageError
             If onnxruntime is not installed.
         """
         if find_spec("onnxruntime") is None:
             raise UsageError(
                 DEPTH_NETWORK_UNUSABLE,
-                "networks are run by onnxruntime",
+                "onnxruntime is required to run networks",
                 remedy="install scanloom[network].",
                 where=file,
             )
         if not file.is_file():
             raise InputError(FILE_PATH_INVALID, "there is no such file.", file)
         self.file = file
-        # Stays empty: where each process stands.
+        # Working directory of the processes. It stays empty, so that a network cannot load other files from
+        # it.
         folder = tempfile.TemporaryDirectory(prefix="scanloom-")
         self._start = partial(_Process, file, folder.name, memory, seconds)
         self._idle: list[_Process] = []
@@ -73,14 +74,19 @@ class NetworkProcesses:
         self._idle.append(first)
 
     def run(self, feeds: Mapping[str, NDArray[Any]], outputs: Sequence[str]) -> list[Map]:
-        """Run the network on arrays by name, and return some of its outputs as float32.
+        """Run the network and return the requested outputs as float32.
 
-        Any thread may call it; those that call it at once get a process each.
+        Thread-safe: concurrent calls run in separate processes.
+
+        Parameters
+        ----------
+        feeds : input arrays by input name.
+        outputs : names of the outputs.
 
         Raises
         ------
         InputError
-            If the network cannot be run on them, or takes more time or memory than it may.
+            If the network cannot be run on the inputs, or exceeds its time or memory limit.
         """
         with self._lock:
             process = self._idle.pop() if self._idle else None
@@ -95,7 +101,7 @@ class NetworkProcesses:
         return found
 
     def close(self) -> None:
-        """End the processes."""
+        """Kill the processes."""
         self._end()
 
 
@@ -130,12 +136,15 @@ class _Process:
         self._child.kill()
         for pipe in (self._child.stdin, self._child.stdout):
             if pipe is not None:
-                with contextlib.suppress(OSError):  # what was not read any more
+                with contextlib.suppress(OSError):  # unread data in the pipe
                     pipe.close()
         self._child.wait()
 
     def _answer(self, line: bytes, arrays: Sequence[NDArray[Any]]) -> tuple[dict[str, Any], list[Map]]:
-        """Ask, and return what is said and the arrays that follow; the process is ended when time is up."""
+        """Send a request, and return the reply with its arrays.
+
+        Kills the process at the time limit.
+        """
         is_late = threading.Event()
 
         def stop() -> None:
@@ -157,9 +166,9 @@ class _Process:
             found = [_read(answers, shape) for shape in said.get("shapes", ())]
         except (OSError, ValueError) as error:
             why = (
-                f"it takes more than {self._seconds:g} s (depth.model_seconds)"
+                f"it exceeds the time limit of {self._seconds:g} s (depth.model_seconds)"
                 if is_late.is_set()
-                else "it crashed, or takes more memory than it may (depth.model_memory)"
+                else "it crashed, or exceeds the memory limit (depth.model_memory)"
             )
             raise InputError(
                 DEPTH_NETWORK_UNUSABLE, "cannot be run as a network: {why}.", self._file, why=why

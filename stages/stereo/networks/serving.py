@@ -1,6 +1,6 @@
-"""What runs in a process of its own to run a network; `scanloom.stages.stereo.networks.process` talks to it.
+"""Subprocess that runs a network, controlled by `scanloom.stages.stereo.networks.process`.
 
-onnxruntime takes files that come from anywhere: what crashes, hangs or fills memory ends there.
+onnxruntime loads untrusted files. The subprocess contains crashes, endless loops and excessive memory use.
 """
 
 from __future__ import annotations
@@ -23,27 +23,28 @@ from scanloom.stages.files.opening import content_of
 from scanloom.stages.files.own_process import limit_memory
 from scanloom.stages.stereo.codes import DEPTH_NETWORK_UNUSABLE
 
-# Seconds after which nobody waits any more.
+# Seconds after the time limit at which the subprocess ends itself; the parent process has killed it before
+# then.
 _LATER = 5
-# A protobuf holds no more.
+# Size limit of a protobuf file.
 _MOST_BYTES = (1 << 31) - 1
-# Values that an output may have for each pixel of an input: some networks give flow, or a few levels.
+# Maximum number of output values per input value; some networks return flow, or several pyramid levels.
 _MOST_A_PIXEL = 16
-# What onnxruntime and C++ say where there is no room.
+# Parts of error messages of onnxruntime and C++ about insufficient memory.
 _NO_MEMORY = ("bad_alloc", "bad allocation", "BFCArena", "Failed to allocate memory")
 TYPES = {"tensor(float)": "<f4", "tensor(float16)": "<f2", "tensor(uint8)": "|u1", "tensor(double)": "<f8"}
 
 
 def main() -> None:
-    """Load a network, and run it on whatever comes, until nothing more does.
+    """Load a network, and run it on requests until the input ends.
 
-    The words are its file, an empty folder, and the bytes and seconds that it may take.
+    Command line arguments: network file, empty folder, memory limit in bytes, time limit in seconds.
     """
-    # What a library prints must not come between the answers.
+    # Output printed by libraries goes to stderr, so that it cannot corrupt the replies.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     path, folder, memory, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
-    # Weights in other files are looked for in the current folder, and not found.
+    # External weight files are resolved against the working directory, which is empty.
     os.chdir(folder)
     try:
         limit_memory(memory)
@@ -58,8 +59,12 @@ def main() -> None:
 
 @contextmanager
 def _within(seconds: float) -> Iterator[None]:
-    """End this process if work takes longer, should whoever asked be gone; who asks waits a little less."""
-    # Windows has no alarm.
+    """End this process after a time limit.
+
+    This is for the case that the parent process is gone. The limit is a few seconds longer than the parent's
+    own.
+    """
+    # Windows has no signal.alarm.
     alarm: Callable[[int], int] | None = getattr(signal, "alarm", None)
     if alarm is None:
         yield
@@ -75,11 +80,10 @@ def _loaded(path: Path) -> Any:
     import onnxruntime
 
     if path.stat().st_size > _MOST_BYTES:
-        raise InputError(
-            DEPTH_NETWORK_UNUSABLE, "it is larger than 2 GB, more than one file of a network can hold"
-        )
+        raise InputError(DEPTH_NETWORK_UNUSABLE, "the file is larger than 2 GB, the limit of ONNX files")
     options = onnxruntime.SessionOptions()
-    # On one thread the sums are always the same ones. Several pairs are in several processes.
+    # One thread keeps the order of summation, and with it the result, fixed. Several pairs use several
+    # processes.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
     options.log_severity_level = 4
@@ -116,13 +120,13 @@ def _numbers(output: Any, pixels: int) -> NDArray[np.float32]:
     if array.dtype.kind not in "fiu":
         raise InputError(
             DEPTH_NETWORK_UNUSABLE,
-            "an output is of type {array_dtype}, where numbers are expected",
+            "an output has type {array_dtype} instead of numbers",
             array_dtype=array.dtype,
         )
     if array.size > _MOST_A_PIXEL * pixels:
         raise InputError(
             DEPTH_NETWORK_UNUSABLE,
-            "an output has {array_size:,} values for {pixels:,} of an input",
+            "an output has {array_size:,} values for an input of {pixels:,}, more than a map can have",
             array_size=array.size,
             pixels=pixels,
         )
@@ -143,17 +147,17 @@ def _tell(answers: BinaryIO, told: dict[str, Any], *arrays: NDArray[np.float32])
 
 
 def _said(error: BaseException) -> str:
-    """Return what is wrong, in a few words of one line."""
+    """Return the error as a short message of one line."""
     if isinstance(error, InputError):
         return str(error)
     text = " ".join(str(error).split())
     if isinstance(error, MemoryError) or any(word in text for word in _NO_MEMORY):
-        return "it needs more memory than it may take (depth.model_memory)"
+        return "it exceeds the memory limit (depth.model_memory)"
     if "External data" in text or "external data" in text:
         return (
-            "it keeps its weights in other files, which are not read; make one file of them: "
+            "it stores its weights in other files, which are not read; merge them into one file with "
             "onnx.save(onnx.load(FILE), OTHER)"
         )
-    # "[ONNXRuntimeError] : 2 : INVALID_ARGUMENT : what is wrong"
+    # Format of onnxruntime: "[ONNXRuntimeError] : 2 : INVALID_ARGUMENT : message".
     said = text.split(" : ", 3)[-1] if text.startswith("[ONNX") else text
-    return f"onnxruntime says: {said[:200].rstrip('. ')}"
+    return f"onnxruntime reports: {said[:200].rstrip('. ')}"

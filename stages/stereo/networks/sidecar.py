@@ -1,23 +1,25 @@
-"""What a network's file does not say of itself: a page of TOML beside it, FILE.toml of FILE.onnx.
+"""Sidecar of a network file.
+
+FILE.toml states the conventions that FILE.onnx does not store:
 
 kind = "stereo"                       or "monocular"
 color = "rgb"                         "bgr" or "grey"
-range = [0, 255]                      what black and white are
-mean = [0, 0, 0]                      taken away after that, in the order of `color`
-std = [1, 1, 1]                       and divided by
+range = [0, 255]                      values of black and white
+mean = [0, 0, 0]                      subtracted afterwards, in the order of `color`
+std = [1, 1, 1]                       divisor after the subtraction
 layout = "nchw"                       or "nhwc"
-multiple_of = 32                      what width and height must be multiples of, px
-output = "disparity"                  the output that tells depth; of several channels the first
-unit = "px"                           of a pair: "px" of disparity, "normalised" (disparity as a share of
-                                      the width), "depth" or "inverse_depth" in metres; of one image
-                                      "depth" or "inverse_depth" of unknown scale and shift
-sign = 1                              −1 where the output is the negative
-confidence = "certainty"              an output that is 0 to 1, 1 where it is sure; optional
-occlusion = "hidden"                  an output that is 1 where the right image shows nothing; optional
+multiple_of = 32                      required multiple of width and height, px
+output = "disparity"                  name of the depth output; its first channel is used
+unit = "px"                           of a stereo network: "px" of disparity, "normalised" (disparity divided
+                                      by the width), "depth" or "inverse_depth" in metres; of a monocular
+                                      network: "depth" or "inverse_depth" of unknown scale and shift
+sign = 1                              −1 if the output is negated
+confidence = "certainty"              name of an output from 0 to 1, where 1 is certain; optional
+occlusion = "hidden"                  name of an output that is 1 where occluded in the right image; optional
 
-[inputs]                              what each of the network's inputs takes
-left = "left"                         "left", "right", both in one as "pair", or the one "image"; with
-right = "right"                       "/2" behind it at half the size
+[inputs]                              role of each network input
+left = "left"                         "left", "right", "pair" for both in one input, or "image"; with the
+right = "right"                       suffix "/2" at half the size
 """
 
 from __future__ import annotations
@@ -46,14 +48,17 @@ _WORDS = {
     "unit": _UNITS[STEREO],
 }
 _MOST_MULTIPLE = 1024
-# The name of an input or output is no essay.
+# Maximum length of an input or output name, characters.
 _LONGEST_NAME = 200
 _LARGEST = 1e6
 
 
 @dataclass(frozen=True)
 class Sidecar:
-    """What a network takes and gives; see the head of this file."""
+    """Input and output conventions of a network.
+
+    The module docstring describes the fields.
+    """
 
     kind: str
     inputs: Mapping[str, str]
@@ -68,11 +73,21 @@ class Sidecar:
     sign: int = 1
     confidence: str | None = None
     occlusion: str | None = None
-    # Of its own: where it was read from.
+    # Not part of the sidecar: the file it was read from.
     file: Path | None = field(default=None, compare=False)
 
     def checked(self) -> Sidecar:
-        """Return it, or raise InputError where its parts do not go together."""
+        """Validate the combination of fields.
+
+        Returns
+        -------
+        The sidecar itself.
+
+        Raises
+        ------
+        InputError
+            If fields contradict each other.
+        """
         taken = [what.removesuffix("/2") for what in self.inputs.values()]
         allowed = _TAKEN[self.kind]
         for name, what in zip(self.inputs, taken, strict=True):
@@ -85,50 +100,50 @@ class Sidecar:
                     allowed=", ".join(allowed),
                 )
         if self.kind == STEREO and "pair" not in taken and {"left", "right"} - {*taken}:
-            raise InputError(
-                DEPTH_NETWORK_SIDECAR_INVALID, "inputs must take both left and right, or a pair."
-            )
+            raise InputError(DEPTH_NETWORK_SIDECAR_INVALID, "inputs must include left and right, or pair.")
         if self.unit not in _UNITS[self.kind]:
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "unit is {unit!r}; of one image it must be {units}.",
+                "unit is {unit!r}; for a monocular network it must be {units}.",
                 unit=self.unit,
                 units=" or ".join(_UNITS[self.kind]),
             )
         if self.range[0] == self.range[1] or not all(one > 0 for one in self.std):
-            raise InputError(DEPTH_NETWORK_SIDECAR_INVALID, "range must be of two values, and std above 0.")
+            raise InputError(
+                DEPTH_NETWORK_SIDECAR_INVALID, "the two values of range must differ, and std must be above 0."
+            )
         return self
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Return the outputs that are asked for, that of depth first."""
+        """Return the names of the requested outputs, depth first."""
         return (self.output, *(name for name in (self.confidence, self.occlusion) if name is not None))
 
     @property
     def channels(self) -> int:
-        """Return how many channels an image has as the network takes it."""
+        """Return the number of channels of an input image."""
         return 1 if self.color == "grey" else 3
 
 
 def sidecar_of(network: Path) -> Path:
-    """Return where the sidecar of a network's file stands."""
+    """Return the path of a network's sidecar."""
     return network.with_suffix(".toml")
 
 
 def read_sidecar(network: Path) -> Sidecar:
-    """Read the sidecar beside a network's file.
+    """Read the sidecar of a network file.
 
     Raises
     ------
     InputError
-        If there is none, it cannot be read, or it holds something else than what it may.
+        If the sidecar is missing, unreadable or invalid.
     """
     path = sidecar_of(network)
     if not path.is_file():
         raise InputError(
             DEPTH_NETWORK_SIDECAR_INVALID,
             (
-                "there is no {path_name} beside it, which says what it takes and gives; "
+                "its sidecar {path_name} with input and output conventions is missing; "
                 "scanloom probe {network_name} --write guesses one."
             ),
             network,
@@ -140,10 +155,10 @@ def read_sidecar(network: Path) -> Sidecar:
     for name in values:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            advice = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}."
+            advice = f"did you mean {near[0]}?" if near else f"valid keys are {', '.join(known)}."
             raise InputError(
                 DEPTH_NETWORK_SIDECAR_INVALID,
-                "there is no key {name!r}; {advice}",
+                "unknown key {name!r}; {advice}",
                 path,
                 name=name[:40],
                 advice=advice,
@@ -151,7 +166,7 @@ def read_sidecar(network: Path) -> Sidecar:
     for name in ("kind", "inputs", "output", "unit"):
         if name not in values:
             raise InputError(
-                DEPTH_NETWORK_SIDECAR_INVALID, "it does not say {name}, which it must.", path, name=name
+                DEPTH_NETWORK_SIDECAR_INVALID, "the required key {name} is missing.", path, name=name
             )
     try:
         return Sidecar(**{name: _checked(name, value) for name, value in values.items()}, file=path).checked()
@@ -160,7 +175,7 @@ def read_sidecar(network: Path) -> Sidecar:
 
 
 def written(sidecar: Sidecar) -> str:
-    """Return the TOML text that `read_sidecar` reads back to the same."""
+    """Format a sidecar as TOML for `read_sidecar`."""
     lines = []
     for one in fields(Sidecar):
         value = getattr(sidecar, one.name)
@@ -177,7 +192,13 @@ def _toml(value: Any) -> str:
 
 
 def _checked(name: str, value: Any) -> Any:
-    """Return a value as the field has it, or raise InputError with what it must be."""
+    """Validate and convert the value of a field.
+
+    Raises
+    ------
+    InputError
+        If the value is invalid; the message states the valid values.
+    """
     if name in _WORDS:
         if value not in _WORDS[name]:
             raise InputError(
@@ -211,7 +232,7 @@ def _checked(name: str, value: Any) -> Any:
         return value
     if not isinstance(value, dict) or not value:
         raise InputError(
-            DEPTH_NETWORK_SIDECAR_INVALID, "inputs is no table of the network's inputs and what each takes."
+            DEPTH_NETWORK_SIDECAR_INVALID, "inputs must be a table that maps each network input to its role."
         )
     return {_name("inputs", key): _name(f"inputs.{key[:40]}", taken) for key, taken in value.items()}
 

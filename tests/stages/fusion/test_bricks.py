@@ -137,7 +137,7 @@ def test_what_does_not_fit_is_fused_in_bricks_unasked(
 
 
 def test_a_brick_that_does_not_fit_says_so(scan: Scan) -> None:
-    with pytest.raises(StageError, match="outgrows its memory of 1 MB"):
+    with pytest.raises(StageError, match="exceed its memory limit of 1 MB"):
         fuse(scan, voxel_size=0.004, brick_size=4.0, memory=1)
 
 
@@ -162,7 +162,7 @@ def test_a_frame_that_cannot_be_read_is_skipped_alike(scan: Scan, tmp_path: Path
     assert [one.name for one in joined.skipped] == [frames[3].name]
     assert (whole.mesh.vertices == joined.mesh.vertices).all()
     assert whole.frames == joined.frames
-    with pytest.raises(InputError, match="at most 0% may be bad"):
+    with pytest.raises(InputError, match="max_bad_share allows 0%"):
         fuse(broken, voxel_size=0.02, brick_size=0.3, max_bad_share=0)
 
 

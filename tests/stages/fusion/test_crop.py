@@ -202,9 +202,9 @@ def test_nothing_is_removed_and_that_is_told_where_nothing_stands_on_the_plane()
     assert fused.support is None
     (said,) = map(str, fused.diagnostics)
     assert said.startswith(
-        "remove_plane: nothing is removed, no plane under the thing is found: the plane of"
+        "remove_plane: no plane is removed, because none was found under the object: the largest plane"
     )
-    assert "has nothing standing on it" in said
+    assert "has no points above it" in said
     assert fused.mesh.vertices.tobytes() == bare.mesh.vertices.tobytes()
 
 
@@ -220,34 +220,36 @@ def test_a_wall_is_no_table() -> None:
         wall.append(Frame(f"{number}", CAMERA, depth=depth, world_from_camera=there))
     fused = fuse(wall, remove_plane=True)
     assert fused.support is None
-    assert "no plane under the thing is found" in str(fused.diagnostics[0])
+    assert "because none was found under the object" in str(fused.diagnostics[0])
 
 
 def test_that_nearly_nothing_is_left_is_told() -> None:
     fused = fuse(frames("ball"), remove_plane=True, plane_margin=0.23, voxel_size=0.01)
     (said,) = map(str, fused.diagnostics)
     assert said.startswith("remove_plane: only 0.")
-    assert "% of the points are more than 0.23 m above the plane; if it is not the one under" in said
+    assert "% of the points are more than 0.23 m above the plane; if it is not the plane under" in said
 
 
 @pytest.mark.parametrize(
     ("changes", "of"),
     [
-        ({"box": (5, 5, 5, 6, 6, 6)}, "the box (5, 5, 5) to (6, 6, 6) m; most lie within ("),
+        ({"box": (5, 5, 5, 6, 6, 6)}, "the box (5, 5, 5) to (6, 6, 6) m; most points are within ("),
         ({"radius": 0.01}, "0.01 m around (0.0"),
-        ({"remove_plane": True, "plane_margin": 0.5}, "what is above the plane ("),
+        ({"remove_plane": True, "plane_margin": 0.5}, "the half-space above the plane ("),
     ],
 )
 def test_a_crop_that_leaves_nothing_is_an_error_with_the_numbers(changes: dict[str, Any], of: str) -> None:
     with pytest.raises(UsageError) as caught:
         fuse(frames("ball"), **changes)
-    assert str(caught.value).startswith("nothing is left to fuse: of ")
-    assert " 0 are inside " in str(caught.value)
+    assert str(caught.value).startswith("the crop is empty: none of ")
+    assert " is inside " in str(caught.value)
     assert of in str(caught.value)
 
 
 def test_a_crop_in_which_no_surface_comes_out_says_from_how_many_points() -> None:
-    with pytest.raises(InputError, match=r"inside 0\.04 m around \(.*\), from [\d,]+ points there\. Check"):
+    with pytest.raises(
+        InputError, match=r"inside 0\.04 m around \(.*\) \([\d,]+ depth points there\)\. Check"
+    ):
         fuse(frames("ball"), radius=0.04, center=(*AT.tolist(), 2 * BALL + 0.03), voxel_size=0.05)
 
 
@@ -277,7 +279,7 @@ def test_frames_that_show_nothing_of_it_are_no_bad_ones() -> None:
 
 @pytest.mark.parametrize("box", [(0, 0, 0, 1, 1, 0), (1, 0, 0, 0, 1, 1), (0, 0, 0, 0, 0, 0)])
 def test_a_box_has_its_lowest_corner_first(box: Any) -> None:
-    with pytest.raises(UsageError, match=r"^box is .* m; its first three numbers must be the lowest corner"):
+    with pytest.raises(UsageError, match=r"^box is .* m; the first three numbers must be the lowest corner"):
         FuseParams(box=box)
 
 

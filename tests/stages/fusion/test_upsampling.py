@@ -118,7 +118,7 @@ def test_noise_alone_gives_finite_depth_within_what_was_measured():
 
 
 def test_a_photo_of_another_size_is_refused():
-    with pytest.raises(InputError, match="not 80 × 60"):
+    with pytest.raises(InputError, match="must be 80 × 60"):
         upsampled(scene(SMALL, 0), np.zeros((30, 40, 3), np.uint8), 2)
 
 

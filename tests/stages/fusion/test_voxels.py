@@ -154,7 +154,7 @@ def test_a_pose_far_away_is_told() -> None:
 
 
 def test_a_cuda_device_is_none_of_our_own() -> None:
-    with pytest.raises(UsageError, match="backend 'own' knows nothing of"):
+    with pytest.raises(UsageError, match="backend 'own' runs on the CPU only"):
         fuse([plate(0.0)], backend="own", device="cuda")
     assert fuse([plate(0.1 * k) for k in range(3)], backend="own", device="auto").device == "CPU:0"
 

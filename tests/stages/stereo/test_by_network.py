@@ -79,8 +79,8 @@ def test_a_wrong_sign_is_said(tmp_path):
     (diagnostic,) = found.diagnostics
     assert diagnostic.code == DEPTH_NETWORK_SIDECAR_INVALID.name
     assert str(diagnostic) == (
-        "net.onnx: by this network left and right agree on next to nothing; look at unit, sign, range and "
-        "inputs of its sidecar, or have it guessed: scanloom probe"
+        "net.onnx: almost no pixel passes the left–right check with this network; check unit, sign, range "
+        "and inputs in its sidecar, or guess them with scanloom probe"
     )
 
 
@@ -94,7 +94,7 @@ def test_a_scans_pairs_are_the_same_on_any_number_of_threads(matcher):
 
 
 def test_what_only_matchers_know_is_refused_beside_a_network(matcher):
-    with pytest.raises(UsageError, match=r"sgbm\.block_size has no effect with a network of pairs"):
+    with pytest.raises(UsageError, match=r"sgbm\.block_size has no effect with a stereo network"):
         depth(LEFT, RIGHT, RIG, model=matcher, sgbm={"block_size": 5, "uniqueness": 3})
 
 
@@ -160,9 +160,9 @@ def test_what_does_not_fit_is_not_used_and_said(by_brightness):
     params = DepthParams(model=by_brightness)
     network = network_of(params)
     for depth_map, why in (
-        (np.where(truth > 9, truth, np.float32(0)), "too little measured depth"),
+        (np.where(truth > 9, truth, np.float32(0)), "too few pixels have measured depth"),
         (truth[:, ::-1].copy(), "model_error"),
-        ((3 - 0.5 * truth).astype(np.float32), "near is far"),
+        ((3 - 0.5 * truth).astype(np.float32), "order is inverted"),
     ):
         measured = made_map(np.where(np.arange(256) % 9 == 0, np.float32(0), depth_map), color)
         with collecting() as diagnostics:
@@ -170,7 +170,7 @@ def test_what_does_not_fit_is_not_used_and_said(by_brightness):
         np.testing.assert_array_equal(found.depth, measured.depth)
         assert not found.filled.any()
         (diagnostic,) = diagnostics
-        assert str(diagnostic).startswith("one.onnx: the network fills in nothing in some images: ")
+        assert str(diagnostic).startswith("one.onnx: the network fills no depth in some images: ")
         assert why in str(diagnostic)
 
 
@@ -193,9 +193,9 @@ def test_depth_of_a_sensor_is_filled_in_and_keeps_its_photos(by_brightness):
 def test_a_network_of_pairs_fills_in_nothing(matcher):
     truth, color = brightness_scene()
     scan = Scan("made", [Frame("a", CAMERA, color=color, depth=truth)])
-    with pytest.raises(UsageError, match="is a network of pairs"):
+    with pytest.raises(UsageError, match="is a stereo network"):
         next(completed_scan(scan, model=matcher))
-    with pytest.raises(UsageError, match="only a network of single images"):
+    with pytest.raises(UsageError, match="only a monocular network"):
         next(completed_scan(scan))
 
 
@@ -203,7 +203,7 @@ def test_without_a_file_or_a_sidecar(tmp_path):
     with pytest.raises(InputError, match="there is no such file"):
         network_of(DepthParams(model=str(tmp_path / "net.onnx")))
     networks.by_brightness(tmp_path / "net.onnx")
-    with pytest.raises(InputError, match=r"there is no net\.toml beside it"):
+    with pytest.raises(InputError, match=r"its sidecar net\.toml"):
         network_of(replace(DepthParams(), model=str(tmp_path / "net.onnx")))
 
 

@@ -384,10 +384,10 @@ def test_swapped_images_are_refused() -> None:
 @pytest.mark.parametrize(
     ("rig", "message"),
     [
-        (replace(RIG, right_from_left=baseline(-0.1)), "right camera left of the left"),
+        (replace(RIG, right_from_left=baseline(-0.1)), "right camera is left of the left"),
         (replace(RIG, right_from_left=np.eye(4)), "give the baseline"),
-        (replace(RIG, right=replace(CAMERA, cy=130.0)), "said to be rectified, but cy"),
-        (replace(RIG, right=replace(CAMERA, width=640)), "a pair needs one size"),
+        (replace(RIG, right=replace(CAMERA, cy=130.0)), "marked as rectified, but cy"),
+        (replace(RIG, right=replace(CAMERA, width=640)), "both must have the same size"),
         (
             replace(RIG, left=replace(CAMERA, distortion=(0.1,) * 3), rectified=False),
             "3 distortion coefficients",

@@ -218,11 +218,11 @@ def test_disparities_may_be_below_zero_and_stay_in_the_range_asked_for() -> None
 @pytest.mark.parametrize(
     ("change", "error", "said"),
     [
-        ({"right": np.zeros((4, 6, 3), np.uint8)}, InputError, "of different sizes: 5 × 4 and 6 × 4"),
+        ({"right": np.zeros((4, 6, 3), np.uint8)}, InputError, "differ in size: 5 × 4 and 6 × 4"),
         ({"left": np.zeros((4, 5, 4), np.uint8)}, InputError, r"the left image is \(4, 5, 4\) uint8"),
         ({"left": np.zeros((4, 5), np.float32)}, InputError, r"the left image is \(4, 5\) float32"),
         ({"left": np.zeros((0, 5), np.uint8)}, InputError, r"the left image is \(0, 5\) uint8"),
-        ({"max_disparity": -1}, UsageError, "max_disparity is -1 px; it must be from min_disparity, 0, to"),
+        ({"max_disparity": -1}, UsageError, "max_disparity is -1 px; it must be from min_disparity"),
         ({"max_disparity": 10**5}, UsageError, "max_disparity is 100000 px"),
         ({"min_confidence": 1.5}, UsageError, "min_confidence is 1.5; it must be from 0 to 1"),
     ],
@@ -308,7 +308,7 @@ def test_the_stage_takes_it() -> None:
 
 
 def test_what_it_does_not_know_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"sgbm\.p1 has no effect with matcher census; leave"):
+    with pytest.raises(UsageError, match=r"sgbm\.p1 has no effect with matcher census; omit"):
         stages.DepthParams(matcher="census", sgbm=stages.SgbmParams(smooth=True, p1=5))
-    with pytest.raises(UsageError, match="speckle_size has no effect with matcher census; leave"):
+    with pytest.raises(UsageError, match="speckle_size has no effect with matcher census; omit"):
         stages.DepthParams(matcher="census", speckle_size=5)

@@ -139,9 +139,9 @@ def test_a_thing_with_hardly_any_texture_keeps_its_shape() -> None:
 def test_much_that_was_not_measured_is_told() -> None:
     assert not coverage_reported(Counts(all=100, shown=50, kept=40, filled=4))
     (said,) = coverage_reported(Counts(all=100, shown=50, kept=30, filled=10))
-    assert said.startswith("25% of the thing's depth was measured by no view")
+    assert said.startswith("25% of the object's depth is not measured")
     (said,) = coverage_reported(Counts(all=100, shown=50, kept=30, planar=10))
-    assert said.startswith("25% of the depth was measured by no view, and is that of planes")
+    assert said.startswith("25% of the depth is not measured, but filled from planes")
 
 
 def test_masks_that_cut_a_thing_out_bound_it(pale: tuple[Scan, list[np.ndarray]]) -> None:
@@ -177,11 +177,11 @@ def test_little_depth_is_told_with_what_took_it() -> None:
     pairs = {"views": "pairs"}
     assert not coverage_reported(Counts(all=100, shown=50, matched=40, kept=30, outlined=100), **pairs)
     (said,) = coverage_reported(Counts(all=100, shown=50, matched=40, kept=10, outlined=100), **pairs)
-    assert "only 20% of what the masks or the backdrop leave" in said
-    assert "60% is not seen alike by 2 other views" in said
-    assert said.index("60%") < said.index("20% matched no other view")
+    assert "only 20% of the pixels inside masks or in front of the backdrop" in said
+    assert "60% are not confirmed by 2 other views" in said
+    assert said.index("60%") < said.index("20% have no reliable match")
     (said,) = coverage_reported(Counts(all=100, shown=100, plain=80, matched=15, kept=10), **pairs)
-    assert "10% of the views' pixels: 80% has too little texture (depth.backdrop=0 keeps it)" in said
+    assert "10% of the views' pixels: 80% have too little texture (depth.backdrop=0 keeps them)" in said
     assert not coverage_reported(Counts(all=100, shown=100, plain=20, matched=70, kept=16), **pairs)
 
 
@@ -191,4 +191,4 @@ def test_little_depth_is_told_once_for_the_scan(pale: tuple[Scan, list[np.ndarra
     with collecting() as diagnostics:
         measured(few, agreement=1e-4)
     (said,) = [str(one) for one in diagnostics if one.code == DEPTH_COVERAGE_LOW.name]
-    assert "is not sure, or is not seen alike by 2 other views (depth.min_confidence=128 and" in said
+    assert "have low confidence or are not confirmed by 2 other views (depth.min_confidence=128 and" in said

@@ -71,5 +71,5 @@ def test_a_fisheye_beside_another_camera_is_refused():
     straight = Camera(*SIZE, FOCAL, FOCAL, *CENTRE)
     beside = np.eye(4)
     beside[0, 3] = -0.1
-    with pytest.raises(InputError, match="both must be of a kind"):
+    with pytest.raises(InputError, match="both must have the same model"):
         rectified_rig(StereoRig(CAMERA, straight, beside, rectified=False))

@@ -304,7 +304,7 @@ def test_poses_that_do_not_fit_the_images_are_brought_nearer() -> None:
     with collecting() as diagnostics:
         found = list(views_depth(replace(scan, frames=frames)))
     assert DEPTH_POSES_MOVED.name in [one.code for one in diagnostics]
-    assert any("the poses are brought nearer to what views recognise" in str(one) for one in diagnostics)
+    assert any("the poses were refined from feature matches" in str(one) for one in diagnostics)
     for (frame, result), given, sound, true in zip(found, frames, measured(), truths, strict=True):
         assert isinstance(result, DepthMap)
         assert not np.array_equal(frame.world_from_camera, given.world_from_camera)
@@ -327,14 +327,14 @@ def test_poses_that_do_not_fit_the_images_are_told() -> None:
     frames = [replace(frame, color=rippled(frame.color, k)) for k, frame in enumerate(scan.frames)]
     wrong = replace(scan, frames=frames)
     with pytest.raises(
-        InputError, match=r"do not fit the images\. Give others .*depth\.max_pose_error, 1\.1 px"
+        InputError, match=r"do not fit the images\. Set scan\.poses.*depth\.max_pose_error, 1\.1 px"
     ):
         list(views_depth(wrong, DepthParams(max_pose_error=1.1)))
     with collecting() as diagnostics:
         list(views_depth(wrong, DepthParams(max_skipped=1, max_pose_error=10)))
     # And that depth covers little then.
     assert [one.code for one in diagnostics] == [POSE_INCONSISTENT_WITH_IMAGES.name, DEPTH_COVERAGE_LOW.name]
-    assert "poses or calibration do not fit the images" in str(diagnostics[0])
+    assert "poses or calibration are inaccurate" in str(diagnostics[0])
     assert "depth covers only" in str(diagnostics[1])
 
 
@@ -351,7 +351,7 @@ def test_a_camera_that_moves_ahead_measures_what_lies_aside() -> None:
         assert np.mean(used) > 0.15
         assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.008
     # Pairs cannot be rectified.
-    with pytest.raises(InputError, match=r"from a little aside .* others stand before or behind it"):
+    with pytest.raises(InputError, match=r"angle of 1 to 35 degrees; .* in front of it or behind it"):
         list(views_depth(Scan("made", frames), views="pairs"))
 
 
@@ -383,7 +383,7 @@ def test_large_images_are_made_smaller(tmp_path) -> None:
         truths.append(posed_scene.seen(where)[1])
     with collecting() as diagnostics:
         results = list(views_depth(Scan("made", frames), DepthParams(max_side=240)))
-    assert any("4 images were made smaller, to 240 px" in str(one) for one in diagnostics)
+    assert any("4 images were downscaled to 240 px" in str(one) for one in diagnostics)
     for (frame, result), true in zip(results, truths, strict=True):
         assert frame.camera == posed_scene.CAMERA
         used = (result.depth > 0) & (true > 0)
@@ -408,9 +408,9 @@ def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
 
 def test_a_view_alone_cannot_be_measured() -> None:
     scan, _ = posed_scene.scan()
-    with pytest.raises(InputError, match=r"one view alone has no depth: .* from 3 views"):
+    with pytest.raises(InputError, match=r"a single view has no depth: .* in 3 views"):
         list(views_depth(replace(scan, frames=scan.frames[:1])))
-    with pytest.raises(InputError, match=r"of 2 views no depth is agreed with: .*depth\.agreeing_views"):
+    with pytest.raises(InputError, match=r"2 views are too few: .*depth\.agreeing_views"):
         list(views_depth(replace(scan, frames=scan.frames[:2])))
     two = [
         result
@@ -425,7 +425,7 @@ def test_views_without_poses_or_images_are_told() -> None:
     with pytest.raises(InputError, match="0000 has no pose"):
         list(views_depth(replace(scan, frames=frames)))
     frames = [replace(frame, color=None) for frame in scan.frames]
-    with pytest.raises(InputError, match="0003: there is no image"):
+    with pytest.raises(InputError, match="0003: the image is missing"):
         list(views_depth(replace(scan, frames=frames)))
 
 
@@ -506,7 +506,7 @@ def test_a_pose_beyond_all_bounds_is_told() -> None:
     far = scan.frames[2].world_from_camera.copy()
     far[0, 3] = 1e200
     frames = [*scan.frames[:2], replace(scan.frames[2], world_from_camera=far)]
-    with pytest.raises(InputError, match="0002 stands"):
+    with pytest.raises(InputError, match="0002 is wrong"):
         list(views_depth(replace(scan, frames=frames)))
 
 

@@ -115,9 +115,9 @@ def matching(tmp_path_factory) -> NetworkProcesses:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"output": "disp"}, "there is no output 'disp'; the network's are disparity"),
-        ({"inputs": {"left": "left", "rigth": "right"}}, "its inputs are left, right"),
-        ({"inputs": {"left": "pair"}}, "its inputs are left, right"),
+        ({"output": "disp"}, "the network has no output 'disp', only disparity"),
+        ({"inputs": {"left": "left", "rigth": "right"}}, "but the network has left, right"),
+        ({"inputs": {"left": "pair"}}, "but the network has left, right"),
         ({"color": "grey"}, "has 1 channels"),
     ],
 )
@@ -130,9 +130,9 @@ def test_a_sidecar_of_another_network(matching, changes, said):
 @pytest.mark.parametrize(
     ("node", "said"),
     [
-        (helper.make_node("ReduceMean", ["image"], ["depth"]), "is of shape 1 × 1 × 1 × 1 for an image of"),
-        (helper.make_node("Flatten", ["image"], ["depth"]), "and no map of it"),
-        (helper.make_node("Div", ["zero", "zero"], ["depth"]), "holds no number at all"),
+        (helper.make_node("ReduceMean", ["image"], ["depth"]), "has shape 1 × 1 × 1 × 1 for an image of"),
+        (helper.make_node("Flatten", ["image"], ["depth"]), "not a map of the image"),
+        (helper.make_node("Div", ["zero", "zero"], ["depth"]), "has no finite values"),
     ],
 )
 def test_outputs_that_are_no_map(tmp_path, node, said):

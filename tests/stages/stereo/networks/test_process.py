@@ -109,7 +109,7 @@ def test_one_that_asks_for_all_memory(tmp_path):
         helper.make_node("ReduceMean", ["all"], ["mean"]),
         helper.make_node("Add", ["image", "mean"], ["depth"]),
     )
-    assert "more memory than it may take (depth.model_memory)" in refused(file)
+    assert "exceeds the memory limit (depth.model_memory)" in refused(file)
 
 
 def test_one_that_never_ends(tmp_path, monkeypatch):
@@ -126,7 +126,7 @@ def test_one_that_never_ends(tmp_path, monkeypatch):
     file = graph(tmp_path / "net.onnx", forever, weights={"yes": np.array(True)})
     started = time.monotonic()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    assert "takes more than 2 s (depth.model_seconds)" in refused(file, seconds=2)
+    assert "exceeds the time limit of 2 s (depth.model_seconds)" in refused(file, seconds=2)
     assert time.monotonic() - started < 10
     gc.collect()
     assert [path.name for path in tmp_path.iterdir()] == ["net.onnx"]
