@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of exports, with explanations."""
+"""Diagnostic codes of mesh export, with explanations."""
 
 from __future__ import annotations
 

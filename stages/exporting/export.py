@@ -1,4 +1,4 @@
-"""A mesh as another program wants it: turned, scaled, with images it reads, small enough to send."""
+"""Export of a mesh for another program: axes, units, image formats and glTF compression."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import ExportKeywords
 
-# Raised by hand when the same mesh and parameters come to another file.
+# Part of the cache key. Increase it when the same mesh and parameters produce a different file.
 RESULT_VERSION = 2
 
 SUFFIXES = (*EXTENSIONS, *USD)
 GLTF = (".glb", ".gltf")
-# They say themselves what is up, and are in metres.
+# Formats with a fixed unit (metres) and a stated up axis.
 STANDING = (*GLTF, *USD)
 
 AXES = ("scan", "y-up", "z-up")
@@ -47,7 +47,7 @@ _FACTORS = {"m": 1.0, "mm": 1000.0}
 
 @dataclass(frozen=True, kw_only=True)
 class ExportParams:
-    """What a file for another program is like."""
+    """Parameters of an export."""
 
     up: str | None = param(
         None,
@@ -107,17 +107,17 @@ class ExportParams:
 
 @dataclass(frozen=True, eq=False)
 class Exported:
-    """What was written.
+    """Result of an export.
 
     Attributes
     ----------
-    file : its path.
-    triangles : of the mesh.
-    bytes : of the file, without what stands beside it.
-    up : (3,) what is up in the mesh; None where nothing tells.
-    position_error : metres by which whole numbers move a vertex at most; 0 where there are none.
-    diagnostics : what the format does not hold, what was assumed, and why the mesh cannot be printed, if that
-        was asked.
+    file : path of the written file.
+    triangles : triangle count of the mesh.
+    bytes : size of the file without its companion files (images, materials, buffers).
+    up : (3,) up direction of the mesh; None if unknown.
+    position_error : largest distance in metres by which quantization moves a vertex; 0 without quantization.
+    diagnostics : data that the format cannot hold, assumptions, and, with `watertight`, the reasons why the
+        mesh cannot be printed.
     """
 
     file: Path
@@ -131,7 +131,7 @@ class Exported:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what was written, in words fit for JSON."""
+        """Return the statistics of the export as JSON-compatible values."""
         return {
             "output": self.file.name,
             "triangles": self.triangles,
@@ -147,23 +147,31 @@ def export(
     params: ExportParams | None = None,
     **changes: Unpack[ExportKeywords],
 ) -> Exported:
-    """Write a mesh for another program; the extension tells the format, of SUFFIXES.
+    """Write a mesh for another program.
+
+    The extension of `path`, one of SUFFIXES, selects the format.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres.
-    path : the file is replaced; images and materials of .obj, .ply, .gltf and .usda stand beside it.
+    path : output file; an existing file is replaced. Images and materials of .obj, .ply, .gltf and .usda are
+        written to the same folder.
     params : ExportParams; single fields can be given by name instead.
+
+    Returns
+    -------
+    Exported
+        File, sizes, quantization error and diagnostics.
 
     Raises
     ------
     UsageError
-        For an unknown extension, a parameter out of range or of no effect on the format, or USD where
-        `usd-core` is not installed.
+        If the extension is unknown, if a parameter is out of range or has no effect on the format, or if USD
+        is requested without `usd-core` installed.
     MeshError
-        If it is no valid mesh.
+        If the mesh is invalid.
     StageError
-        If the system refuses to write.
+        If the file cannot be written.
     """
     with collecting() as diagnostics:
         exported = _export(mesh, Path(path), resolve(ExportParams, params, changes))
@@ -215,12 +223,14 @@ def _export(mesh: MeshLike, path: Path, params: ExportParams) -> Exported:
 
 
 def require_fitting(path: Path, params: ExportParams) -> None:
-    """Refuse an extension that is none, and what a format has no place for, before any work.
+    """Check that the extension is known and the format supports the parameters.
+
+    Call it before any work begins.
 
     Raises
     ------
     UsageError
-        Naming it.
+        If the extension is unknown, the format ignores a given parameter, or `usd-core` is missing.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -257,7 +267,7 @@ def _position_error(mesh: Mesh, bits: int) -> float:
 
 
 def _placed(mesh: Mesh, params: ExportParams) -> Mesh:
-    """Return the mesh with its positions turned, scaled and moved as asked."""
+    """Rotate, translate and scale the mesh as `params` requests."""
     if params.axes != "scan":
         if mesh.up is None:
             emit(
@@ -291,7 +301,7 @@ def _turned(mesh: Mesh, turn: np.ndarray) -> Mesh:
 
 
 def _report_unprintable(mesh: Mesh) -> None:
-    """Report why a mesh has no inside that could be printed."""
+    """Emit the diagnostics that prevent 3-D printing: not watertight, inside out, self-intersecting."""
     found = check(mesh)
     emit(
         *(found.unmet(["watertight"]) or found.unmet(["outward"])),

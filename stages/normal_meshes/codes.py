@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of normal meshes, with explanations."""
+"""Diagnostic codes of normal meshes, with explanations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of meshes and their files, with explanations."""
+"""Diagnostic codes of meshes and mesh files, with explanations."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Read E57: the scans of a laser scanner, each with its pose.
+"""E57 reader: merges the scans of a laser scanner with their poses.
 
-ASTM E2807, "Standard specification for 3D imaging data exchange"; Huber, "The ASTM E57 file format for 3D
-imaging data exchange", 2011; by `pye57`, which is an extra. Called in a process of its own: see
+Sources: ASTM E2807, "Standard specification for 3D imaging data exchange"; Huber, "The ASTM E57 file format
+for 3D imaging data exchange", 2011. Requires the optional package `pye57`; runs in the subprocess of
 `cloud_process`.
 """
 
@@ -24,7 +24,7 @@ _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _COLORS = ("colorRed", "colorGreen", "colorBlue")
 _NORMALS = ("nor:normalX", "nor:normalY", "nor:normalZ")
-# Not 0 where a direction was measured and no distance, or nothing.
+# Non-zero for points without a valid distance or direction.
 _INVALID = ("cartesianInvalidState", "sphericalInvalidState")
 _BRIGHTEST = np.iinfo(np.uint16).max
 
@@ -32,12 +32,13 @@ Floats = NDArray[np.float64]
 
 
 def read_e57(path: Path, parts: Parts) -> None:
-    """Read the points of all scans of a file, in its own coordinates, with their colours and normals.
+    """Read the points of all scans in file coordinates, with colours and normals.
 
     Raises
     ------
     InputError
-        If it is none, holds no points, or promises more than it holds. What pye57 raises besides is damage.
+        If the file is not E57, has no coordinates, or ends early. Other exceptions of pye57 also mean damage;
+        the caller handles them.
     """
     import pye57
 
@@ -59,7 +60,7 @@ def read_e57(path: Path, parts: Parts) -> None:
 
 
 def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
-    """Append the points of one scan; return how many were left out."""
+    """Append the points of one scan; return the number of invalid points dropped."""
     from pye57 import libe57
 
     fields = set(scan.point_fields)
@@ -108,9 +109,10 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
 
 
 def _pose(scan: Any) -> tuple[Floats, Floats]:
-    """Return the rotation (3, 3) and translation (3,) of a scan, by the names of their numbers.
+    """Return the rotation (3, 3) and translation (3,) of a scan.
 
-    pye57 takes these in the order in which they stand in the file, which is free.
+    Values are read by field name. pye57's own accessor reads them in file order, which the format leaves
+    open.
     """
     turn, shift = np.eye(3), np.zeros(3)
     pose = scan["pose"] if "pose" in scan.scan_fields else None
@@ -130,7 +132,7 @@ def _from_spherical(values: Floats) -> Floats:
 
 
 def _color_limits(scan: Any) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest value of each colour, (3,); what is usual where none are told."""
+    """Return the minimum and maximum (3,) of each colour channel; default 0 and 255."""
     ends = np.array([[0.0] * 3, [255.0] * 3])
     if "colorLimits" in scan.scan_fields:
         limits = scan["colorLimits"]
