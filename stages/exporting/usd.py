@@ -52,8 +52,7 @@ def write_usd(path: Path, mesh: Mesh) -> None:
     """Write a mesh as .usda or .usdz, y-up, in metres.
 
     Positions are stored unchanged, below a transform that rotates the up direction to y. Images become JPEG
-    or
-    PNG. Data that the format does not hold is reported as a warning.
+    or PNG. Data that the format does not hold is reported as a warning.
 
     Raises
     ------

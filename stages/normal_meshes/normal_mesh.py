@@ -1,8 +1,8 @@
 """Normal meshes in memory and as progressive `.snm` files.
 
-A normal mesh is a base mesh and refinements that need one scalar per new vertex. A file stores the base
-mesh followed by one refinement after the other. A prefix that ends at a level boundary is a valid file of
-a coarser mesh.
+A normal mesh is a base mesh and refinements that need one scalar per new vertex. A file stores the base mesh
+followed by one refinement after the other. A prefix that ends at a level boundary is a valid file of a
+coarser mesh.
 """
 
 from __future__ import annotations
@@ -262,8 +262,7 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
     ------
     InputError
         If the file cannot be read, is not an `.snm` file or has another version. Also if the damage affects
-        the
-        base mesh, or a level up to `level`.
+        the base mesh, or a level up to `level`.
     UsageError
         If the file was never encoded with this level.
     """

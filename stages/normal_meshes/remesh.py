@@ -192,15 +192,13 @@ def remesh(
     reproduces the result from `data` bit for bit.
 
     Every level has the genus, connected components, boundary loops and orientation of the input. The same
-    input
-    gives the same bytes, for any number of threads.
+    input gives the same bytes, for any number of threads.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Vertices at equal
         positions are welded. If the welded mesh is not an oriented manifold, it is cut into manifold sheets
-        and
-        a warning is emitted. Unreferenced vertices and triangles that repeat a vertex are dropped.
+        and a warning is emitted. Unreferenced vertices and triangles that repeat a vertex are dropped.
     params : RemeshParams; single fields can be given by name instead.
     confidence : (n,) finite numbers per vertex, interpolated like colours and stored with 8 bits between
     their

@@ -50,8 +50,7 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
 
     The first available source counts: the material's image times its base colour, vertex colours, the base
     colour alone, grey. In glTF files the vertex colours also multiply the image. An image that cannot be
-    decoded
-    is ignored. Images are sampled bilinearly, vertex colours are interpolated linearly.
+    decoded is ignored. Images are sampled bilinearly, vertex colours are interpolated linearly.
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
 """Conversion of meshes from and to Open3D and trimesh.
 
 Only a library that is in use is imported. `open3d_meshes` converts the classes of Open3D, `trimesh_meshes`
-the class of trimesh. Data that a class cannot
-hold is reported with the code `mesh.conversion-loss`.
+the class of trimesh. Data that a class cannot hold is reported with the code `mesh.conversion-loss`.
 """
 
 from __future__ import annotations
@@ -45,8 +44,8 @@ def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
 
     Parameters
     ----------
-    data : Mesh, open3d.t.geometry.TriangleMesh, open3d.geometry.TriangleMesh, trimesh.Trimesh, or
-        (vertices (n, 3), triangles (m, 3)). Float colours of Open3D are 0 to 1.
+    data : Mesh, open3d.t.geometry.TriangleMesh, open3d.geometry.TriangleMesh, trimesh.Trimesh, or (vertices
+        (n, 3), triangles (m, 3)). Float colours of Open3D are 0 to 1.
     where : name of the mesh in messages.
 
     Raises
@@ -90,8 +89,7 @@ def with_vertex_colors(mesh: Mesh) -> Mesh:
     Each textured corner samples its image bilinearly with the material's wrap mode, times the base colour. A
     vertex gets the mean of its corners, which differ only along seams. Without an image, vertices keep their
     colour, else get the base colour of their material, else grey. If no material has a colour, the result has
-    no
-    new colours. An image that cannot be decoded is reported as a warning.
+    no new colours. An image that cannot be decoded is reported as a warning.
     """
     texture = mesh.texture
     if texture is None:

@@ -25,8 +25,7 @@ def fill_holes(traced: Traced, max_length: float = np.inf, max_extent: float = n
     """Fill small holes; return the mesh and the number of filled holes.
 
     Some loops stay open: outer boundaries of components, loops of more than 500 edges, and loops that share a
-    vertex
-    with another border loop. So do loops that cannot be closed without non-manifold edges.
+    vertex with another border loop. So do loops that cannot be closed without non-manifold edges.
 
     Parameters
     ----------

@@ -52,8 +52,7 @@ class Mesh:
     """Triangle mesh with optional colours, normals, texture and parts.
 
     Treat it as immutable: functions return a new mesh. A point cloud is a mesh without triangles; stages that
-    do
-    not support clouds raise an error.
+    do not support clouds raise an error.
 
     Attributes
     ----------

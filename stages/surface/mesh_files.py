@@ -1,8 +1,7 @@
 """Mesh file reader and writer: PLY, OBJ, OFF, STL and glTF.
 
 PLY, OBJ and glTF have parsers in this package. OFF and STL are parsed by trimesh: its exceptions are
-converted
-to one InputError, and files shorter than declared are refused before memory is allocated.
+converted to one InputError, and files shorter than declared are refused before memory is allocated.
 """
 
 from __future__ import annotations
@@ -47,8 +46,7 @@ def read_mesh(path: Path | str) -> Mesh:
     """Read a mesh file; the extension selects the format.
 
     All objects of a file become one mesh, with scene transforms applied. STL does not share vertices, and
-    glTF
-    duplicates them along texture seams; vertices of equal position and colour are therefore welded.
+    glTF duplicates them along texture seams; vertices of equal position and colour are therefore welded.
 
     Parameters
     ----------
@@ -118,10 +116,8 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     """Write a mesh; the extension selects the format. The file is replaced atomically.
 
     PLY and OBJ store every field of a Mesh losslessly. glTF uses single precision and groups triangles by
-    part and
-    material. Material properties other than image and base colour are kept only from OBJ to OBJ and from glTF
-    to
-    glTF. OFF and STL store geometry only.
+    part and material. Material properties other than image and base colour are kept only from OBJ to OBJ and
+    from glTF to glTF. OFF and STL store geometry only.
 
     Parameters
     ----------

@@ -2,8 +2,7 @@
 
 The tensor class stores arbitrary attributes. Materials after the first get numbered names (`albedo_1`,
 `base_color_1`), which Open3D keeps but does not render. The legacy class stores only images: a material with
-a
-colour and no image becomes an image of one pixel.
+a colour and no image becomes an image of one pixel.
 """
 
 from __future__ import annotations
@@ -154,10 +153,8 @@ def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
     """Convert a mesh to an open3d.t.geometry.TriangleMesh.
 
     Positions and normals are float64, indices int32, colours uint8. Open3D renders the image of the first
-    material;
-    further images are stored as `albedo_1` etc. Open3D's `clone` and `to_legacy` drop materials. Data that
-    the
-    class cannot hold is reported (`mesh.conversion-loss`).
+    material; further images are stored as `albedo_1` etc. Open3D's `clone` and `to_legacy` drop materials.
+    Data that the class cannot hold is reported (`mesh.conversion-loss`).
     """
     from scanloom.stages._open3d import open3d
 
@@ -204,8 +201,7 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
     """Convert a mesh to a legacy open3d.geometry.TriangleMesh.
 
     Colours become floats 0 to 1, from which the 8-bit values are recovered exactly. Base colours are
-    multiplied into
-    the images. Data that the class cannot hold is reported (`mesh.conversion-loss`).
+    multiplied into the images. Data that the class cannot hold is reported (`mesh.conversion-loss`).
     """
     from scanloom.stages._open3d import open3d
 

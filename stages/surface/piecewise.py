@@ -58,8 +58,7 @@ class Piecewise:
     """A mesh that is processed chunk by chunk.
 
     Memory holds one chunk, and the normals of vertices shared between chunks. The constructor reads all
-    chunks
-    once.
+    chunks once.
 
     Parameters
     ----------

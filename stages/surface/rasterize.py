@@ -1,8 +1,7 @@
 """Rasterization of 2-D triangles to the pixels whose centres they cover.
 
 Both triangles of an edge compute identical intersections with it, so adjacent triangles leave no gap and
-share no
-pixel.
+share no pixel.
 """
 
 from __future__ import annotations

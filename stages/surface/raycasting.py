@@ -2,9 +2,8 @@
 
 Embree stores coordinates as float32, whose step at map coordinates of 500 km is 3 cm. The scene is therefore
 centred and scaled to unit size, and only selects the triangle. The closest point and distance are then
-computed
-on that triangle in float64. The remaining error: the selection is arbitrary between triangles whose distances
-differ by less than about 1e-6 of the bounding-box diagonal.
+computed on that triangle in float64. The remaining error: the selection is arbitrary between triangles whose
+distances differ by less than about 1e-6 of the bounding-box diagonal.
 """
 
 from __future__ import annotations
@@ -216,8 +215,7 @@ def _without_slivers(mesh: Mesh, slimness: Slimness) -> Triangles:
     """Replace every sliver by its longest side, as degenerate triangle (first, second, second).
 
     In single precision, the closest point of a sliver can be anywhere along its line, so another triangle
-    could be
-    selected. The closest point of a segment is stable.
+    could be selected. The closest point of a segment is stable.
     """
     (slivers,) = np.nonzero(slimness.area2 <= _SLIVER * slimness.longest2)
     if not len(slivers):
@@ -274,8 +272,7 @@ def closest_weights(points: Floats, corners: Floats) -> Floats:
     """Compute barycentric weights (k, 3) of the closest point on each triangle.
 
     `corners` is (k, 3, 3). The closest point is the perpendicular foot if it is inside, else the closest
-    point on the three edges. A triangle
-    without area has only its edges.
+    point on the three edges. A triangle without area has only its edges.
     """
     a = corners[:, 0]
     ab, ac, ap = corners[:, 1] - a, corners[:, 2] - a, points - a

@@ -1,8 +1,7 @@
 """A mesh in memory, split into chunks of consecutive triangles.
 
 A search structure takes twenty times the memory of the mesh, so it is built per chunk. Consecutive triangles
-of
-scan meshes are near each other, so each chunk is compact.
+of scan meshes are near each other, so each chunk is compact.
 """
 
 from __future__ import annotations

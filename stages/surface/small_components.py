@@ -16,8 +16,7 @@ def find_small_components(
     """Find the triangles of connected components smaller than a size.
 
     Triangles are connected if they share a vertex position. The size of a component is the diagonal of its
-    bounding
-    box.
+    bounding box.
 
     Parameters
     ----------

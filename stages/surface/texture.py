@@ -95,8 +95,7 @@ class Material:
     base_color : sRGB red, green, blue, and alpha, 0 to 1; None if the file states none. It multiplies the
     image in
         linear light, as in glTF. Kd of an MTL file is used only without an image, because programs disagree
-        on its
-        effect on an image.
+        on its effect on an image.
     wrap : wrap modes of the image along u and v: "repeat", "clamp" or "mirror".
     kept : further properties, used only when writing the same file format.
     """

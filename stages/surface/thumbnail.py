@@ -1,8 +1,7 @@
 """Small preview image of a mesh for notebooks.
 
 It uses no ray caster, whose import alone takes seconds. The view is orthographic, from 30° above, with y up.
-The
-nearest triangle at each pixel centre is drawn. `scanloom.stages.picturing` renders full pictures.
+The nearest triangle at each pixel centre is drawn. `scanloom.stages.picturing` renders full pictures.
 """
 
 from __future__ import annotations

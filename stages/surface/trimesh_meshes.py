@@ -1,10 +1,8 @@
 """Conversion from and to trimesh.Trimesh.
 
 Trimesh has one texture coordinate per vertex. Vertices on texture seams are therefore duplicated on export
-and
-welded on import. Materials become a SimpleMaterial, or a MultiMaterial with `face_materials`. Corner normals
-and
-parts are stored in `face_attributes`, part names and the up direction in `metadata`.
+and welded on import. Materials become a SimpleMaterial, or a MultiMaterial with `face_materials`. Corner
+normals and parts are stored in `face_attributes`, part names and the up direction in `metadata`.
 """
 
 from __future__ import annotations
@@ -222,8 +220,8 @@ def to_trimesh(mesh: Mesh) -> Trimesh:
 
     Vertices on texture seams are duplicated, because the class has one texture coordinate per vertex. Several
     materials become a MultiMaterial with `face_materials`. trimesh's viewer and exporters ignore these; write
-    such
-    meshes with `write_mesh`. Vertex colours of a textured mesh are in `visual.vertex_attributes["color"]`.
+    such meshes with `write_mesh`. Vertex colours of a textured mesh are in
+    `visual.vertex_attributes["color"]`.
     """
     from trimesh import Trimesh
 

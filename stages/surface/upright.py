@@ -142,11 +142,9 @@ def up_of_place(
     """Estimate the up direction of a scanned scene.
 
     A known direction has priority; a warning is emitted if it contradicts both the surface and the cameras.
-    Otherwise
-    the surface decides, or the cameras if the surface has no dominant direction. A direction within 1° of a
-    coordinate axis is snapped to that axis: gravity-aligned worlds have one there, and a floor is not
-    measured more
-    accurately.
+    Otherwise the surface decides, or the cameras if the surface has no dominant direction. A direction within
+    1° of a coordinate axis is snapped to that axis: gravity-aligned worlds have one there, and a floor is not
+    measured more accurately.
 
     Parameters
     ----------
@@ -200,8 +198,7 @@ def _up_of_cameras_on_any_side(poses: Floats) -> list[Floats]:
     """Return the cameras' up direction, also for cameras rolled by ±90°, if consistent.
 
     Phones in portrait orientation store all images rolled by 90°. A roll of 180° is not considered, because a
-    wrong
-    axis convention is more likely.
+    wrong axis convention is more likely.
     """
     sides = [up_of_cameras(poses)]
     for sine in (1, -1):
@@ -215,8 +212,7 @@ def up_of_cameras(poses: Floats) -> Floats:
     """Estimate the up direction (3,) from level cameras.
 
     People hold cameras level, so `up` is orthogonal to the x axes and on the side of the -y axes. If all x
-    axes are
-    parallel, as in a car, the mean -y axis decides; it has a lower weight.
+    axes are parallel, as in a car, the mean -y axis decides; it has a lower weight.
 
     Parameters
     ----------
@@ -233,9 +229,8 @@ def up_of_held(poses: Floats) -> Floats:
     """Estimate the up direction (3,) from cameras that can be rolled by 90°.
 
     Phones and orbiting arms are used that way around an object. The roll can be in either direction, so the
-    sign of
-    `up` follows from the assumption that cameras look down rather than up. Other cameras are passed to
-    `up_of_cameras`.
+    sign of `up` follows from the assumption that cameras look down rather than up. Other cameras are passed
+    to `up_of_cameras`.
 
     Parameters
     ----------
@@ -254,8 +249,7 @@ def up_of_surface(mesh: Mesh, guess: Floats) -> Floats | None:
     """Estimate the up direction (3,) from floors and table tops; None if there are none.
 
     Among the directions within 60° of the guess, the result maximises the supporting area times the cosine of
-    the
-    angle to the guess.
+    the angle to the guess.
 
     Parameters
     ----------

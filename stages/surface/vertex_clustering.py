@@ -1,8 +1,8 @@
 """Vertex clustering of a mesh file that exceeds memory, for display.
 
 Source: Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
-Vertices of
-a grid cell are replaced by their mean. The error is not bounded, so the result is only used for pictures.
+Vertices of a grid cell are replaced by their mean. The error is not bounded, so the result is only used for
+pictures.
 """
 
 from __future__ import annotations

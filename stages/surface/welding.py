@@ -14,10 +14,8 @@ def merge_vertices(mesh: Mesh, apart: NDArray[Any] | None = None) -> Mesh:
     """Weld vertices with exactly equal position and colour; vertices keep their order.
 
     Some formats duplicate vertices along texture seams and hard edges, and STL stores separate corners;
-    welding
-    restores the connectivity. A welded vertex gets the mean of the normals. Vertices that differ in `apart`
-    (n,) are
-    not welded.
+    welding restores the connectivity. A welded vertex gets the mean of the normals. Vertices that differ in
+    `apart` (n,) are not welded.
     """
     keys = list(mesh.vertices.T)
     if mesh.colors is not None:

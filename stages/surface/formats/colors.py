@@ -12,8 +12,7 @@ def to_uint8(values: NDArray[Any]) -> NDArray[np.uint8]:
     """Convert colours of any number type to 8 bits.
 
     uint8 is returned unchanged and uint16 is scaled. Floats are 0 to 1 if no value exceeds 1, else 0 to 255.
-    The
-    round trip from uint8 to float (k / 255) and back is exact. Values that are not finite become 0.
+    The round trip from uint8 to float (k / 255) and back is exact. Values that are not finite become 0.
     """
     values = np.asarray(values)
     if values.dtype == np.uint8:

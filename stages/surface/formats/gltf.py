@@ -1,10 +1,9 @@
 """glTF reader: merges all meshes of the scene, with node transforms applied.
 
 Coordinates are kept in metres, y-up. Exception: if `asset.extras` of the file stores the rotation back to
-scan
-axes, that rotation is applied, and `Mesh.up` holds the up direction. Vertex colours are converted from linear
-light to sRGB, except for generators known to write sRGB. Animations, skins, morph targets, points and lines
-are dropped with a warning.
+scan axes, that rotation is applied, and `Mesh.up` holds the up direction. Vertex colours are converted from
+linear light to sRGB, except for generators known to write sRGB. Animations, skins, morph targets, points and
+lines are dropped with a warning.
 """
 
 from __future__ import annotations
@@ -87,10 +86,8 @@ def read_gltf(path: Path | str) -> Mesh:
     """Read a .glb or .gltf file.
 
     Vertices of one node with equal position and colour are welded, because glTF duplicates vertices along
-    seams.
-    If normals differ at such a vertex, they become corner normals, and the vertex gets their mean. Nodes
-    become
-    parts. `Mesh.diagnostics` lists dropped data.
+    seams. If normals differ at such a vertex, they become corner normals, and the vertex gets their mean.
+    Nodes become parts. `Mesh.diagnostics` lists dropped data.
 
     Raises
     ------

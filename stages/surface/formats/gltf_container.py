@@ -1,8 +1,7 @@
 """glTF container: JSON description, buffers and accessors, with all sizes and indices checked.
 
 Source: Khronos Group, "glTF 2.0 specification", 2021 (ISO/IEC 12113:2022). Look-ups in a malformed
-description
-raise KeyError, IndexError, TypeError or ValueError; `read_gltf` converts them to one InputError.
+description raise KeyError, IndexError, TypeError or ValueError; `read_gltf` converts them to one InputError.
 """
 
 from __future__ import annotations

@@ -268,8 +268,7 @@ class MaterialWriter:
         """Add a material and return its index; None for bare vertex colours.
 
         glTF multiplies vertex colours with the base colour. A material that did not do so in its source file
-        is
-        therefore written without a base colour.
+        is therefore written without a base colour.
 
         Parameters
         ----------

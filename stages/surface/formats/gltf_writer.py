@@ -67,8 +67,7 @@ def write_gltf(
     """Write a mesh as .glb, or as .gltf with separate buffer and images.
 
     Each file is replaced atomically. Triangles are grouped by part and material. Parts that share no vertices
-    become
-    separate nodes. If the mesh has an up direction, a root node rotates it to +y, and
+    become separate nodes. If the mesh has an up direction, a root node rotates it to +y, and
     `asset.extras.scan_from_world` stores the inverse rotation.
 
     Parameters
@@ -78,17 +77,13 @@ def write_gltf(
     compress : one of COMPRESSIONS. `quantize`: positions with up to 65,535 steps along the longest side (the
     step
         is a power of two), normals with 8 bits, texture coordinates inside the image with 16 bits; viewers
-        need
-        KHR_mesh_quantization. `meshopt`: the same, losslessly compressed, with triangles and vertices
-        reordered;
-        viewers need EXT_meshopt_compression.
+        need KHR_mesh_quantization. `meshopt`: the same, losslessly compressed, with triangles and vertices
+        reordered; viewers need EXT_meshopt_compression.
     shading : one of SHADINGS. `keep`: as the materials state; vertex colours without a material are lit.
     `bare`:
         the same, but uncompressed files have no material for vertex colours, because trimesh drops colours
-        next
-        to a material. `unlit`: colours are displayed without lighting, and normals are dropped; no effect on
-        a
-        mesh without colours. `lit`: overrides the materials.
+        next to a material. `unlit`: colours are displayed without lighting, and normals are dropped; no
+        effect on a mesh without colours. `lit`: overrides the materials.
     position_bits : bits per component of a compressed position, 1 to 16.
     texel_steps : steps of compressed texture coordinates per texel; viewers need KHR_texture_transform. 0 for
     16

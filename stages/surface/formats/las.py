@@ -1,8 +1,7 @@
 """LAS and LAZ reader for laser scans and surveys.
 
 Source: ASPRS, "LAS specification 1.4 - R15", 2019. Requires the optional packages `laspy` and `lazrs`; runs
-in
-the subprocess of `cloud_process`. The header is validated before these packages see the file.
+in the subprocess of `cloud_process`. The header is validated before these packages see the file.
 """
 
 from __future__ import annotations
@@ -45,8 +44,7 @@ def read_las(path: Path, parts: Parts) -> None:
     ------
     InputError
         If the file is damaged or shorter than its header states. Other exceptions of laspy also mean damage;
-        the
-        caller handles them.
+        the caller handles them.
     """
     import laspy
 

@@ -1,8 +1,7 @@
 """Material libraries (MTL) of OBJ files.
 
 Source: Alias Wavefront, "MTL material format", 1995. Kd, d and map_Kd are interpreted. All statements are
-kept
-unchanged for writing.
+kept unchanged for writing.
 """
 
 from __future__ import annotations

@@ -51,10 +51,8 @@ def read_obj(path: Path | str) -> Mesh:
     """Read an OBJ file and triangulate its polygons.
 
     Colours after positions (0 to 1, or 0 to 255) are kept if every vertex has one. Normals become vertex
-    normals
-    if all corners of a vertex agree, else corner normals. Materials come from the available libraries, and
-    images
-    are kept unchanged. `Mesh.diagnostics` lists changed, dropped and missing data.
+    normals if all corners of a vertex agree, else corner normals. Materials come from the available
+    libraries, and images are kept unchanged. `Mesh.diagnostics` lists changed, dropped and missing data.
 
     Raises
     ------
@@ -255,8 +253,7 @@ def write_obj(path: Path | str, mesh: Mesh) -> None:
     """Write an OBJ file, its material library (NAME.mtl) and its images.
 
     Images keep their names and bytes. Numbers are written so that they read back equal, and triangles keep
-    their
-    order. Each file is replaced atomically.
+    their order. Each file is replaced atomically.
 
     Raises
     ------

@@ -55,10 +55,9 @@ def read_ply(path: Path | str) -> Mesh:
     """Read a PLY file: text, or binary of either byte order.
 
     Polygons are triangulated and triangle strips unrolled. Colours can be integers or floats. Texture
-    coordinates per
-    corner (MeshLab's `texcoord`) or per vertex become a Texture with the unchanged image files. A point cloud
-    becomes a mesh without triangles. Face colours, alpha, and other properties and elements are dropped.
-    `Mesh.diagnostics` lists changed and dropped data.
+    coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture with the unchanged image
+    files. A point cloud becomes a mesh without triangles. Face colours, alpha, and other properties and
+    elements are dropped. `Mesh.diagnostics` lists changed and dropped data.
 
     Raises
     ------
@@ -225,10 +224,8 @@ def write_ply(
     """Write a mesh as binary little-endian PLY; reading it back is lossless.
 
     Values are stored as 32-bit floats if that is lossless (as for fused meshes), else as doubles. MeshLab,
-    Blender,
-    CloudCompare, Open3D and trimesh read both. Texture images are written to the same folder, with unchanged
-    names
-    and bytes. Each file is replaced atomically.
+    Blender, CloudCompare, Open3D and trimesh read both. Texture images are written to the same folder, with
+    unchanged names and bytes. Each file is replaced atomically.
 
     Parameters
     ----------

@@ -3,9 +3,8 @@
 Their meaning is interpreted elsewhere. Counts in the header are not trusted.
 
 A file has text lines up to `end_header`, then rows of numbers, as text or binary in either byte order.
-Source:
-Greg Turk, "The PLY polygon file format", 1994. An ASCII body is first converted to a binary body of doubles,
-so one decoder handles both.
+Source: Greg Turk, "The PLY polygon file format", 1994. An ASCII body is first converted to a binary body of
+doubles, so one decoder handles both.
 """
 
 from __future__ import annotations
@@ -170,8 +169,7 @@ def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
     """Locate the vertex and face rows in a binary file, for reading in chunks.
 
     The file must contain exactly the elements `vertex` and `face`, in this order. Face rows have the fields
-    LENGTH
-    and CORNERS. The caller must check that LENGTH is 3 in every row, else CORNERS is meaningless.
+    LENGTH and CORNERS. The caller must check that LENGTH is 3 in every row, else CORNERS is meaningless.
 
     Raises
     ------

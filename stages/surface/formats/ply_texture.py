@@ -1,8 +1,7 @@
 """Materials, texture coordinates and parts in PLY files.
 
 PLY has no standard for them. As in MeshLab's files, comments `TextureFile NAME` name the images, and faces
-have
-a list `texcoord` and an image index `texnumber`. Everything else uses scanloom's own comments and face
+have a list `texcoord` and an image index `texnumber`. Everything else uses scanloom's own comments and face
 properties: `comment Material {JSON}` with `material_index`, `comment Part NAME` with `part_index`, and
 `corner_normals`.
 """

@@ -1,11 +1,9 @@
 """Triangulation of polygons.
 
 Polygons that are star-shaped about their first corner, as convex ones are, become triangle fans in bulk.
-Other
-quads are cut along their other diagonal. Other polygons are triangulated by mapbox's earcut in the plane of
-their mean normal (Newell's method: Sutherland, Sproull and Schumacker, 1974). Every corner stays a corner of
-a
-triangle, so neighbouring polygons stay connected.
+Other quads are cut along their other diagonal. Other polygons are triangulated by mapbox's earcut in the
+plane of their mean normal (Newell's method: Sutherland, Sproull and Schumacker, 1974). Every corner stays a
+corner of a triangle, so neighbouring polygons stay connected.
 """
 
 from __future__ import annotations
@@ -34,8 +32,7 @@ def split_polygons(
     """Triangulate polygons, keeping their orientation.
 
     Diagnostics report the number of triangulated polygons, and those that self-intersect, have no area, or
-    have
-    fewer than three corners.
+    have fewer than three corners.
 
     Parameters
     ----------

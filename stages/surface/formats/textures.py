@@ -70,8 +70,7 @@ def write_images(path: Path, images: Iterable[Image]) -> dict[int, str]:
     """Write images next to the mesh file `path`; return file names by `id(image)`.
 
     Images keep their bytes, and their names if these are free. Otherwise the name gets the mesh's name as
-    prefix.
-    Only files with such a prefixed name are overwritten with other content.
+    prefix. Only files with such a prefixed name are overwritten with other content.
     """
     names: dict[int, str] = {}
     written: dict[str, bytes] = {}
