@@ -51,53 +51,60 @@ class ExportParams:
 
     up: str | None = param(
         None,
-        "What is up in the mesh: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `none`, "
-        "which turns nothing. By default what its file says: glTF is y-up, and that of a scan tells how it "
-        "was turned.",
+        "Up direction of the mesh: an axis (+x, -x, +y, -y, +z, -z), a vector of three numbers, or `none` "
+        "for no rotation. Default: as stated by the file. glTF is y-up, or stores the rotation of its scan.",
     )
     axes: str = param(
         "scan",
-        "The axes of positions in formats that do not say what is up (PLY, OBJ, OFF, STL): those of the mesh "
-        "as it is, or with y or z up. glTF and USD are y-up.",
+        "Up axis of formats that do not define one (PLY, OBJ, OFF, STL): y, z, or `scan` for unchanged axes. "
+        "glTF and USD are always y-up.",
         choices=AXES,
     )
-    unit: str = param("m", "The unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS))
-    on_floor: bool = param(False, "Move the mesh so that it stands on height 0, in the middle, in these.")
+    unit: str = param("m", "Unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS))
+    on_floor: bool = param(
+        False,
+        "Move the mesh so that its lowest point is at height 0 and its centre is above the origin, in PLY, "
+        "OBJ, OFF and STL.",
+    )
     compress: str = param(
         "none",
-        "How a glTF file is made small: positions, normals and coordinates in whole numbers "
-        "(KHR_mesh_quantization), or these packed by meshopt (EXT_meshopt_compression); viewers have to "
-        "know these.",
+        "Compression of glTF files: `quantize` stores positions, normals and texture coordinates as integers "
+        "(KHR_mesh_quantization), `meshopt` also packs these (EXT_meshopt_compression). Viewers must support "
+        "the extension.",
         choices=COMPRESSIONS,
     )
     position_bits: int = param(
         16,
-        "Of positions in a compressed glTF file: of the steps that so many tell apart, as many as there are "
-        "along the longest side.",
+        "Bits per coordinate of positions in a compressed glTF file; 16 bits give up to 65,535 steps along "
+        "the longest side.",
         low=8,
         high=16,
     )
     texel_steps: int = param(
         0,
-        "Steps of texture coordinates for a texel of the image, in a compressed glTF file: few make a small "
-        "file, which viewers need KHR_texture_transform for. 0 for 65,535 steps along each side, without it.",
+        "Steps of texture coordinates per texel in a compressed glTF file. Fewer steps make a smaller file, "
+        "but viewers must support KHR_texture_transform. 0: 65,535 steps along each side of the image, "
+        "without that extension.",
         low=0,
         high=64,
     )
     shading: str = param(
         "bare",
-        "How a glTF file takes light: `unlit` not at all (KHR_materials_unlit), for colours that have their "
-        "light, as a scan's do; `lit` in any case; `keep` as the mesh's materials say, and colours of "
-        "vertices are lit; `bare` the same, but colours of vertices have no material in a file that is not "
-        "compressed: trimesh forgets them beside one, and viewers draw them as metal without.",
+        "Lighting of a glTF file. `unlit`: none (KHR_materials_unlit), for colours with baked-in lighting, "
+        "such as photos. `lit`: always. `keep`: as the materials state; vertex colours are lit. `bare`: as "
+        "`keep`, but vertex colours of an uncompressed file have no material, because trimesh drops colours "
+        "next to a material; viewers then draw them as metal.",
         choices=SHADINGS,
     )
-    images: str = param("keep", "How texture images are kept.", choices=FORMATS)
-    quality: int = param(90, "Of JPEG and WebP images that are made.", low=1, high=100)
+    images: str = param("keep", "Format of texture images; `keep` stores them unchanged.", choices=FORMATS)
+    quality: int = param(90, "Quality of JPEG and WebP images that are encoded.", low=1, high=100)
     image_size: int = param(
-        16384, "Larger images are made smaller: their longer side.", unit="pixels", low=16
+        16384, "Maximum longer side of texture images; larger ones are downsampled.", unit="pixels", low=16
     )
-    watertight: bool = param(False, "Say why the mesh has no inside to print, if it has none.")
+    watertight: bool = param(
+        False,
+        "Report defects that prevent 3-D printing: holes, inverted orientation, intersecting triangles.",
+    )
 
     def __post_init__(self) -> None:
         check_params(self)
@@ -191,7 +198,7 @@ def _export(mesh: MeshLike, path: Path, params: ExportParams) -> Exported:
         if left_out := lost_with(suffix, given):
             emit(
                 EXPORT_LEFT_OUT.warning(
-                    "{suffix} holds the shape alone: the {left_out} are left out",
+                    "{suffix} stores geometry only: the {left_out} are left out",
                     remedy="write .ply or .glb",
                     suffix=suffix,
                     left_out=left_out,
@@ -237,8 +244,8 @@ def require_fitting(path: Path, params: ExportParams) -> None:
         ending = path.suffix or "(none)"
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "the extension {ending} stands for no format",
-            remedy="use {suffixes}.",
+            "the extension {ending} is unknown",
+            remedy="use one of {suffixes}.",
             where=path,
             ending=ending,
             suffixes=", ".join(SUFFIXES),
@@ -246,14 +253,14 @@ def require_fitting(path: Path, params: ExportParams) -> None:
     if suffix not in GLTF and (params.compress != "none" or params.shading != "bare"):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "compress and shading are of glTF",
+            "compress and shading apply only to glTF",
             remedy="write .glb.",
             where=path,
         )
     if suffix in STANDING and (params.unit != "m" or params.on_floor):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "{suffix} is in metres, and placed by its own axes",
+            "unit and on_floor do not apply to {suffix}, which is always y-up and in metres",
             remedy="write .stl or .obj.",
             where=path,
             suffix=suffix,
@@ -272,8 +279,8 @@ def _placed(mesh: Mesh, params: ExportParams) -> Mesh:
         if mesh.up is None:
             emit(
                 EXPORT_UP_UNKNOWN.warning(
-                    "nothing tells what is up: the axes are taken to be {axes} already",
-                    remedy="`up` says it",
+                    "the up direction is unknown: the mesh is written as if it were {axes} already",
+                    remedy="set `up`",
                     axes=params.axes,
                 )
             )

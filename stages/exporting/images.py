@@ -62,7 +62,8 @@ def _encoded(image: Image, kind: str, quality: int, most: int) -> Image:
         if (pixels[:, :, 3] < 255).any():
             emit(
                 EXPORT_IMAGE_AS_PNG.info(
-                    "the image {name} is transparent: it is kept as PNG", name=image.name or "without a name"
+                    "the image {name} is transparent: it is stored as PNG, because JPEG has no transparency",
+                    name=image.name or "without a name",
                 )
             )
             kind = "png"

@@ -51,7 +51,7 @@ def preset(name: str, suffix: str = ".glb") -> ExportParams:
     if name not in PRESETS:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "there is no preset {name!r}; there are {presets}.",
+            "unknown preset {name!r}; the presets are {presets}.",
             name=name,
             presets=", ".join(PRESETS),
         )

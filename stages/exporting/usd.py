@@ -44,7 +44,7 @@ def require_usd() -> None:
         import pxr  # noqa: F401
     except ImportError:
         raise UsageError(
-            MACHINE_EXTRA_MISSING, "USD is written by usd-core", remedy="install scanloom[usd]."
+            MACHINE_EXTRA_MISSING, "writing USD requires usd-core", remedy="install scanloom[usd]."
         ) from None
 
 
@@ -68,9 +68,9 @@ def write_usd(path: Path, mesh: Mesh) -> None:
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "USD is written as {suffixes}.",
+            "the extension of a USD file must be {suffixes}.",
             where=path,
-            suffixes=", ".join(SUFFIXES),
+            suffixes=" or ".join(SUFFIXES),
         )
     with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
         folder = Path(kept)
@@ -90,7 +90,9 @@ def _pack(text: Path, packed: Path, path: Path) -> None:
     from pxr import UsdUtils
 
     if not UsdUtils.CreateNewUsdzPackage(str(text), str(packed)):
-        raise StageError(EXPORT_USD_FAILED, "usd-core could not make the package.", where=path)
+        raise StageError(
+            EXPORT_USD_FAILED, "usd-core could not create the package", remedy="write .usda.", where=path
+        )
     with replacing(path) as part:
         shutil.copyfile(packed, part)
 
@@ -131,7 +133,7 @@ def _write_stage(path: Path, mesh: Mesh) -> list[str]:
             Vt.Vec3fArray.FromNumpy(light)
         )
     if mesh.part_ids is not None:
-        emit(EXPORT_LEFT_OUT.warning("parts are left out: USD is written as one mesh"))
+        emit(EXPORT_LEFT_OUT.warning("the parts are left out: USD is written as one mesh"))
     names = [] if mesh.texture is None else _add_texture(stage, shape, mesh.texture, path.parent)
     if mesh.texture is None and mesh.colors is not None:
         _add_colors_material(stage, shape)
@@ -188,7 +190,8 @@ def _written(image: Image, number: int, folder: Path) -> str:
         data, suffix = encoded_png(image.pixels), ".png"
         emit(
             EXPORT_IMAGE_AS_PNG.info(
-                "the image {name} is written as PNG, which USD shows", name=image.name or number
+                "the image {name} is stored as PNG, because USD viewers read only PNG and JPEG",
+                name=image.name or number,
             )
         )
     name = f"texture{number}{suffix}"

@@ -285,16 +285,16 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
     if level is not None and level > found.promised:
         raise UsageError(
             LEVELS_LEVEL_MISSING,
-            "level is {level}, but {place} was made with levels 0 to {promised}.",
+            "level is {level}, but {place} was encoded with levels 0 to {promised}.",
             level=level,
             place=where,
             promised=found.promised,
         )
     if level is not None and level > found.levels:
-        why = found.damage or "it was cut there"
+        why = found.damage or "the file ends there"
         raise InputError(
             LEVELS_LEVEL_MISSING,
-            "has no level {level}, only levels 0 to {levels} are whole: {why}.",
+            "has no level {level}; only levels 0 to {levels} are intact: {why}.",
             where,
             level=level,
             levels=found.levels,

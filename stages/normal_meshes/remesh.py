@@ -58,15 +58,15 @@ _FINEST = 5e-8
 # Texts for the kernel's identifiers of the tolerance's origin.
 _TOLERANCE_SOURCES = {
     "given": "given",
-    "distance": "from how far the finest level is from the mesh anyway",
-    "noise": "from the mesh's own noise",
+    "distance": "from the distance between the finest level and the mesh",
+    "noise": "from the noise of the mesh",
     "bound": "from max_error",
-    "precision": "the precision of 32-bit floats, as the finest level is as good as exact",
+    "precision": "from the precision of 32-bit floats, because the finest level is practically exact",
 }
 
-_HOW_FAR = "How far"
-_HOW = "How"
-_FILE = "What the file keeps"
+_HOW_FAR = "Base mesh and levels"
+_HOW = "Method"
+_FILE = "Precision of the file"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,25 +75,25 @@ class RemeshParams:
 
     levels: int | None = param(
         None,
-        "Refinements of the base mesh; each makes four triangles of one. Default: as many, from 1 to 4, as "
-        "give the finest level about as many triangles as the input; with max_error at most 4.",
+        "Refinements of the base mesh; each splits a triangle into four. Default: 1 to 4, so that the finest "
+        "level has about as many triangles as the input; with max_error at most 4.",
         group=_HOW_FAR,
         low=0,
         high=10,
     )
     base_triangles: int | None = param(
         None,
-        "Triangles of the base mesh; more are left only where fewer could not be refined. With levels 0, and "
-        "without base_error and max_error, the base is the mesh simplified to so many, its vertices where "
-        "the file comes nearest to the input. Default, unless base_error is given: so many that the finest "
-        "level has about as many as the input, or more, where fewer would be far from it.",
+        "Target triangle count of the base mesh; more remain only where fewer could not be refined. With "
+        "levels 0, and without base_error and max_error, the base is the simplified mesh, whose vertices are "
+        "moved to minimise the distance to the input. Default, unless base_error is given: the finest level "
+        "gets about as many triangles as the input, or more where fewer would be inaccurate.",
         group=_HOW_FAR,
         low=1,
     )
     base_error: float | None = param(
         None,
-        "The base mesh is made as long as no collapse adds more than this to the distance from the input; "
-        "with base_triangles, whichever comes first.",
+        "Maximum distance from the input that a collapse may add while the base mesh is made. With "
+        "base_triangles, collapsing stops at whichever limit comes first.",
         group=_HOW_FAR,
         unit="m",
         low=0,
@@ -101,8 +101,8 @@ class RemeshParams:
     )
     max_error: float | None = param(
         None,
-        "Stop at the first level whose largest distance from the input, both ways, is found to be no more "
-        "than this; at the last if none is.",
+        "Stop at the first level whose measured maximum distance from the input, in both directions, is at "
+        "most this. If no level reaches it, all levels are written.",
         group=_HOW_FAR,
         unit="m",
         low=0,
@@ -110,22 +110,22 @@ class RemeshParams:
     )
     scheme: str = param(
         "linear",
-        "Where new vertices are predicted: in the middle of their edge, or by the modified butterfly, which "
-        "makes offsets smaller on smooth shapes.",
+        "Prediction of new vertices: at the middle of their edge (`linear`), or by the modified butterfly "
+        "scheme, which gives smaller offsets on smooth shapes.",
         group=_HOW,
         choices=("linear", "butterfly"),
     )
     relaxations: int = param(
         1,
-        "How often new vertices move towards the middle of their neighbours, along the surface, before they "
-        "get their offsets: evens the triangles out.",
+        "Tangential smoothing steps of new vertices before their offsets are computed, for more regular "
+        "triangles.",
         group=_HOW,
         low=0,
         high=100,
     )
     threads: int | None = param(
         None,
-        "Processors to use, with the same result; all if not given.",
+        "CPU threads; the result is the same for any number. Default: all.",
         group=_HOW,
         low=1,
         high=256,
@@ -133,19 +133,18 @@ class RemeshParams:
     )
     tolerance: float | None = param(
         None,
-        "How far rounding may take a vertex from the surface of the input, as a share of the bounding box's "
-        "diagonal; of a base that is the simplified mesh, beside how far that is from it. Default: from the "
-        "mesh, about a third of the RMS distance of the finest level from it, or half of it where the mesh's "
-        "own noise hides that, or three times it for the simplified mesh, which is rounded far better than "
-        "to the tolerance; never more than a sixteenth of max_error, nor finer than the precision of 32-bit "
-        "floats, 5e-8.",
+        "Maximum distance by which rounding moves a vertex off the input surface, as a ratio of the bounding "
+        "box's diagonal. If the base is the simplified mesh, its distance from the input is not included. "
+        "Default: a third of the RMS distance of the finest level from the input; half of it where noise of "
+        "the mesh hides that distance; three times it for the simplified mesh, whose actual rounding is far "
+        "smaller. It is at most a sixteenth of max_error, and at least the precision of 32-bit floats, 5e-8.",
         group=_FILE,
         low=1e-9,
         high=0.01,
     )
     color_tolerance: float = param(
         2.0,
-        "How much rounding may change a channel of a vertex's colour.",
+        "Maximum rounding error of a channel of a vertex colour.",
         group=_FILE,
         unit="8-bit levels",
         low=0,
@@ -284,11 +283,11 @@ def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
         raise MeshError(
             LEVELS_TOO_FINE,
             (
-                "most edges are shorter than {finest:.2g} m, which is all that can be told "
-                "apart in a mesh of this size"
+                "most edges are shorter than {finest:.2g} m, the precision of the format for "
+                "a mesh of this size"
             ),
             "mesh",
-            remedy="remove what lies far from the rest: vertex {farthest} is {away:.2g} m away.",
+            remedy="remove vertices far from the rest: vertex {farthest} is {away:.2g} m away.",
             finest=finest,
             farthest=farthest,
             away=away[farthest],
@@ -406,7 +405,7 @@ def _report_left_out(mesh: Mesh) -> None:
     if names:
         emit(
             LEVELS_LEFT_OUT.warning(
-                "remesh left out: {names}; it carries vertex colours and confidence.", names=names
+                "remesh left out: {names}; it keeps vertex colours and confidence.", names=names
             )
         )
     if mesh.texture is not None:
@@ -417,8 +416,7 @@ def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, 
     if split:
         emit(
             LEVELS_VERTICES_SPLIT.warning(
-                "{count:,} pinched {were} split, so that each fan of triangles that touched there has its "
-                "own.",
+                "{count:,} pinched {were} split: each fan of triangles around it has its own copy.",
                 count=split,
                 were="vertex was" if split == 1 else "vertices were",
             )
@@ -428,9 +426,9 @@ def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, 
     if asked and wanted_base and base > _FAR_FROM_WANTED * wanted_base:
         emit(
             LEVELS_BASE_LARGE.warning(
-                "the base mesh has {base:,} triangles, not {wanted_base:,}: what is left stands for pieces, "
-                "holes and handles, which all stay, or could not be refined well with fewer. The finest "
-                "level has {finest:,}; fewer levels have fewer.",
+                "the base mesh has {base:,} triangles, not {wanted_base:,}: connected components, holes and "
+                "handles are preserved, or the mesh cannot be refined well from fewer. The finest level has "
+                "{finest:,} triangles; lower levels to reduce that.",
                 base=base,
                 wanted_base=wanted_base,
                 finest=len(found.triangles(found.levels)),
@@ -439,8 +437,8 @@ def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, 
     if sum(found.folded):
         emit(
             LEVELS_FOLDED.warning(
-                "{count:,} triangles of all levels, {finest:,} of the finest, are turned against the surface "
-                "or have no area.",
+                "{count:,} triangles in all levels ({finest:,} in the finest) are flipped relative to the "
+                "surface or have no area.",
                 count=sum(found.folded),
                 finest=found.folded[-1],
             )
@@ -450,7 +448,7 @@ def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, 
             LEVELS_NORMAL_MESH_INEXACT.unmet(
                 "the finest level is up to {reached:.4g} m from the input, more than max_error "
                 "({max_error:g} m)",
-                remedy="give more levels or a finer base.",
+                remedy="increase levels or base_triangles.",
                 reached=found.reached[-1],
                 max_error=params.max_error,
             )

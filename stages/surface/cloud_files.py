@@ -59,7 +59,7 @@ def read_cloud(path: Path | str) -> Mesh:
         known = ", ".join(CLOUD_EXTENSIONS)
         raise InputError(
             USAGE_EXTENSION_UNKNOWN,
-            "is of no format of clouds, {path_suffix!r}; known are {known}.",
+            "is not of a point cloud format: {path_suffix!r}; known are {known}.",
             path,
             path_suffix=path.suffix,
             known=known,
@@ -117,7 +117,7 @@ def _read_elsewhere(path: Path) -> Mesh:
     if missing:
         raise UsageError(
             MACHINE_EXTRA_MISSING,
-            "{suffix} is read by {missing}",
+            "reading {suffix} requires {missing}",
             remedy="install scanloom[clouds].",
             where=path,
             suffix=suffix,

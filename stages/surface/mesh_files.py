@@ -172,7 +172,7 @@ def lost_with(extension: str, mesh: Mesh) -> str:
     has = (
         ("colours", mesh.colors is not None or mesh.texture is not None),
         ("parts", mesh.part_ids is not None),
-        ("normals of corners", mesh.corner_normals is not None),
+        ("corner normals", mesh.corner_normals is not None),
     )
     return " and ".join(name for name, there in has if there)
 
@@ -203,7 +203,7 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     elif data[:64].split(b"\n")[0].split()[:2] == [b"OFF", b"BINARY"]:
         raise InputError(
             MESH_COMPRESSION_UNKNOWN,
-            "is OFF in its binary form, which is not read",
+            "is binary OFF, which is not supported",
             path,
             remedy="write it as text, or as PLY.",
         )
@@ -246,7 +246,7 @@ def _report_lost_of_off(data: bytes, path: Path) -> None:
         if there:
             emit(
                 MESH_LEFT_OUT.warning(
-                    "numbers behind its {called}, such as colours, are left out", path, called=called
+                    "additional numbers of its {called}, such as colours, are left out", path, called=called
                 )
             )
 
@@ -262,7 +262,7 @@ def _report_lost_of_stl(parts: list[Any], path: Path) -> None:
     if any(np.any(part.face_attributes.get("stl", 0)) for part in parts):
         emit(
             MESH_LEFT_OUT.warning(
-                "numbers beside triangles, which some programs take for colours, are left out", path
+                "attribute numbers of triangles, which some programs use for colours, are left out", path
             )
         )
 
@@ -302,7 +302,7 @@ def _require_whole_stl(data: bytes, path: Path) -> None:
     if len(start) == 84 and not start.lstrip().startswith(b"solid") and count > held:
         raise InputError(
             MESH_FILE_DAMAGED,
-            "promises {count:,} triangles but holds {held:,}; it is damaged or cut short.",
+            "declares {count:,} triangles but holds {held:,}; it is damaged or cut short.",
             path,
             count=count,
             held=held,

@@ -175,7 +175,7 @@ def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
         result.triangle.texture_uvs = tensor(mesh.texture.uvs)
         result.triangle.material_ids = tensor(mesh.texture.material_ids)
         _set_tensor_materials(o3d, result.material, mesh.texture.materials)
-    losses = [*_find_material_losses(mesh), *(["names of parts"] if any(mesh.part_names) else [])]
+    losses = [*_find_material_losses(mesh), *(["part names"] if any(mesh.part_names) else [])]
     if mesh.up is not None:
         losses.append("the up direction")
     _report_losses("open3d.t.geometry.TriangleMesh", losses)
@@ -218,7 +218,7 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
         result.triangle_material_ids = o3d.utility.IntVector(mesh.texture.material_ids)
         result.textures = [_build_legacy_image(o3d, material) for material in mesh.texture.materials]
     has = (
-        ("normals of corners", mesh.corner_normals is not None),
+        ("corner normals", mesh.corner_normals is not None),
         ("parts", mesh.part_ids is not None),
         ("the up direction", mesh.up is not None),
     )
@@ -268,7 +268,7 @@ def _find_material_losses(mesh: Mesh) -> list[str]:
     """List the material properties in use other than image and base colour."""
     materials = () if mesh.texture is None else mesh.texture.materials
     losses = (
-        ("names of materials", any(material.name for material in materials)),
+        ("material names", any(material.name for material in materials)),
         ("wrap modes of images", any(set(material.wrap) != {"repeat"} for material in materials)),
         ("shading properties of materials", any(material.kept is not None for material in materials)),
     )

@@ -110,7 +110,7 @@ class Pieces:
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "this is no table of pieces: {error} is missing or wrong.",
+                "this is not a valid chunk table: {error} is missing or wrong.",
                 table_of(path),
                 error=error,
             ) from error
@@ -124,7 +124,7 @@ class Pieces:
             is_it = file.read(len(header)) == header
         if not is_it or path.stat().st_size != size or not self._follow_each_other():
             raise InputError(
-                MESH_FILE_DAMAGED, "the file is damaged, or not the one its table of pieces tells of.", path
+                MESH_FILE_DAMAGED, "the file is damaged, or does not match its chunk table.", path
             )
         self._row, self._starts = row, starts
         self.has_colors = has_colors
@@ -169,7 +169,7 @@ class Pieces:
         if triangles.size and (triangles.min() < 0 or triangles.max() >= self.vertex_count):
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "the file is damaged: a triangle names a vertex that is not there.",
+                "the file is damaged: a triangle references a vertex that does not exist.",
                 self.path,
             )
         first, end = extent.vertices

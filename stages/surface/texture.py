@@ -215,7 +215,7 @@ def validated_texture(texture: Texture, triangle_count: int, where: str) -> Text
             MESH_NOT_FINITE,
             "texture coordinates of triangle {bad} are {uvs}, not finite",
             where,
-            remedy="set those of such a triangle to 0 for none.",
+            remedy="set them to 0 for a triangle without texture.",
             bad=bad,
             uvs=uvs[bad].tolist(),
         )

@@ -142,8 +142,8 @@ def require_manifold(mesh: MeshLike, where: str = "mesh") -> Mesh:
         _refuse(where, "triangles that repeat a vertex", np.flatnonzero(repeating))
     edges = edges_of(mesh.triangles, len(mesh.vertices))
     for offending, name in (
-        (edges.count > 2, "edges of more than two triangles"),
-        (inconsistent(edges), "edges whose two triangles are oriented against each other"),
+        (edges.count > 2, "edges with more than two triangles"),
+        (inconsistent(edges), "inconsistently oriented edges"),
     ):
         if offending.any():
             _refuse(where, name, edges.ends[offending])
@@ -171,7 +171,7 @@ def require_measurable(mesh: Mesh, where: str) -> None:
                     "({beyond_count:,} such)"
                 ),
                 where,
-                remedy="make a new texture, or leave it out.",
+                remedy="create a new texture, or remove it.",
                 beyond=beyond[0],
                 farthest_uv=_FARTHEST_UV,
                 beyond_count=len(beyond),
@@ -186,7 +186,7 @@ def require_measurable(mesh: Mesh, where: str) -> None:
                 "such): its coordinates are too large"
             ),
             where,
-            remedy="take it out, or scale the mesh.",
+            remedy="remove it, or scale the mesh.",
             beyond=beyond[0],
             place=place,
             farthest=_FARTHEST,
@@ -211,7 +211,9 @@ def require_area(mesh: Mesh, where: str) -> None:
         raise MeshError(MESH_NO_SURFACE, "all its triangles have zero area; there is no surface.", where)
     if not np.isfinite(total):
         raise MeshError(
-            MESH_COORDINATES_TOO_LARGE, "its coordinates are too large; is their unit really metres?", where
+            MESH_COORDINATES_TOO_LARGE,
+            "its coordinates are too large; check that their unit is metres.",
+            where,
         )
 
 

@@ -55,7 +55,7 @@ def from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
 
 def _read_vertex_colors(visual: Any, count: int, where: str) -> NDArray[np.uint8] | None:
     if visual.kind == "face":
-        emit(MESH_LEFT_OUT.warning("colours of faces are left out; only colours of vertices are used", where))
+        emit(MESH_LEFT_OUT.warning("face colours are left out; only vertex colours are used", where))
     if visual.kind == "vertex":
         colors = np.array(visual.vertex_colors)
     elif visual.kind == "texture" and "color" in visual.vertex_attributes:

@@ -82,7 +82,7 @@ def direction_of(up: str) -> Floats | None:
     except ValueError:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "is {up!r}; it must be one of {names}.",
+            "is {up!r}; it must be one of {names}, or three numbers.",
             Where(parameter="up"),
             up=up,
             names=", ".join((*_AXES, "none")),
@@ -177,12 +177,11 @@ def _report_doubts(up: Floats, source: str, found: Floats | None, poses: Floats)
     by_surface = math.inf if found is None else _degrees(up, found)
     if min(by_cameras, by_surface) <= _DOUBTFUL:
         return
-    surface = "" if found is None else f", and most of the surface near that looks {by_surface:.0f}° off it"
+    surface = "" if found is None else f" and by {by_surface:.0f}° from the main direction of the surface"
     emit(
         SCALE_UP_CONTRADICTED.warning(
-            "what is up is taken from {source}, but cameras were held as if it were {off:.0f}° off that"
-            "{surface}",
-            remedy="upright.up=AXIS states it",
+            "the up direction from {source} differs by {off:.0f}° from the cameras' up direction{surface}",
+            remedy="set upright.up=AXIS if it is wrong",
             source=source,
             off=by_cameras,
             surface=surface,

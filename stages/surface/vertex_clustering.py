@@ -145,10 +145,12 @@ def _triangles(faces: Rows, of: NDArray[np.int32], path: Path) -> NDArray[np.int
     for rows in faces.some(_AT_ONCE):
         corners = rows[CORNERS]
         if (rows[LENGTH] != 3).any():
-            raise InputError(MESH_FILE_DAMAGED, "it has faces that are no triangles.", path)
+            raise InputError(MESH_FILE_DAMAGED, "it has faces that are not triangles.", path)
         if corners.min() < 0 or corners.max() >= len(of):
             raise InputError(
-                MESH_FILE_DAMAGED, "the file is damaged: a triangle names a vertex that is not there.", path
+                MESH_FILE_DAMAGED,
+                "the file is damaged: a triangle references a vertex that does not exist.",
+                path,
             )
         a, b, c = (of[corners[:, i]].astype(np.int64) for i in range(3))
         is_one = (a != b) & (b != c) & (c != a)

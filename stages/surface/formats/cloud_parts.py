@@ -56,14 +56,14 @@ class Parts:
         if self._promised > _MOST_PER_BYTE * self._path.stat().st_size:
             raise InputError(
                 MESH_CLOUD_DAMAGED,
-                "promises {points:,} points, which do not fit in it; it is damaged or cut short.",
+                "declares {points:,} points, more than its size allows; it is damaged or cut short.",
                 self._path,
                 points=points,
             )
         if self._promised > MOST_POINTS:
             raise InputError(
                 MESH_CLOUD_DAMAGED,
-                "holds {promised:,} points; up to {most_points:,} are read. Thin it out first.",
+                "holds {promised:,} points, more than the limit of {most_points:,}. Subsample it first.",
                 self._path,
                 promised=self._promised,
                 most_points=MOST_POINTS,

@@ -44,7 +44,9 @@ def read_e57(path: Path, parts: Parts) -> None:
 
     with opened(path) as file:
         if file.read(len(_START)) != _START:
-            raise InputError(MESH_CLOUD_DAMAGED, "is no E57 file: it does not start with `ASTM-E57`.", path)
+            raise InputError(
+                MESH_CLOUD_DAMAGED, "is not an E57 file: it does not start with `ASTM-E57`.", path
+            )
     file = pye57.E57(str(require_regular(path)))
     invalid = 0
     for number in range(file.scan_count):
@@ -68,7 +70,7 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     if places is None:
         raise InputError(
             MESH_CLOUD_DAMAGED,
-            "its points have {fields}, and no coordinates.",
+            "its points have no coordinates, only {fields}.",
             path,
             fields=", ".join(sorted(fields))[:200],
         )
@@ -100,7 +102,7 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     if left > 0:
         raise InputError(
             MESH_CLOUD_DAMAGED,
-            "ends {left:,} points before the {point_count:,} that it promises.",
+            "ends {left:,} points before the declared count of {point_count:,}.",
             path,
             left=left,
             point_count=scan.point_count,

@@ -115,7 +115,7 @@ def read_gltf(path: Path | str) -> Mesh:
     ) as error:
         raise InputError(
             MESH_FILE_DAMAGED,
-            "cannot be read as glTF: its description is damaged",
+            "cannot be read as glTF: its JSON description is damaged",
             path,
             remedy="get a whole copy of it.",
         ) from error
@@ -129,14 +129,14 @@ def _read_scene(gltf: Gltf) -> Mesh:
     extensions = gltf.tree.get("extensions")
     if isinstance(extensions, dict) and extensions:
         names = ", ".join(sorted(extensions))
-        reading.warn("what the file has of {names} is left out", names=names)
+        reading.warn("data of the extensions {names} is left out", names=names)
     parts: list[_Part] = []
     turn = _scan_from_world(reading)
     nodes = _placed_nodes(gltf, np.eye(4) if turn is None else turn)
     for number, (node, matrix) in enumerate(nodes):
         mesh = gltf.item("meshes", node["mesh"])
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
-            reading.warn("copies of EXT_mesh_gpu_instancing are left out; one is kept")
+            reading.warn("instances of EXT_mesh_gpu_instancing are left out, except one")
         name = str(node.get("name") or mesh.get("name") or ("" if len(nodes) == 1 else f"node {number}"))
         found = (_part(reading, primitive, matrix, number, name) for primitive in mesh["primitives"])
         parts += [part for part in found if part is not None]
@@ -155,7 +155,7 @@ def _scan_from_world(reading: _Reading) -> Floats | None:
         return None
     matrix = _turn(given)
     if matrix is None:
-        reading.warn("{name} is left out: it is no rotation", name=SCAN_FROM_WORLD)
+        reading.warn("{name} is left out: it is not a rotation", name=SCAN_FROM_WORLD)
     return matrix
 
 
@@ -227,7 +227,10 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
     compressed = any(key in COMPRESSED for key in primitive.get("extensions", {}))
     if compressed and "bufferView" not in gltf.item("accessors", attributes["POSITION"]):
         raise InputError(
-            MESH_COMPRESSION_UNKNOWN, "is compressed", gltf.path, remedy="write it again without compression."
+            MESH_COMPRESSION_UNKNOWN,
+            "uses an unsupported compression",
+            gltf.path,
+            remedy="write it again without compression.",
         )
     if "targets" in primitive:
         reading.warn("morph targets are left out")
@@ -242,7 +245,7 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
     if reading.corners > _MOST_CORNERS:
         raise InputError(
             MESH_FILE_DAMAGED,
-            "places more than {most_corners:,} corners and vertices; it is damaged.",
+            "its nodes have more than {most_corners:,} corners and vertices; it is damaged.",
             gltf.path,
             most_corners=_MOST_CORNERS,
         )
@@ -306,7 +309,7 @@ def _attribute(reading: _Reading, attributes: Tree, name: str, columns: int, cou
         return None
     values = reading.gltf.array(attributes[name])
     if len(values) != count or values.shape[1] < columns:
-        reading.warn("{name} is left out: it does not fit the vertices", name=name)
+        reading.warn("{name} is left out: it does not match the vertices", name=name)
         return None
     return values
 
@@ -319,7 +322,7 @@ def _colors(reading: _Reading, attributes: Tree, count: int) -> NDArray[np.uint8
     if values is None:
         return None
     if not np.isfinite(values).all():
-        reading.warn("colours that are not finite are taken as 0", MESH_VALUES_REPLACED)
+        reading.warn("colours that are not finite become black", MESH_VALUES_REPLACED)
     if values.shape[1] == 4 and (values[:, 3] < 1).any():
         reading.warn("the transparency of vertices is left out")
     unit = np.nan_to_num(values[:, :3].astype(np.float64), nan=0, posinf=0, neginf=0).clip(0, 1)
@@ -347,7 +350,9 @@ def _uvs(reading: _Reading, attributes: Tree, placement: Placement, count: int) 
     wanted = f"TEXCOORD_{placement.uv_set}"
     others = sorted(set(sets) - {wanted})
     if others:
-        reading.warn("texture coordinates {names} are left out: one set is kept", names=", ".join(others))
+        reading.warn(
+            "texture coordinates {names} are left out: only one set is supported", names=", ".join(others)
+        )
     uvs = _attribute(reading, attributes, wanted, 2, count)
     if uvs is None:
         return None
@@ -368,7 +373,7 @@ def _assembled(reading: _Reading, parts: list[_Part]) -> Mesh:
     triangles = np.concatenate(placed).astype(np.int32)
     colors = _filled([part.colors for part in parts], counts, 255)
     if any(part.colors is None for part in parts) and colors is not None:
-        reading.warn("vertices of parts without vertex colours are white", MESH_VALUES_REPLACED)
+        reading.warn("parts without vertex colours become white", MESH_VALUES_REPLACED)
     normals = _filled([part.normals for part in parts], counts, 0)
     corner_normals = None if normals is None else normals[triangles]
     names = list(dict.fromkeys((part.node, part.name) for part in parts if part.name))

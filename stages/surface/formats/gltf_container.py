@@ -92,7 +92,7 @@ class Gltf:
         except (ValueError, OverflowError) as error:
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "has a buffer view that cannot be unpacked ({error}); {damaged}",
+                "has a buffer view that cannot be decompressed ({error}); {damaged}",
                 self.path,
                 error=error,
                 damaged=_DAMAGED,
@@ -105,7 +105,7 @@ class Gltf:
         if start + length > len(buffer):
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "has a buffer view up to byte {start:,} of a buffer of {buffer_count:,}; {damaged}",
+                "has a buffer view up to byte {start:,} in a buffer of {buffer_count:,} bytes; {damaged}",
                 self.path,
                 start=start + length,
                 buffer_count=len(buffer),
@@ -209,12 +209,12 @@ def read_container(path: Path) -> Gltf:
         version = str(tree["asset"]["version"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
-            MESH_FILE_DAMAGED, "is not a sound glTF file: its description does not parse.", path
+            MESH_FILE_DAMAGED, "is not a valid glTF file: its JSON description cannot be parsed.", path
         ) from error
     if not version.startswith("2."):
         raise InputError(
             MESH_FILE_DAMAGED,
-            "is of glTF version {version!r}",
+            "has glTF version {version!r}, which is not supported",
             path,
             remedy="write it again as glTF 2.0.",
             version=version[:20],
@@ -233,7 +233,7 @@ def read_container(path: Path) -> Gltf:
         if len(content) < promised:
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "promises a buffer of {promised:,} bytes, but {content_count:,} are there; {damaged}",
+                "declares a buffer of {promised:,} bytes, but only {content_count:,} exist; {damaged}",
                 path,
                 promised=promised,
                 content_count=len(content),
@@ -248,7 +248,7 @@ def _require_uncompressed(gltf: Gltf) -> None:
         if name in COMPRESSED:
             raise InputError(
                 MESH_COMPRESSION_UNKNOWN,
-                "is compressed with {name}, which is not read here",
+                "is compressed with {name}, which is not supported",
                 gltf.path,
                 remedy="write it again without compression (in Blender, turn Compression off on export).",
                 name=name,
@@ -258,11 +258,11 @@ def _require_uncompressed(gltf: Gltf) -> None:
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
     """Return the JSON and the binary chunk of a GLB file."""
     if data[:4] != b"glTF":
-        raise InputError(MESH_FILE_DAMAGED, "is not a sound glTF file: it does not start with `glTF`.", path)
+        raise InputError(MESH_FILE_DAMAGED, "is not a valid glTF file: it does not start with `glTF`.", path)
     if data[4:8] != b"\2\0\0\0":
         raise InputError(
             MESH_FILE_DAMAGED,
-            "is not a sound glTF file of version 2",
+            "is not a valid glTF file of version 2",
             path,
             remedy="write it again as glTF 2.0.",
         )
@@ -271,7 +271,7 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
     while at + 8 <= len(data):
         length, kind = np.frombuffer(data, "<u4", 2, at).tolist()
         if at + 8 + length > len(data):
-            raise InputError(MESH_FILE_DAMAGED, "is not a sound glTF file: {damaged}", path, damaged=_DAMAGED)
+            raise InputError(MESH_FILE_DAMAGED, "is not a valid glTF file: {damaged}", path, damaged=_DAMAGED)
         chunks.setdefault(kind, data[at + 8 : at + 8 + length])
         at += 8 + length
     return chunks.get(_JSON, b""), chunks.get(_BIN, b"")

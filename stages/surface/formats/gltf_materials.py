@@ -128,8 +128,8 @@ class MaterialReader:
             if found is None:
                 emit(
                     MESH_LEFT_OUT.warning(
-                        "{key} of material {name!r} is left out: its image is missing, or its coordinates "
-                        "are not those of the base colour",
+                        "{key} of material {name!r} is left out: its image is missing, or it uses other "
+                        "texture coordinates than the base colour",
                         self._gltf.path,
                         key=key,
                         name=name,
@@ -180,7 +180,7 @@ class MaterialReader:
         if not kind_of(data, name)[0]:
             emit(
                 MESH_TEXTURE_DAMAGED.warning(
-                    "the texture image {name} is of no known kind or damaged",
+                    "the texture image {name} has an unknown format or is damaged",
                     self._gltf.path,
                     name=name or number,
                 )

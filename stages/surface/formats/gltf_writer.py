@@ -360,7 +360,7 @@ def _write_one(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter
     if size >= _LARGEST:
         raise StageError(
             MESH_FILE_TOO_LARGE,
-            "would take {size:,} bytes, more than a GLB file can hold",
+            "needs {size:,} bytes, more than the 4 GiB limit of GLB",
             remedy="write PLY.",
             where=path,
             size=size,

@@ -71,7 +71,7 @@ def read_las(path: Path, parts: Parts) -> None:
         if outside:
             emit(
                 MESH_POINTS_OUTSIDE.warning(
-                    "{count:,} points are not where its header says that all are: it may be damaged",
+                    "{count:,} points are outside the bounding box of the header: the file may be damaged",
                     path,
                     count=outside,
                 )
@@ -84,7 +84,7 @@ def _checked_points(path: Path) -> int:
     with opened(path) as file:
         head = file.read(_LONG_HEADER)
     if head[:4] != b"LASF":
-        raise InputError(MESH_CLOUD_DAMAGED, "is no LAS or LAZ file: it does not start with `LASF`.", path)
+        raise InputError(MESH_CLOUD_DAMAGED, "is not a LAS or LAZ file: it does not start with `LASF`.", path)
     if len(head) < _SHORTEST_HEADER:
         raise InputError(
             MESH_CLOUD_DAMAGED, "is cut short within its header", path, remedy="get a whole copy of it."
@@ -97,7 +97,7 @@ def _checked_points(path: Path) -> int:
     if is_short or (not kind & _PACKED and points > held):
         raise InputError(
             MESH_CLOUD_DAMAGED,
-            "promises {points:,} points, more than it holds; it is damaged or cut short.",
+            "declares {points:,} points, more than it holds; it is damaged or cut short.",
             path,
             points=points,
         )
@@ -132,7 +132,7 @@ def _report_unit(header: Any, path: Path) -> None:
     def report(unit: str) -> None:
         emit(
             MESH_UNIT_NOT_METRES.warning(
-                "its coordinates are in {unit}, and are taken as metres: all lengths are in that unit",
+                "its coordinates are in {unit} but used as metres: all lengths are in that unit",
                 path,
                 unit=unit,
             )

@@ -160,7 +160,7 @@ def _material(path: Path, name: str, lines: list[str], images: dict[str, Image |
     if main and image and any(option in main.options for option in _PLACING):
         emit(
             MESH_LEFT_OUT.warning(
-                "-o, -s and -t of the image {image} are kept, but colours are read without them",
+                "options -o, -s and -t of the image {image} are kept for writing, but ignored for colours",
                 path,
                 image=main.file,
             )

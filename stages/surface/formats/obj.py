@@ -105,7 +105,7 @@ def _positions(text: bytes, path: Path) -> tuple[NDArray[np.float64], NDArray[np
     if table.shape[1] in (6, 7):
         colors = table[:, -3:]
         if not np.isfinite(colors).all():
-            emit(MESH_VALUES_REPLACED.warning("colours that are not finite are taken as 0", path))
+            emit(MESH_VALUES_REPLACED.warning("colours that are not finite become black", path))
         return table[:, :3], to_uint8(colors)
     if (counts >= 6).any():
         emit(MESH_LEFT_OUT.warning("colours are left out: some vertices have none", path))

@@ -90,7 +90,7 @@ def _read(path: Path) -> Mesh:
         normals=_normals(vertex, path),
     )
     if any(name in face for name in ("red", "diffuse_red", "r")):
-        emit(MESH_LEFT_OUT.warning("colours of faces are left out; only colours of vertices are used", path))
+        emit(MESH_LEFT_OUT.warning("face colours are left out; only vertex colours are used", path))
     _report_transparency(vertex, path)
     _report_others(header, path)
     mesh = validated(mesh, str(path))
@@ -116,7 +116,7 @@ def _vertex_colors(vertex: Table, path: Path) -> NDArray[np.uint8] | None:
         values = _columns(vertex, names)
         if values is not None:
             if not np.isfinite(values).all():
-                emit(MESH_VALUES_REPLACED.warning("colours that are not finite are taken as 0", path))
+                emit(MESH_VALUES_REPLACED.warning("colours that are not finite become black", path))
             return to_uint8(values)
     return None
 
@@ -136,7 +136,7 @@ def _report_others(header: Header, path: Path) -> None:
         if element.count == 0 or element.name == _STRIPS:
             continue
         if element.name not in _READ:
-            emit(MESH_LEFT_OUT.warning("what the file has of {name!r} is left out", path, name=element.name))
+            emit(MESH_LEFT_OUT.warning("the element {name!r} is left out", path, name=element.name))
             continue
         called, read = _READ[element.name]
         others = [one.name for one in element.properties if one.name not in read]
@@ -144,7 +144,7 @@ def _report_others(header: Header, path: Path) -> None:
             others.remove("confidence")
             emit(
                 MESH_CONFIDENCE_LEFT_OUT.warning(
-                    "the confidence of its vertices is left out: remesh carries it", path
+                    "the vertex confidence is left out: only remesh uses it", path
                 )
             )
         if others:

@@ -99,7 +99,7 @@ def _cut_concave(
     if left:
         emit(
             MESH_POLYGONS_NOT_SIMPLE.warning(
-                "{count:,} polygons cross themselves or have no area, and were split as if convex",
+                "{count:,} polygons intersect themselves or have no area: they are split as if convex",
                 where,
                 count=left,
             )

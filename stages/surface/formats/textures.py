@@ -59,7 +59,7 @@ def read_texture(path: Path, name: str) -> Image | None:
     if not kind_of(data, file.name)[0]:
         emit(
             MESH_TEXTURE_DAMAGED.warning(
-                "the texture image {name} is of no known kind or damaged", path, name=name
+                "the texture image {name} has an unknown format or is damaged", path, name=name
             )
         )
         return None
