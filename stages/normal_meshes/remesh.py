@@ -302,8 +302,8 @@ def _diagonal(mesh: Mesh) -> float:
 def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced, Mesh | None]:
     """Return the mesh to remesh, and the input mesh if different.
 
-    A base mesh without refinements need not consist of input vertices, so `simplify` replaces it: it
-    approximates the input better.
+    Without refinements, the base mesh need not consist of input vertices. The result of `simplify` is used
+    then, because it approximates the input better.
     """
     wanted = params.base_triangles
     bounds = (params.base_error, params.max_error)

@@ -53,7 +53,13 @@ class Statements:
     _names: dict[bytes, str] = field(default_factory=lambda: {b"o": "", b"g": ""})
 
     def add(self, line: bytes, faces: int) -> None:
-        """Add a non-numeric line that follows `faces` faces."""
+        """Record a statement other than v, vt, vn or f.
+
+        Parameters
+        ----------
+        line : the statement.
+        faces : number of faces before the line.
+        """
         words = line.split(None, 1)
         if len(words) < 2:
             if not words or words[0] not in self._names:
