@@ -88,7 +88,7 @@ class Pieces:
     ----------
     path : the PLY file.
     extents : ranges and bounding box of each chunk.
-    spacing : half the maximum edge length, metres.
+    spacing : metres; no triangle edge is longer than twice this.
     vertex_count, triangle_count : totals over all chunks.
     has_colors : True if vertices have colours.
 
@@ -237,7 +237,7 @@ def write_pieces(
     sizes : ranges of the consecutive chunks.
     pieces : one chunk per entry of `sizes`, consumed once.
     has_colors : True if vertices have colours.
-    spacing : half the maximum edge length, metres.
+    spacing : metres; no triangle edge is longer than twice this.
 
     Raises
     ------
