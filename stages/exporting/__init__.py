@@ -1,1 +1,1 @@
-"""Meshes as other programs want them: turned, scaled, small, in their formats."""
+"""Export of meshes for other programs: axes, units, compression and file formats."""

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of exports, with explanations."""
+"""Diagnostic codes of mesh export, with explanations."""
 
 from __future__ import annotations
 
@@ -8,33 +8,35 @@ EXPORT_LEFT_OUT = Code(
     "export.left-out",
     "Parts of a mesh that a format does not hold",
     """
-Warnings. STL and OFF hold the shape alone, without colours, parts and normals of corners; USD holds one
-mesh.
+A warning. STL and OFF store geometry only, without colours, parts and corner normals. USD is written as one
+mesh, without parts.
 """,
-    ".stl holds the shape alone: the colours are left out; write .ply or .glb",
+    ".stl stores geometry only: the colours are left out; write .ply or .glb",
 )
 EXPORT_UP_UNKNOWN = Code(
     "export.up-unknown",
-    "An up direction that is not known",
+    "Unknown up direction",
     """
-A warning. `--axes` turns a mesh by its up direction, which neither its file nor `--up` states. The mesh
-is written as it is. `--up +z` states it.
+A warning. `--axes` rotates a mesh by its up direction, but neither its file nor `--up` states one. The mesh
+is written without rotation. State the direction, for example with `--up +z`.
 """,
-    "nothing tells what is up: the axes are taken to be y-up already; `up` says it",
+    "the up direction is unknown: the mesh is written as if it were y-up already; set `up`",
 )
 EXPORT_IMAGE_AS_PNG = Code(
     "export.image-as-png",
-    "Images that are written as PNG",
+    "Images written as PNG",
     """
-Nothing is lost, but the file is larger. JPEG has no transparency, and USD shows PNG and JPEG alone.
+The image is stored without loss, but the file is larger. JPEG does not support transparency, and viewers of
+USD read only PNG and JPEG.
 """,
-    "the image glass.png is transparent: it is kept as PNG",
+    "the image glass.png is transparent: it is stored as PNG, because JPEG has no transparency",
 )
 EXPORT_USD_FAILED = Code(
     "export.usd-failed",
-    "A USD package that cannot be made",
+    "USD package that cannot be created",
     """
-The library that packs `.usdz` refused. Write `.usda`, and report the mesh.
+The library `usd-core` could not create the `.usdz` package. Write `.usda` instead, and report the mesh as a
+bug.
 """,
-    "chair.usdz: usd-core could not make the package.",
+    "chair.usdz: usd-core could not create the package; write .usda.",
 )

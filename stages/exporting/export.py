@@ -1,4 +1,4 @@
-"""A mesh as another program wants it: turned, scaled, with images it reads, small enough to send."""
+"""Export of a mesh for another program: axes, units, image formats and glTF compression."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import ExportKeywords
 
-# Raised by hand when the same mesh and parameters come to another file.
+# Part of the cache key. Increase it when the same mesh and parameters produce a different file.
 RESULT_VERSION = 2
 
 SUFFIXES = (*EXTENSIONS, *USD)
 GLTF = (".glb", ".gltf")
-# They say themselves what is up, and are in metres.
+# Formats with a fixed unit (metres) and a stated up axis.
 STANDING = (*GLTF, *USD)
 
 AXES = ("scan", "y-up", "z-up")
@@ -47,57 +47,64 @@ _FACTORS = {"m": 1.0, "mm": 1000.0}
 
 @dataclass(frozen=True, kw_only=True)
 class ExportParams:
-    """What a file for another program is like."""
+    """Parameters of an export."""
 
     up: str | None = param(
         None,
-        "What is up in the mesh: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `none`, "
-        "which turns nothing. By default what its file says: glTF is y-up, and that of a scan tells how it "
-        "was turned.",
+        "Up direction of the mesh: an axis (+x, -x, +y, -y, +z, -z), a vector of three numbers, or `none` "
+        "for no rotation. Default: as stated by the file. glTF is y-up, or stores the rotation of its scan.",
     )
     axes: str = param(
         "scan",
-        "The axes of positions in formats that do not say what is up (PLY, OBJ, OFF, STL): those of the mesh "
-        "as it is, or with y or z up. glTF and USD are y-up.",
+        "Up axis of formats that do not define one (PLY, OBJ, OFF, STL): y, z, or `scan` for unchanged axes. "
+        "glTF and USD are always y-up.",
         choices=AXES,
     )
-    unit: str = param("m", "The unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS))
-    on_floor: bool = param(False, "Move the mesh so that it stands on height 0, in the middle, in these.")
+    unit: str = param("m", "Unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS))
+    on_floor: bool = param(
+        False,
+        "Move the mesh so that its lowest point is at height 0 and its centre is above the origin, in PLY, "
+        "OBJ, OFF and STL.",
+    )
     compress: str = param(
         "none",
-        "How a glTF file is made small: positions, normals and coordinates in whole numbers "
-        "(KHR_mesh_quantization), or these packed by meshopt (EXT_meshopt_compression); viewers have to "
-        "know these.",
+        "Compression of glTF files: `quantize` stores positions, normals and texture coordinates as integers "
+        "(KHR_mesh_quantization), `meshopt` also packs these (EXT_meshopt_compression). Viewers must support "
+        "the extension.",
         choices=COMPRESSIONS,
     )
     position_bits: int = param(
         16,
-        "Of positions in a compressed glTF file: of the steps that so many tell apart, as many as there are "
-        "along the longest side.",
+        "Bits per coordinate of positions in a compressed glTF file; 16 bits give up to 65,535 steps along "
+        "the longest side.",
         low=8,
         high=16,
     )
     texel_steps: int = param(
         0,
-        "Steps of texture coordinates for a texel of the image, in a compressed glTF file: few make a small "
-        "file, which viewers need KHR_texture_transform for. 0 for 65,535 steps along each side, without it.",
+        "Steps of texture coordinates per texel in a compressed glTF file. Fewer steps make a smaller file, "
+        "but viewers must support KHR_texture_transform. 0: 65,535 steps along each side of the image, "
+        "without that extension.",
         low=0,
         high=64,
     )
     shading: str = param(
         "bare",
-        "How a glTF file takes light: `unlit` not at all (KHR_materials_unlit), for colours that have their "
-        "light, as a scan's do; `lit` in any case; `keep` as the mesh's materials say, and colours of "
-        "vertices are lit; `bare` the same, but colours of vertices have no material in a file that is not "
-        "compressed: trimesh forgets them beside one, and viewers draw them as metal without.",
+        "Lighting of a glTF file. `unlit`: none (KHR_materials_unlit), for colours with baked-in lighting, "
+        "such as photos. `lit`: always. `keep`: as the materials state; vertex colours are lit. `bare`: as "
+        "`keep`, but vertex colours of an uncompressed file have no material, because trimesh drops colours "
+        "next to a material; viewers then draw them as metal.",
         choices=SHADINGS,
     )
-    images: str = param("keep", "How texture images are kept.", choices=FORMATS)
-    quality: int = param(90, "Of JPEG and WebP images that are made.", low=1, high=100)
+    images: str = param("keep", "Format of texture images; `keep` stores them unchanged.", choices=FORMATS)
+    quality: int = param(90, "Quality of JPEG and WebP images that are encoded.", low=1, high=100)
     image_size: int = param(
-        16384, "Larger images are made smaller: their longer side.", unit="pixels", low=16
+        16384, "Maximum longer side of texture images; larger ones are downsampled.", unit="pixels", low=16
     )
-    watertight: bool = param(False, "Say why the mesh has no inside to print, if it has none.")
+    watertight: bool = param(
+        False,
+        "Report defects that prevent 3-D printing: holes, inverted orientation, intersecting triangles.",
+    )
 
     def __post_init__(self) -> None:
         check_params(self)
@@ -107,17 +114,17 @@ class ExportParams:
 
 @dataclass(frozen=True, eq=False)
 class Exported:
-    """What was written.
+    """Result of an export.
 
     Attributes
     ----------
-    file : its path.
-    triangles : of the mesh.
-    bytes : of the file, without what stands beside it.
-    up : (3,) what is up in the mesh; None where nothing tells.
-    position_error : metres by which whole numbers move a vertex at most; 0 where there are none.
-    diagnostics : what the format does not hold, what was assumed, and why the mesh cannot be printed, if that
-        was asked.
+    file : path of the written file.
+    triangles : triangle count of the mesh.
+    bytes : size of the file without its companion files (images, materials, buffers).
+    up : (3,) up direction of the mesh; None if unknown.
+    position_error : largest distance in metres by which quantization moves a vertex; 0 without quantization.
+    diagnostics : data that the format cannot hold, assumptions, and, with `watertight`, the reasons why the
+        mesh cannot be printed.
     """
 
     file: Path
@@ -131,7 +138,7 @@ class Exported:
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return what was written, in words fit for JSON."""
+        """Return the statistics of the export as JSON-compatible values."""
         return {
             "output": self.file.name,
             "triangles": self.triangles,
@@ -147,23 +154,31 @@ def export(
     params: ExportParams | None = None,
     **changes: Unpack[ExportKeywords],
 ) -> Exported:
-    """Write a mesh for another program; the extension tells the format, of SUFFIXES.
+    """Write a mesh for another program.
+
+    The extension of `path`, one of SUFFIXES, selects the format.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres.
-    path : the file is replaced; images and materials of .obj, .ply, .gltf and .usda stand beside it.
+    path : output file; an existing file is replaced. Images and materials of .obj, .ply, .gltf and .usda are
+        written to the same folder.
     params : ExportParams; single fields can be given by name instead.
+
+    Returns
+    -------
+    Exported
+        File, sizes, quantization error and diagnostics.
 
     Raises
     ------
     UsageError
-        For an unknown extension, a parameter out of range or of no effect on the format, or USD where
-        `usd-core` is not installed.
+        If the extension is unknown, if a parameter is out of range or has no effect on the format, or if USD
+        is requested without `usd-core` installed.
     MeshError
-        If it is no valid mesh.
+        If the mesh is invalid.
     StageError
-        If the system refuses to write.
+        If the file cannot be written.
     """
     with collecting() as diagnostics:
         exported = _export(mesh, Path(path), resolve(ExportParams, params, changes))
@@ -183,7 +198,7 @@ def _export(mesh: MeshLike, path: Path, params: ExportParams) -> Exported:
         if left_out := lost_with(suffix, given):
             emit(
                 EXPORT_LEFT_OUT.warning(
-                    "{suffix} holds the shape alone: the {left_out} are left out",
+                    "{suffix} stores geometry only: the {left_out} are left out",
                     remedy="write .ply or .glb",
                     suffix=suffix,
                     left_out=left_out,
@@ -215,20 +230,22 @@ def _export(mesh: MeshLike, path: Path, params: ExportParams) -> Exported:
 
 
 def require_fitting(path: Path, params: ExportParams) -> None:
-    """Refuse an extension that is none, and what a format has no place for, before any work.
+    """Check that the extension is known and the format supports the parameters.
+
+    Call it before any work begins.
 
     Raises
     ------
     UsageError
-        Naming it.
+        If the extension is unknown, the format ignores a given parameter, or `usd-core` is missing.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         ending = path.suffix or "(none)"
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "the extension {ending} stands for no format",
-            remedy="use {suffixes}.",
+            "the extension {ending} is unknown",
+            remedy="use one of {suffixes}.",
             where=path,
             ending=ending,
             suffixes=", ".join(SUFFIXES),
@@ -236,14 +253,14 @@ def require_fitting(path: Path, params: ExportParams) -> None:
     if suffix not in GLTF and (params.compress != "none" or params.shading != "bare"):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "compress and shading are of glTF",
+            "compress and shading apply only to glTF",
             remedy="write .glb.",
             where=path,
         )
     if suffix in STANDING and (params.unit != "m" or params.on_floor):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "{suffix} is in metres, and placed by its own axes",
+            "unit and on_floor do not apply to {suffix}, which is always y-up and in metres",
             remedy="write .stl or .obj.",
             where=path,
             suffix=suffix,
@@ -257,13 +274,13 @@ def _position_error(mesh: Mesh, bits: int) -> float:
 
 
 def _placed(mesh: Mesh, params: ExportParams) -> Mesh:
-    """Return the mesh with its positions turned, scaled and moved as asked."""
+    """Rotate, translate and scale the mesh as `params` requests."""
     if params.axes != "scan":
         if mesh.up is None:
             emit(
                 EXPORT_UP_UNKNOWN.warning(
-                    "nothing tells what is up: the axes are taken to be {axes} already",
-                    remedy="`up` says it",
+                    "the up direction is unknown: the mesh is written as if it were {axes} already",
+                    remedy="set `up`",
                     axes=params.axes,
                 )
             )
@@ -291,7 +308,7 @@ def _turned(mesh: Mesh, turn: np.ndarray) -> Mesh:
 
 
 def _report_unprintable(mesh: Mesh) -> None:
-    """Report why a mesh has no inside that could be printed."""
+    """Emit the diagnostics that prevent 3-D printing: not watertight, inside out, self-intersecting."""
     found = check(mesh)
     emit(
         *(found.unmet(["watertight"]) or found.unmet(["outward"])),

@@ -1,4 +1,4 @@
-"""The texture images of a mesh in another format or size."""
+"""Conversion of a mesh's texture images to another format or size."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _MIME = {"jpeg": "image/jpeg", "webp": "image/webp", "png": "image/png"}
 
 
 def with_images(mesh: Mesh, kind: str, quality: int, most: int) -> Mesh:
-    """Return the mesh with its images encoded anew; images that stay as they are for a reason are reported.
+    """Return the mesh with its texture images re-encoded and downsized.
 
-    An image that has this format and is small enough already stays as it is, byte for byte. One with
-    transparency becomes PNG where JPEG is asked for.
+    An image that already has the format and is small enough is kept byte for byte. An image that cannot be
+    decoded is kept, with a warning. A transparent image becomes PNG instead of JPEG.
 
     Parameters
     ----------
-    kind : of FORMATS.
-    quality : 1 to 100, of JPEG and WebP.
-    most : pixels of the longer side; larger images are made smaller.
+    kind : target format, one of FORMATS.
+    quality : JPEG and WebP quality, 1 to 100.
+    most : maximum length of the longer side in pixels; larger images are downsampled.
     """
     if mesh.texture is None:
         return mesh
@@ -62,7 +62,8 @@ def _encoded(image: Image, kind: str, quality: int, most: int) -> Image:
         if (pixels[:, :, 3] < 255).any():
             emit(
                 EXPORT_IMAGE_AS_PNG.info(
-                    "the image {name} is transparent: it is kept as PNG", name=image.name or "without a name"
+                    "the image {name} is transparent: it is stored as PNG, because JPEG has no transparency",
+                    name=image.name or "without a name",
                 )
             )
             kind = "png"

@@ -1,4 +1,4 @@
-"""What the programs that meshes are made for want, under one word each."""
+"""Named presets of export parameters for common target programs."""
 
 from __future__ import annotations
 
@@ -27,30 +27,31 @@ PRESETS: dict[str, ExportKeywords] = {
 }
 
 
-# What these formats have no place for.
+# Parameters without effect on other formats than glTF, and without effect on glTF and USD.
 _OF_GLTF = ("compress", "position_bits", "texel_steps", "shading")
 _OF_OTHERS = ("axes", "unit", "on_floor")
 
 
 def preset(name: str, suffix: str = ".glb") -> ExportParams:
-    """Return what a preset sets for a format, over the defaults.
+    """Return the export parameters of a preset for a file format.
 
-    Programs that read WebP images in other formats than glTF are few: there they are JPEG.
+    WebP becomes JPEG for formats other than glTF, because few programs read WebP there.
 
     Parameters
     ----------
-    name : of PRESETS.
-    suffix : the extension of the file; what the preset sets and this format has no place for is left out.
+    name : key of PRESETS.
+    suffix : extension of the output file. Values that this format does not support are dropped from the
+    preset.
 
     Raises
     ------
     UsageError
-        If there is none of this name.
+        If no preset has this name.
     """
     if name not in PRESETS:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "there is no preset {name!r}; there are {presets}.",
+            "unknown preset {name!r}; the presets are {presets}.",
             name=name,
             presets=", ".join(PRESETS),
         )
@@ -60,6 +61,6 @@ def preset(name: str, suffix: str = ".glb") -> ExportParams:
     if kept.get("images") == "webp" and suffix not in GLTF:
         kept["images"] = "jpeg"
     if name == "blender" and suffix == ".obj":
-        # Its reader takes y for up, unlike those of PLY and STL.
+        # Blender imports OBJ as y-up by default, but PLY and STL as z-up.
         kept["axes"] = "y-up"
     return ExportParams(**kept)

@@ -1,4 +1,4 @@
-"""Packing of glTF files: write a file with the compression of another one."""
+"""Detection of a glTF file's compression, to write another file the same way."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _STEPS_PER_TEXEL = 4
 
 
 def same_packing(path: Path, mesh: Mesh) -> ExportParams:
-    """Return the parameters that compress a glTF file as a given file is compressed.
+    """Return export parameters that reproduce the compression of a glTF file.
 
-    The steps of positions are no larger than in that file, if 16 bits hold them.
+    Positions are quantized no more coarsely than in that file, if 16 bits suffice.
 
     Parameters
     ----------
-    path : mesh file. Files of other formats are not compressed.
-    mesh : what the file holds.
+    path : mesh file. Other formats than glTF yield the defaults, without compression.
+    mesh : mesh that was read from the file.
     """
     if path.suffix.lower() not in GLTF:
         return ExportParams()
@@ -59,7 +59,7 @@ def same_packing(path: Path, mesh: Mesh) -> ExportParams:
 
 
 def _step_count(accessor: Tree) -> int:
-    """Return the number of steps along the longest side of an accessor of positions."""
+    """Return the quantization steps along the longest side of a position accessor."""
     is_count = accessor["componentType"] in (_UNSIGNED_BYTE, _UNSIGNED_SHORT)
     if not is_count or accessor.get("normalized") or "max" not in accessor:
         return MAX_STEPS
@@ -68,11 +68,11 @@ def _step_count(accessor: Tree) -> int:
 
 
 def stored_bytes(path: Path, mesh: Mesh) -> int:
-    """Return the bytes of a mesh file with its buffers and images.
+    """Return the size in bytes of a mesh file including its buffers and images.
 
     Parameters
     ----------
-    mesh : what the file holds.
+    mesh : mesh that was read from the file.
     """
     suffix = path.suffix.lower()
     size = path.stat().st_size
@@ -84,7 +84,7 @@ def stored_bytes(path: Path, mesh: Mesh) -> int:
 
 
 def _named_files(path: Path) -> Iterator[Path]:
-    """Yield the files that a .gltf file names, each once."""
+    """Yield each external file that a .gltf file references, once."""
     gltf = Gltf(path, json.loads(content_of(path)))
     entries: list[Any] = [*gltf.items("buffers"), *gltf.items("images")]
     for name in dict.fromkeys(entry["uri"] for entry in entries if "uri" in entry):

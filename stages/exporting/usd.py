@@ -1,6 +1,7 @@
-"""Write USD: .usda as text with its images beside, .usdz as one file that phones open.
+"""USD writer: .usda (text, with separate images) and .usdz (one package, which phones open).
 
-Pixar, "Universal Scene Description", UsdGeom and UsdPreviewSurface; by `usd-core`, which is an extra.
+Follows Pixar, "Universal Scene Description", schemas UsdGeom and UsdPreviewSurface. Requires the optional
+package `usd-core`.
 """
 
 from __future__ import annotations
@@ -26,38 +27,39 @@ from scanloom.stages.surface.texture import Image, Material, Texture
 from scanloom.stages.surface.upright import turn_along_y
 
 SUFFIXES = (".usda", ".usdz")
-# What phones and the previewer of USD show.
+# Image formats that phones and usdview support.
 _SHOWN = {"image/jpeg": ".jpg", "image/png": ".png"}
 _WRAPS = {"repeat": "repeat", "clamp": "clamp", "mirror": "mirror"}
 
 
 def require_usd() -> None:
-    """Say what to install where the library is not there.
+    """Check that `usd-core` is installed.
 
     Raises
     ------
     UsageError
-        If `usd-core` is not installed.
+        If `usd-core` is not installed; the message names the package to install.
     """
     try:
         import pxr  # noqa: F401
     except ImportError:
         raise UsageError(
-            MACHINE_EXTRA_MISSING, "USD is written by usd-core", remedy="install scanloom[usd]."
+            MACHINE_EXTRA_MISSING, "writing USD requires usd-core", remedy="install scanloom[usd]."
         ) from None
 
 
 def write_usd(path: Path, mesh: Mesh) -> None:
-    """Write a mesh as .usda or .usdz, y up, in metres; parts that the format does not hold are reported.
+    """Write a mesh as .usda or .usdz, y-up, in metres.
 
-    Positions stay as they are, under a transform that turns what is up along y. Images become JPEG or PNG.
+    Positions are stored unchanged, below a transform that rotates the up direction to y. Images become JPEG
+    or PNG. Data that the format does not hold is reported as a warning.
 
     Raises
     ------
     UsageError
-        If `usd-core` is not installed, or the extension is neither.
+        If `usd-core` is not installed, or the extension is neither .usda nor .usdz.
     MeshError
-        For coordinates that are not finite or beyond single precision.
+        If coordinates are not finite or exceed single precision.
     StageError
         If the file cannot be written.
     """
@@ -66,9 +68,9 @@ def write_usd(path: Path, mesh: Mesh) -> None:
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(
             USAGE_EXTENSION_UNKNOWN,
-            "USD is written as {suffixes}.",
+            "the extension of a USD file must be {suffixes}.",
             where=path,
-            suffixes=", ".join(SUFFIXES),
+            suffixes=" or ".join(SUFFIXES),
         )
     with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
         folder = Path(kept)
@@ -88,13 +90,18 @@ def _pack(text: Path, packed: Path, path: Path) -> None:
     from pxr import UsdUtils
 
     if not UsdUtils.CreateNewUsdzPackage(str(text), str(packed)):
-        raise StageError(EXPORT_USD_FAILED, "usd-core could not make the package.", where=path)
+        raise StageError(
+            EXPORT_USD_FAILED, "usd-core could not create the package", remedy="write .usda.", where=path
+        )
     with replacing(path) as part:
         shutil.copyfile(packed, part)
 
 
 def _write_stage(path: Path, mesh: Mesh) -> list[str]:
-    """Write the text with its images beside it; return their names. What is left out is reported."""
+    """Write a .usda file and its images; return the image file names.
+
+    Data that USD does not hold is reported as a warning.
+    """
     from pxr import Gf, Sdf, Usd, UsdGeom
 
     stage: Any = Usd.Stage.CreateNew(str(path))
@@ -105,7 +112,7 @@ def _write_stage(path: Path, mesh: Mesh) -> list[str]:
     if mesh.up is not None:
         turn = np.eye(4)
         turn[:3, :3] = turn_along_y(np.array(mesh.up))
-        # USD has rows of vectors: its matrix is the transposed one.
+        # USD multiplies row vectors from the left, so its matrix is transposed.
         root.AddTransformOp().Set(Gf.Matrix4d(*turn.T.reshape(-1).tolist()))
     shape = UsdGeom.Mesh.Define(stage, "/scan/mesh")
     from pxr import Vt
@@ -126,7 +133,7 @@ def _write_stage(path: Path, mesh: Mesh) -> list[str]:
             Vt.Vec3fArray.FromNumpy(light)
         )
     if mesh.part_ids is not None:
-        emit(EXPORT_LEFT_OUT.warning("parts are left out: USD is written as one mesh"))
+        emit(EXPORT_LEFT_OUT.warning("the parts are left out: USD is written as one mesh"))
     names = [] if mesh.texture is None else _add_texture(stage, shape, mesh.texture, path.parent)
     if mesh.texture is None and mesh.colors is not None:
         _add_colors_material(stage, shape)
@@ -148,7 +155,7 @@ def _add_normals(shape: Any, mesh: Mesh) -> None:
 
 
 def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path) -> list[str]:
-    """Add coordinates and materials; return the names of the images that were written."""
+    """Add texture coordinates and materials; return the names of the written image files."""
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
     primvars = UsdGeom.PrimvarsAPI(shape)
@@ -175,7 +182,7 @@ def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path) -> list
 
 
 def _written(image: Image, number: int, folder: Path) -> str:
-    """Write an image as a previewer reads it, and return its name."""
+    """Write an image as JPEG or PNG; return its file name."""
     mime = image.mime
     if mime in _SHOWN:
         data, suffix = image.file_bytes, _SHOWN[mime]
@@ -183,7 +190,8 @@ def _written(image: Image, number: int, folder: Path) -> str:
         data, suffix = encoded_png(image.pixels), ".png"
         emit(
             EXPORT_IMAGE_AS_PNG.info(
-                "the image {name} is written as PNG, which USD shows", name=image.name or number
+                "the image {name} is stored as PNG, because USD viewers read only PNG and JPEG",
+                name=image.name or number,
             )
         )
     name = f"texture{number}{suffix}"
@@ -220,7 +228,10 @@ def _material(stage: Any, path: str, material: Material, image: str | None) -> A
 
 
 def _add_colors_material(stage: Any, shape: Any) -> None:
-    """Show the vertices' colours, which previewers without a material leave grey."""
+    """Bind a material that displays the vertex colours.
+
+    Viewers draw a mesh without a material in grey.
+    """
     from pxr import Sdf, UsdShade
 
     made = UsdShade.Material.Define(stage, "/scan/colors")

@@ -1,1 +1,1 @@
-"""Normal meshes (LI02): remeshing, and the file of their levels."""
+"""Normal meshes: remeshing and the progressive `.snm` file format."""

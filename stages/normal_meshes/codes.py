@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of normal meshes, with explanations."""
+"""Diagnostic codes of normal meshes, with explanations."""
 
 from __future__ import annotations
 
@@ -6,63 +6,64 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 LEVELS_NORMAL_MESH_INEXACT = Code(
     "levels.normal-mesh-inexact",
-    "A normal mesh that is farther off than asked",
+    "Normal mesh less accurate than requested",
     """
-Exit code 1: the file is written. More levels or more base triangles come nearer.
+Exit code 1; the file is written. More levels or more base triangles reduce the distance to the input.
 """,
     (
-        "the finest level is up to 0.0123 m from the input, more than max_error (0.005 m); give more levels "
-        "or a finer base."
+        "the finest level is up to 0.0123 m from the input, more than max_error (0.005 m); increase levels "
+        "or base_triangles."
     ),
 )
 LEVELS_BASE_LARGE = Code(
     "levels.base-large",
-    "A base mesh that is larger than asked",
+    "Base mesh larger than requested",
     """
-A warning. Components, holes and handles of the input keep the base large: clean it first.
+A warning. Connected components, holes and handles of the input are preserved, and each needs base
+triangles. Clean the input first.
 """,
     (
-        "the base mesh has 614 triangles, not 200: what is left stands for pieces, holes and handles, which "
-        "all stay, or could not be refined well with fewer. The finest level has 157,184; fewer levels have "
-        "fewer."
+        "the base mesh has 614 triangles, not 200: connected components, holes and handles are preserved, or "
+        "the mesh cannot be refined well from fewer. The finest level has 157,184 triangles; lower levels to "
+        "reduce that."
     ),
 )
 LEVELS_FOLDED = Code(
     "levels.folded",
-    "Triangles that are turned against the surface",
+    "Triangles flipped relative to the surface",
     """
-A warning. Where the surface is rough beside the size of a triangle, refinement may fold it. A finer base
-(`base_triangles`, `base_error`) avoids most folds.
+A warning. Refinement can fold the mesh where the surface is rough relative to the size of a triangle. A
+finer base (`base_triangles`, `base_error`) avoids most folds.
 """,
-    ("31 triangles of all levels, 12 of the finest, are turned against the surface or have no area."),
+    ("31 triangles in all levels (12 in the finest) are flipped relative to the surface or have no area."),
 )
 LEVELS_VERTICES_SPLIT = Code(
     "levels.vertices-split",
-    "Vertices that are split",
+    "Pinched vertices that are split",
     """
-A warning. Fans of triangles that touch at one vertex get a vertex each, because a normal mesh is a
-manifold. `scanloom clean` splits them, too.
+A warning. If several fans of triangles share only a vertex, each fan gets a copy of it, because a normal
+mesh is a manifold. `scanloom clean` splits such vertices as well.
 """,
-    ("1 pinched vertex was split, so that each fan of triangles that touched there has its own."),
+    ("1 pinched vertex was split: each fan of triangles around it has its own copy."),
 )
 LEVELS_TOO_FINE = Code(
     "levels.too-fine",
-    "Edges that are too short beside the size of the mesh",
+    "Edges too short for the size of the mesh",
     """
-The file has 32-bit floats. One stray vertex far away makes the box of the mesh so large that all edges
-are below their precision: remove it.
+The file stores 32-bit floats. A stray vertex far away enlarges the bounding box so much that all edges are
+below their precision. Remove that vertex.
 """,
     (
-        "mesh: most edges are shorter than 5e-05 m, which is all that can be told apart in a mesh of this "
-        "size; remove what lies far from the rest: vertex 8012 is 1e+03 m away."
+        "mesh: most edges are shorter than 5e-05 m, the precision of the format for a mesh of this size; "
+        "remove vertices far from the rest: vertex 8012 is 1e+03 m away."
     ),
 )
 LEVELS_LEVEL_MISSING = Code(
     "levels.level-missing",
-    "Levels that a file does not have",
+    "Levels missing in a file",
     """
-A file that ends early is a coarser mesh: levels before the damage are given out, with a warning, and a
-finer one is an error.
+A truncated file is a coarser mesh: the levels before the damage are returned with a warning. A request for
+a finer level is an error.
 """,
-    "clean.snm: has no level 4, only levels 0 to 2 are whole: it was cut there.",
+    "clean.snm: has no level 4; only levels 0 to 2 are intact: the file ends there.",
 )

@@ -1,7 +1,8 @@
-"""Normal meshes: a base mesh and refinements of one number a vertex, in memory and as `.snm` files.
+"""Normal meshes in memory and as progressive `.snm` files.
 
-A file holds the base mesh and then one refinement after the other, so that its beginning, up to the end of
-any level, is a file of a coarser mesh.
+A normal mesh is a base mesh and refinements that need one scalar per new vertex. A file stores the base mesh
+followed by one refinement after the other. A prefix that ends at a level boundary is a valid file of a
+coarser mesh.
 """
 
 from __future__ import annotations
@@ -26,24 +27,26 @@ from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.surface.mesh import Mesh, require_writable
 from scanloom.stages.surface.mesh_files import write_mesh
 
-# What stands for a new vertex: a number along the normal; a vector, since no number leads to the surface; a
-# vector, since the vertex is on the boundary.
+# Encoding of a new vertex: a scalar along the predicted normal; a vector, where the normal does not hit the
+# surface; a vector, because the vertex is on the boundary.
 SCALAR, EXCEPTION, BOUNDARY = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
 class Offsets:
-    """Where the k vertices of one refinement are, from where they were predicted.
+    """Offsets of the k vertices of one refinement from their predicted positions.
 
-    They follow the vertices of the level before, one for each of its edges.
+    The refinement adds one vertex per edge of the level before, after the vertices of that level.
 
     Attributes
     ----------
     kinds : (k,) uint8, SCALAR, EXCEPTION or BOUNDARY.
-    values : (k, 3) float64, metres, along the normal and two directions across; of a scalar only the first
-        is not 0.
-    predicted : (k, 3) float64, metres. A vertex with a scalar is there, plus so much of its normal.
-    normals : (k, 3) float64, unit normals as they are estimated from the level before.
+    values : (k, 3) float64, metres: components along the normal and two tangents. A SCALAR has only the
+    first.
+    predicted : (k, 3) float64, predicted positions in metres. A SCALAR vertex is at `predicted` plus its
+    value
+        times the normal.
+    normals : (k, 3) float64, unit normals estimated from the level before.
     """
 
     kinds: NDArray[np.uint8]
@@ -54,37 +57,40 @@ class Offsets:
     __repr__ = by_fields
 
     def count(self, kind: int) -> int:
-        """Return how many vertices are of this kind."""
+        """Count the vertices of a kind: SCALAR, EXCEPTION or BOUNDARY."""
         return int(np.count_nonzero(self.kinds == kind))
 
 
 @dataclass(frozen=True, eq=False)
 class NormalMesh:
-    """A mesh at several levels of detail, and the file that holds them.
+    """A mesh at several levels of detail, and its encoded file.
 
     Attributes
     ----------
-    levels : the base mesh, then each refinement: four times the triangles of the one before, whose vertices
-        come first and stay where they are.
-    offsets : `offsets[k]` leads from `levels[k]` to `levels[k + 1]`.
-    confidence : for each level (n,) float64 as far as vertices carry any, else None.
-    promised : refinements the file was made with; there may be fewer here.
-    damage : what is wrong with the rest of the file, or None.
-    data : the file, up to the end of the finest level here.
-    level_ends : bytes of the file up to the end of each level.
-    base_source : (n,) int32, the vertex of the input that each vertex of the base mesh was, or that became
-        part of it where the base is the simplified mesh; None if decoded.
-    triangle_source : for each level (n,) int32, the triangle of the input that each vertex lies on, or is
-        next to; None if decoded.
-    folded_by_level : for each level the triangles that are turned against the surface or have no area; empty
+    levels : the base mesh, then one mesh per refinement. Each has four times the triangles of the level
+    before
+        and begins with the vertices of that level, unchanged.
+    offsets : `offsets[k]` refines `levels[k]` to `levels[k + 1]`.
+    confidence : (n,) float64 per level; None if the vertices have no confidence.
+    promised : number of refinements in the original file; `levels` can hold fewer.
+    damage : error in the remaining part of the file; None if there is no error.
+    data : encoded file, up to the end of the finest level in `levels`.
+    level_ends : end of each level in `data`, in bytes.
+    base_source : (n,) int32, input vertex of each base vertex. If the base is the simplified mesh: an input
+        vertex that was merged into it. None if decoded.
+    triangle_source : (n,) int32 per level, the input triangle that each vertex lies on or is nearest to. None
         if decoded.
-    tolerance : how far rounding may take a vertex from the surface, over the diagonal of the input's box;
-        None if decoded.
+    folded_by_level : number of triangles per level that are flipped relative to the surface or have no area;
+        empty if decoded.
+    tolerance : maximum distance by which rounding moves a vertex off the surface, as a ratio of the diagonal
+    of
+        the input's bounding box; None if decoded.
     tolerance_m : the same in metres.
-    tolerance_source : where the tolerance comes from, in plain words; None if decoded.
-    max_distances_m : for each level the largest distance found between it and the input; empty if `max_error`
-        was not given.
-    diagnostics : what was left out or changed, and whether `max_error` is not reached.
+    tolerance_source : origin of the tolerance as text for people; None if decoded.
+    max_distances_m : largest measured distance in metres between each level and the input; empty without
+        `max_error`.
+    diagnostics : warnings about dropped or changed data, and an unmet requirement if `max_error` was not
+        reached.
     """
 
     levels: tuple[Mesh, ...]
@@ -113,7 +119,7 @@ class NormalMesh:
 
     @property
     def folded(self) -> int:
-        """Triangles of the finest level that are turned against the surface or have no area; 0 if decoded."""
+        """Number of flipped or degenerate triangles in the finest level; 0 if decoded."""
         return self.folded_by_level[-1] if self.folded_by_level else 0
 
     @property
@@ -122,7 +128,11 @@ class NormalMesh:
         return self.levels[-1]
 
     def figures(self) -> dict[str, Any]:
-        """Return counts and sizes, ready for JSON; shares of exceptions are of the new vertices inside."""
+        """Return counts and sizes as JSON-compatible values.
+
+        `exceptions_share` is the ratio of EXCEPTION vertices to all new vertices that are not on the
+        boundary.
+        """
         by_level = [self._level_figures(level) for level in range(len(self.levels))]
         exceptions = sum(offsets.count(EXCEPTION) for offsets in self.offsets)
         inside = exceptions + sum(offsets.count(SCALAR) for offsets in self.offsets)
@@ -169,14 +179,21 @@ class NormalMesh:
         return figures
 
     def save(self, path: Path | str, level: int | None = None) -> None:
-        """Write the file up to the end of a level, of all if none is given; `.snm` by custom.
+        """Write the encoded file, optionally truncated after a level.
+
+        Parameters
+        ----------
+        path : output file, usually with the extension `.snm`.
+        level : last level to store, 0 for the base mesh; None for all levels.
 
         Raises
         ------
         UsageError
-            For a level that is not there.
+            If the level does not exist.
+        MeshError
+            If coordinates are not finite.
         StageError
-            If the system refuses to write.
+            If the file cannot be written.
         """
         end = self.level_ends[-1 if level is None else self._require_level(level)]
         for coarse in self.levels:
@@ -185,16 +202,16 @@ class NormalMesh:
             part.write_bytes(self.data[:end])
 
     def write(self, path: Path | str, level: int | None = None) -> None:
-        """Write the mesh of a level, the finest if none is given, as `write_mesh` does.
+        """Write the mesh of one level with `write_mesh`; None for the finest level.
 
-        A PLY file also gets the confidence, as a property of its vertices.
+        A PLY file also stores the confidence as a vertex property.
 
         Raises
         ------
         UsageError
-            For a level that is not there, or an extension that stands for no format.
+            If the level does not exist or the extension is unknown.
         StageError
-            If the system refuses to write.
+            If the file cannot be written.
         """
         path, number = Path(path), -1 if level is None else self._require_level(level)
         if self.confidence is None or path.suffix.lower() != ".ply":
@@ -203,12 +220,14 @@ class NormalMesh:
             write_ply(path, self.levels[number], vertex_values={"confidence": self.confidence[number]})
 
     def write_levels(self, folder: Path | str) -> tuple[Path, ...]:
-        """Write every level into a folder, made if need be, and return the files: level_0.ply and so on.
+        """Write every level as `level_0.ply`, `level_1.ply`, … and return the paths.
+
+        The folder is created if it does not exist.
 
         Raises
         ------
         StageError
-            If the system refuses to write.
+            If a file cannot be written.
         """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
@@ -229,23 +248,23 @@ class NormalMesh:
 
 
 def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
-    """Return the meshes of an `.snm` file, equal to the bit to what `remesh` returned.
+    """Decode an `.snm` file; the meshes are bit-identical to the result of `remesh`.
 
-    Where the file is cut short or damaged, the levels before that are returned, and `damage` says what is
-    wrong. A file that was cut at the end of a level is whole; `promised` tells how many there once were.
+    From a truncated or damaged file, the intact levels are returned and `damage` describes the error. A file
+    truncated at a level boundary is valid; `promised` still holds its original number of refinements.
 
     Parameters
     ----------
-    source : a file, or its content.
-    level : decode no further than to this one; 0 is the base mesh.
+    source : path of a file, or its content.
+    level : finest level to decode, 0 for the base mesh; None for all levels.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no `.snm` file or of another version; if it is damaged so early that
-        not even the base mesh is whole, or before `level`.
+        If the file cannot be read, is not an `.snm` file or has another version. Also if the damage affects
+        the base mesh, or a level up to `level`.
     UsageError
-        For a level that the file never had.
+        If the file was never encoded with this level.
     """
     if level is not None and level < 0:
         raise UsageError(LEVELS_LEVEL_MISSING, "level is {level}; it must be at least 0.", level=level)
@@ -266,16 +285,16 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
     if level is not None and level > found.promised:
         raise UsageError(
             LEVELS_LEVEL_MISSING,
-            "level is {level}, but {place} was made with levels 0 to {promised}.",
+            "level is {level}, but {place} was encoded with levels 0 to {promised}.",
             level=level,
             place=where,
             promised=found.promised,
         )
     if level is not None and level > found.levels:
-        why = found.damage or "it was cut there"
+        why = found.damage or "the file ends there"
         raise InputError(
             LEVELS_LEVEL_MISSING,
-            "has no level {level}, only levels 0 to {levels} are whole: {why}.",
+            "has no level {level}; only levels 0 to {levels} are intact: {why}.",
             where,
             level=level,
             levels=found.levels,
@@ -287,11 +306,13 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
 def normal_mesh_of(
     found: _kernels.NormalMesh, mesh_diagnostics: tuple[Diagnostic, ...] = (), **known: Any
 ) -> NormalMesh:
-    """Return what a kernel found, and what else is known of it.
+    """Convert the kernel's result to a NormalMesh.
 
     Parameters
     ----------
-    mesh_diagnostics : of the mesh that was read, for the mesh of each level.
+    found : result of the remeshing or decoding kernel.
+    mesh_diagnostics : diagnostics of the input mesh, attached to the mesh of each level.
+    known : further fields of the NormalMesh.
     """
     numbers = range(found.levels + 1)
     confidence = tuple(values for level in numbers if (values := found.confidence(level)) is not None)

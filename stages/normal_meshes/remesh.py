@@ -1,4 +1,7 @@
-"""Remeshing: any manifold mesh becomes a normal mesh, even triangles at several levels of detail."""
+"""Remeshing of manifold meshes to normal meshes.
+
+A normal mesh has regular triangles at several levels of detail.
+"""
 
 from __future__ import annotations
 
@@ -42,54 +45,55 @@ if TYPE_CHECKING:
 
 RESULT_VERSION = 7
 
-# A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
+# Ratio of actual to requested base triangles above which a warning is emitted: all levels grow by that
+# factor.
 _FAR_FROM_WANTED = 1.5
 
-# Of a base that is made without saying how many levels it will get.
+# Levels that the default base size is derived from if `levels` is not given.
 _MOST_LEVELS = 4
 
-# The precision of 32-bit floats, over the diagonal.
+# Precision of 32-bit floats, as a ratio of the bounding-box diagonal.
 _FINEST = 5e-8
 
-# What the kernel says of where a tolerance comes from, in plain words.
+# Texts for the kernel's identifiers of the tolerance's origin.
 _TOLERANCE_SOURCES = {
     "given": "given",
-    "distance": "from how far the finest level is from the mesh anyway",
-    "noise": "from the mesh's own noise",
+    "distance": "from the distance between the finest level and the mesh",
+    "noise": "from the noise of the mesh",
     "bound": "from max_error",
-    "precision": "the precision of 32-bit floats, as the finest level is as good as exact",
+    "precision": "from the precision of 32-bit floats, because the finest level is practically exact",
 }
 
-_HOW_FAR = "How far"
-_HOW = "How"
-_FILE = "What the file keeps"
+_HOW_FAR = "Base mesh and levels"
+_HOW = "Method"
+_FILE = "Precision of the file"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RemeshParams:
-    """How many levels a normal mesh gets, of what base, and how exactly they are kept."""
+    """Parameters of remeshing: levels, base mesh and rounding."""
 
     levels: int | None = param(
         None,
-        "Refinements of the base mesh; each makes four triangles of one. Default: as many, from 1 to 4, as "
-        "give the finest level about as many triangles as the input; with max_error at most 4.",
+        "Refinements of the base mesh; each splits a triangle into four. Default: 1 to 4, so that the finest "
+        "level has about as many triangles as the input; with max_error at most 4.",
         group=_HOW_FAR,
         low=0,
         high=10,
     )
     base_triangles: int | None = param(
         None,
-        "Triangles of the base mesh; more are left only where fewer could not be refined. With levels 0, and "
-        "without base_error and max_error, the base is the mesh simplified to so many, its vertices where "
-        "the file comes nearest to the input. Default, unless base_error is given: so many that the finest "
-        "level has about as many as the input, or more, where fewer would be far from it.",
+        "Target triangle count of the base mesh; more remain only where fewer could not be refined. With "
+        "levels 0, and without base_error and max_error, the base is the simplified mesh, whose vertices are "
+        "moved to minimise the distance to the input. Default, unless base_error is given: the finest level "
+        "gets about as many triangles as the input, or more where fewer would be inaccurate.",
         group=_HOW_FAR,
         low=1,
     )
     base_error: float | None = param(
         None,
-        "The base mesh is made as long as no collapse adds more than this to the distance from the input; "
-        "with base_triangles, whichever comes first.",
+        "Maximum distance from the input that a collapse may add while the base mesh is made. With "
+        "base_triangles, collapsing stops at whichever limit comes first.",
         group=_HOW_FAR,
         unit="m",
         low=0,
@@ -97,8 +101,8 @@ class RemeshParams:
     )
     max_error: float | None = param(
         None,
-        "Stop at the first level whose largest distance from the input, both ways, is found to be no more "
-        "than this; at the last if none is.",
+        "Stop at the first level whose measured maximum distance from the input, in both directions, is at "
+        "most this. If no level reaches it, all levels are written.",
         group=_HOW_FAR,
         unit="m",
         low=0,
@@ -106,22 +110,22 @@ class RemeshParams:
     )
     scheme: str = param(
         "linear",
-        "Where new vertices are predicted: in the middle of their edge, or by the modified butterfly, which "
-        "makes offsets smaller on smooth shapes.",
+        "Prediction of new vertices: at the middle of their edge (`linear`), or by the modified butterfly "
+        "scheme, which gives smaller offsets on smooth shapes.",
         group=_HOW,
         choices=("linear", "butterfly"),
     )
     relaxations: int = param(
         1,
-        "How often new vertices move towards the middle of their neighbours, along the surface, before they "
-        "get their offsets: evens the triangles out.",
+        "Tangential smoothing steps of new vertices before their offsets are computed, for more regular "
+        "triangles.",
         group=_HOW,
         low=0,
         high=100,
     )
     threads: int | None = param(
         None,
-        "Processors to use, with the same result; all if not given.",
+        "CPU threads; the result is the same for any number. Default: all.",
         group=_HOW,
         low=1,
         high=256,
@@ -129,19 +133,18 @@ class RemeshParams:
     )
     tolerance: float | None = param(
         None,
-        "How far rounding may take a vertex from the surface of the input, as a share of the bounding box's "
-        "diagonal; of a base that is the simplified mesh, beside how far that is from it. Default: from the "
-        "mesh, about a third of the RMS distance of the finest level from it, or half of it where the mesh's "
-        "own noise hides that, or three times it for the simplified mesh, which is rounded far better than "
-        "to the tolerance; never more than a sixteenth of max_error, nor finer than the precision of 32-bit "
-        "floats, 5e-8.",
+        "Maximum distance by which rounding moves a vertex off the input surface, as a ratio of the bounding "
+        "box's diagonal. If the base is the simplified mesh, its distance from the input is not included. "
+        "Default: a third of the RMS distance of the finest level from the input; half of it where noise of "
+        "the mesh hides that distance; three times it for the simplified mesh, whose actual rounding is far "
+        "smaller. It is at most a sixteenth of max_error, and at least the precision of 32-bit floats, 5e-8.",
         group=_FILE,
         low=1e-9,
         high=0.01,
     )
     color_tolerance: float = param(
         2.0,
-        "How much rounding may change a channel of a vertex's colour.",
+        "Maximum rounding error of a channel of a vertex colour.",
         group=_FILE,
         unit="8-bit levels",
         low=0,
@@ -152,7 +155,17 @@ class RemeshParams:
         check(self)
 
     def wanted_base(self, triangles: int) -> int:
-        """Return how many base triangles are wanted for an input of so many; 0 if `base_error` decides."""
+        """Return the target triangle count of the base mesh.
+
+        Parameters
+        ----------
+        triangles : triangle count of the input.
+
+        Returns
+        -------
+        int
+            0 if `base_error` alone limits the base mesh.
+        """
         if self.base_triangles is not None:
             return self.base_triangles
         levels = _MOST_LEVELS if self.levels is None else self.levels
@@ -167,48 +180,49 @@ def remesh(
     progress: Progress = silent,
     **changes: Unpack[RemeshKeywords],
 ) -> NormalMesh:
-    """Make a normal mesh: a base mesh of original vertices, refined to lie on the original surface.
+    """Remesh a surface to a normal mesh.
 
-    Edges collapse into one of their ends until the base mesh is left; a base that gets no levels is the
-    mesh as `simplify` makes it. Then each level puts a vertex on every
-    edge, predicts where it is, and moves it along the normal to the surface: one number a vertex. Where no
-    number leads there, and on boundaries, a vector stands instead. What is returned is what `decode` returns
-    of its `data`, to the bit: numbers are rounded before they are used.
+    The result is a base mesh with refinements that lie on the surface.
 
-    Genus, pieces, boundary loops and orientation are those of the input at every level. Equal input gives
-    equal bytes, on any number of threads.
+    Half-edge collapses simplify the input to the base mesh. With `levels=0` the base mesh is the result of
+    `simplify` instead. Each refinement splits every edge, predicts the new vertex, and moves it along the
+    predicted normal to the surface: one scalar per vertex. Boundary vertices store a vector. So do vertices
+    whose normal does not hit the surface. Values are rounded before the next level is computed, so `decode`
+    reproduces the result from `data` bit for bit.
+
+    Every level has the genus, connected components, boundary loops and orientation of the input. The same
+    input gives the same bytes, for any number of threads.
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Vertices in
-        one place are one; where that is no oriented manifold, it is split into sheets with vertices of their
-        own, and a warning says so. Vertices without triangles and triangles that name a vertex twice are left
-        out.
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Vertices at equal
+        positions are welded. If the welded mesh is not an oriented manifold, it is cut into manifold sheets
+        and a warning is emitted. Unreferenced vertices and triangles that repeat a vertex are dropped.
     params : RemeshParams; single fields can be given by name instead.
-    confidence : (n,) finite numbers, carried along as colours are, with 8 bits between the least and the
-        greatest.
-    progress : called about ten times a second with the levels that are done, those of bases that are only
-        tried among them, and those to do at most; raising from it stops the work.
+    confidence : (n,) finite numbers per vertex, interpolated like colours and stored with 8 bits between
+    their
+        minimum and maximum.
+    progress : called about ten times per second with the number of finished levels and the maximum number of
+        levels, both including levels of candidate base meshes. An exception raised by it aborts the work.
 
     Returns
     -------
     NormalMesh
-        With colours if the input has. Texture and normals are not carried, and a warning says so.
-        Its sources are in terms of the input, split or not.
+        With colours if the input has colours. Texture and normals are dropped with a warning. Source indices
+        refer to the input before welding and cutting.
 
     Raises
     ------
     MeshError
-        For an edge with more than two triangles or inconsistent orientation, which `clean` repairs; the
-        message names them. For a mesh without a surface, and for confidence that is not one finite number a
-        vertex.
+        If an edge has more than two triangles or inconsistent orientation (`clean` repairs both; the message
+        names the edges), if the mesh has no surface, or if `confidence` is not one finite number per vertex.
     UsageError
-        For a parameter out of range.
+        If a parameter is out of range.
 
     References
     ----------
     Li, Li, Xu and Li, "Normal mesh generation based on Laplacian operator", 2002; Guskov, Vidimče, Sweldens
-    and Schröder, "Normal meshes", 2000; for the other prediction Zorin, Schröder and Sweldens, "Interpolating
+    and Schröder, "Normal meshes", 2000; for scheme "butterfly" Zorin, Schröder and Sweldens, "Interpolating
     subdivision for meshes with arbitrary topology", 1996.
     """
     with collecting() as diagnostics:
@@ -231,7 +245,8 @@ def _normal_mesh(
     try:
         found = _remeshed(traced, original, values, params, wanted, progress)
     except _kernels.InvalidMeshError:
-        # Few meshes are no manifold: to look only where a mesh is refused saves the others the time.
+        # Non-manifold meshes are rare, so the cost of cutting sheets is paid only after the kernel refuses
+        # the mesh.
         sheets = sheets_of(start.mesh)
         traced = _traced(start, sheets)
         found = _remeshed(traced, original, values, params, wanted, progress)
@@ -254,7 +269,10 @@ def _normal_mesh(
 
 
 def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
-    """Refuse a mesh that is a point beside how far it reaches, as one stray vertex makes it."""
+    """Refuse a mesh whose edges are below float32 precision relative to its extent.
+
+    A single stray vertex far away from the surface has that effect.
+    """
     corners = mesh.vertices[mesh.triangles]
     finest = min(params.tolerance or _FINEST, _FINEST) * _diagonal(mesh)
     lengths = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2)
@@ -265,11 +283,11 @@ def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
         raise MeshError(
             LEVELS_TOO_FINE,
             (
-                "most edges are shorter than {finest:.2g} m, which is all that can be told "
-                "apart in a mesh of this size"
+                "most edges are shorter than {finest:.2g} m, the precision of the format for "
+                "a mesh of this size"
             ),
             "mesh",
-            remedy="remove what lies far from the rest: vertex {farthest} is {away:.2g} m away.",
+            remedy="remove vertices far from the rest: vertex {farthest} is {away:.2g} m away.",
             finest=finest,
             farthest=farthest,
             away=away[farthest],
@@ -277,14 +295,15 @@ def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
 
 
 def _diagonal(mesh: Mesh) -> float:
-    """Return the diagonal of the bounding box of what triangles there are."""
+    """Return the bounding-box diagonal of all vertices used by triangles, in metres."""
     return float(np.linalg.norm(np.ptp(mesh.vertices[np.unique(mesh.triangles)], axis=0)))
 
 
 def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced, Mesh | None]:
-    """Return the mesh that becomes the base mesh; and the input, if that is another one.
+    """Return the mesh to remesh, and the input mesh if different.
 
-    A base that is never refined need not be made of vertices of the input: `simplify` comes nearer.
+    Without refinements, the base mesh need not consist of input vertices. The result of `simplify` is used
+    then, because it approximates the input better.
     """
     wanted = params.base_triangles
     bounds = (params.base_error, params.max_error)
@@ -298,7 +317,7 @@ def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced
         light = simplify(
             mesh, method="quadric", triangles=wanted, threads=params.threads, bake=False, progress=still
         )
-    # The number of base triangles is a wish.
+    # The base triangle count is a target, not a requirement.
     emit(*(one for one in light.diagnostics if one.severity != Severity.UNMET))
     sources = light.vertex_source.astype(np.int64), light.triangle_source.astype(np.int64)
     return Traced(light.mesh, *sources), mesh
@@ -335,14 +354,14 @@ def _remeshed(
 
 
 def _nearest(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.integer[Any]]:
-    """Return the triangle that is nearest to each point."""
+    """Return the index of the triangle nearest to each point."""
     box = bounding_box(mesh)
     box = np.stack([np.minimum(box[0], points.min(axis=0)), np.maximum(box[1], points.max(axis=0))])
     return Surface(mesh, box).closest(points).triangles
 
 
 def _traced(start: Traced, sheets: Sheets | None) -> Traced:
-    """Return the mesh, or its sheets."""
+    """Return the mesh cut into its manifold sheets, or unchanged without sheets."""
     if sheets is None:
         return start
     sources = start.vertex_source[sheets.vertex_source], start.triangle_source[sheets.triangle_source]
@@ -369,7 +388,7 @@ def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
 
 
 def _tolerance(found: _kernels.NormalMesh, mesh: Mesh) -> dict[str, float | str]:
-    """Return the tolerance of the result, over the diagonal and in metres, and where it comes from."""
+    """Return the result's tolerance as a diagonal ratio and in metres, and its origin."""
     if found.tolerance is None or found.tolerance_source is None:
         return {}
     return {
@@ -386,7 +405,7 @@ def _report_left_out(mesh: Mesh) -> None:
     if names:
         emit(
             LEVELS_LEFT_OUT.warning(
-                "remesh left out: {names}; it carries vertex colours and confidence.", names=names
+                "remesh left out: {names}; it keeps vertex colours and confidence.", names=names
             )
         )
     if mesh.texture is not None:
@@ -397,8 +416,7 @@ def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, 
     if split:
         emit(
             LEVELS_VERTICES_SPLIT.warning(
-                "{count:,} pinched {were} split, so that each fan of triangles that touched there has its "
-                "own.",
+                "{count:,} pinched {were} split: each fan of triangles around it has its own copy.",
                 count=split,
                 were="vertex was" if split == 1 else "vertices were",
             )
@@ -408,9 +426,9 @@ def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, 
     if asked and wanted_base and base > _FAR_FROM_WANTED * wanted_base:
         emit(
             LEVELS_BASE_LARGE.warning(
-                "the base mesh has {base:,} triangles, not {wanted_base:,}: what is left stands for pieces, "
-                "holes and handles, which all stay, or could not be refined well with fewer. The finest "
-                "level has {finest:,}; fewer levels have fewer.",
+                "the base mesh has {base:,} triangles, not {wanted_base:,}: connected components, holes and "
+                "handles are preserved, or the mesh cannot be refined well from fewer. The finest level has "
+                "{finest:,} triangles; lower levels to reduce that.",
                 base=base,
                 wanted_base=wanted_base,
                 finest=len(found.triangles(found.levels)),
@@ -419,8 +437,8 @@ def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, 
     if sum(found.folded):
         emit(
             LEVELS_FOLDED.warning(
-                "{count:,} triangles of all levels, {finest:,} of the finest, are turned against the surface "
-                "or have no area.",
+                "{count:,} triangles in all levels ({finest:,} in the finest) are flipped relative to the "
+                "surface or have no area.",
                 count=sum(found.folded),
                 finest=found.folded[-1],
             )
@@ -430,7 +448,7 @@ def _report(found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, 
             LEVELS_NORMAL_MESH_INEXACT.unmet(
                 "the finest level is up to {reached:.4g} m from the input, more than max_error "
                 "({max_error:g} m)",
-                remedy="give more levels or a finer base.",
+                remedy="increase levels or base_triangles.",
                 reached=found.reached[-1],
                 max_error=params.max_error,
             )

@@ -1,1 +1,1 @@
-"""What a mesh is: its arrays, texture, edges, topology, conversions, rays, the colour at a point."""
+"""Mesh data model: arrays, textures, topology, file formats, conversions and ray queries."""

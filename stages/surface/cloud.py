@@ -1,4 +1,4 @@
-"""Clouds of points: meshes without triangles."""
+"""Point clouds, represented as meshes without triangles."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 
-# Points that tell how a cloud lies around one of them.
+# Nearest neighbours per point for normal estimation.
 _NEIGHBOURS = 30
 
 
 def is_cloud(mesh: Mesh) -> bool:
-    """Return whether there are points and no triangles."""
+    """Return True if the mesh has points but no triangles."""
     return len(mesh.triangles) == 0 and len(mesh.vertices) > 0
 
 
 def some_of(cloud: Mesh, most: int) -> Mesh:
-    """Return a cloud of at most so many of its points, the same ones every time, with normals.
+    """Subsample a cloud to at most `most` points, reproducibly, and add normals.
 
-    Where it has none they are found in the points around each, and look either way.
+    Missing normals are estimated from the neighbours of each point in the full cloud. Their sign is
+    arbitrary.
     """
     rows = np.arange(len(cloud.vertices))
     if len(rows) > most:
@@ -35,7 +36,10 @@ def some_of(cloud: Mesh, most: int) -> Mesh:
 
 
 def _normals_of(points: Floats, cloud: Floats) -> Floats:
-    """Return along which direction (k, 3) of length 1 the cloud is thinnest around points (k, 3) of it."""
+    """Estimate unit normals (k, 3) by PCA of neighbouring points.
+
+    The neighbours are searched in the full cloud. The sign of a normal is arbitrary.
+    """
     from scipy.spatial import cKDTree
 
     _, near = cKDTree(cloud, balanced_tree=False).query(points, min(_NEIGHBOURS, len(cloud)), workers=-1)

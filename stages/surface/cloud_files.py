@@ -1,6 +1,7 @@
-"""Read clouds of points: PLY without triangles, LAS and LAZ, E57. A cloud is a mesh without triangles.
+"""Readers of point clouds: PLY without triangles, LAS, LAZ and E57.
 
-LAS and E57 are read by libraries that are an extra, in a process of its own: a damaged file may end it.
+LAS, LAZ and E57 need optional libraries. They are read in a separate process, because a damaged file can
+crash these libraries.
 """
 
 from __future__ import annotations
@@ -25,28 +26,30 @@ from scanloom.stages.surface.formats.ply import read_ply
 from scanloom.stages.surface.mesh import Mesh, validated
 from scanloom.stages.surface.mesh_files import EXTENSIONS, read_whatever_it_holds
 
-# What reads them, and what else that needs.
+# Packages that each format requires.
 _READERS = {".las": ("laspy",), ".laz": ("laspy", "lazrs"), ".e57": ("pye57",)}
 CLOUD_EXTENSIONS = (".ply", *_READERS)
-# Processor time that reading may take, at first and for each byte: 200 kB/s is slow.
+# CPU time limit of the reader process: a constant, plus seconds per byte (200 kB/s is slow).
 _SECONDS, _SECONDS_A_BYTE = 60.0, 5e-6
 
 
 def read_cloud(path: Path | str) -> Mesh:
-    """Read a cloud's file; its extension tells the format, of CLOUD_EXTENSIONS.
+    """Read a point cloud file.
+
+    The extension, one of CLOUD_EXTENSIONS, selects the format.
 
     Returns
     -------
     Mesh
-        Without triangles: points, with colours and normals where the file has them. Of a PLY file with
-        triangles the vertices. `up` is z in LAS, which has heights there, and in E57, whose scanners stand.
+        Points without triangles, with colours and normals if the file has them. Triangles of a PLY file are
+        dropped. `up` is +z for LAS and LAZ, where z is the height, and for E57, whose scanners stand upright.
 
     Raises
     ------
     InputError
         If the file is missing, of another format, damaged, or holds no points.
     MeshError
-        For a point that is not finite.
+        If a point is not finite.
     UsageError
         If the library that reads the format is not installed.
     """
@@ -56,7 +59,7 @@ def read_cloud(path: Path | str) -> Mesh:
         known = ", ".join(CLOUD_EXTENSIONS)
         raise InputError(
             USAGE_EXTENSION_UNKNOWN,
-            "is of no format of clouds, {path_suffix!r}; known are {known}.",
+            "is not of a point cloud format: {path_suffix!r}; known are {known}.",
             path,
             path_suffix=path.suffix,
             known=known,
@@ -82,12 +85,12 @@ def read_cloud(path: Path | str) -> Mesh:
 
 
 def read_mesh_or_cloud(path: Path | str) -> Mesh:
-    """Read a mesh's file, or that of a cloud: what has no triangles is one.
+    """Read a mesh file or a point cloud file; a cloud has no triangles.
 
     Raises
     ------
     InputError, UsageError
-        As `read_mesh`, but for that of no triangles, and `read_cloud`.
+        As `read_mesh` and `read_cloud`, except that a file without triangles is accepted.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -114,7 +117,7 @@ def _read_elsewhere(path: Path) -> Mesh:
     if missing:
         raise UsageError(
             MACHINE_EXTRA_MISSING,
-            "{suffix} is read by {missing}",
+            "reading {suffix} requires {missing}",
             remedy="install scanloom[clouds].",
             where=path,
             suffix=suffix,

@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of meshes and their files, with explanations."""
+"""Diagnostic codes of meshes and mesh files, with explanations."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from scanloom.stages.diagnostics.diagnostic import Code
 
 FUSE_TOO_LARGE = Code(
     "fuse.too-large",
-    "A mesh too large for one piece",
+    "Mesh too large to process at once",
     """
-More than 5 million triangles are cleaned, simplified, measured and drawn piece by piece, and gaps are
-reported of them so, so that a run goes to its end. `lod` begins with the simplified mesh, and says [how
-far that is](levels.md#levels-of-a-large-mesh) from the clean one; the page shows the result without the
-clean mesh and the colours of gaps. Only `bake` reads all of it: in place of it, `texture` paints the
-simplified mesh from the photos. The table of pieces, `fused.pieces.json` or `clean.pieces.json`, stands
-beside the mesh in the cache, and goes with that one file alone.
+Meshes of more than 5 million triangles are cleaned, simplified, measured, drawn and searched for gaps in
+chunks, so that a run completes. `lod` starts from the simplified mesh and states [its
+distance](levels.md#levels-of-a-large-mesh) from the clean mesh. The report page shows the result without
+the clean mesh and without the colours of gaps. Only `bake` needs the whole mesh in memory; use `texture`
+instead, which paints the simplified mesh from the photos. The chunk table, `fused.pieces.json` or
+`clean.pieces.json`, is stored next to the mesh in the cache and is valid for that file only.
 """,
     (
         "bake reads all of clean.ply at once, which has 7,412,306 triangles; it takes up to 5,000,000. "
@@ -22,77 +22,79 @@ beside the mesh in the cache, and goes with that one file alone.
 )
 MESH_CLOUD_DAMAGED = Code(
     "mesh.cloud-damaged",
-    "Clouds of points that are damaged or hold no points",
+    "Damaged or empty point clouds",
     """
-LAS, LAZ and E57 files that are cut short, damaged or empty are refused; get a whole copy. Clouds of more
-than 100 million points are refused, too: thin them out first.
+LAS, LAZ and E57 files that are cut short, damaged or empty are refused; get a whole copy. Point clouds of
+more than 100 million points are refused as well: subsample them first.
 """,
-    "hall.laz: promises 12,000,000 points, more than it holds; it is damaged or cut short.",
+    "hall.laz: declares 12,000,000 points, more than it holds; it is damaged or cut short.",
 )
 MACHINE_EXTRA_MISSING = Code(
     "machine.extra-missing",
-    "An optional library that is not installed",
+    "Missing optional library",
     """
-Some formats and plots need libraries that are an extra: `pip install "scanloom[clouds]"` for LAS, LAZ and
-E57, `"scanloom[usd]"` for USD, `"scanloom[plot]"` for plots.
+Some formats and plots need optional libraries: `pip install "scanloom[clouds]"` for LAS, LAZ and E57,
+`"scanloom[usd]"` for USD, `"scanloom[plot]"` for plots.
 """,
-    "hall.laz: .laz is read by laspy and lazrs; install scanloom[clouds].",
+    "hall.laz: reading .laz requires laspy and lazrs; install scanloom[clouds].",
 )
 COMPARE_POINT_CLOUD = Code(
     "compare.point-cloud",
-    "Clouds of points where surfaces are needed",
+    "Point clouds where surfaces are required",
     """
-`compare` takes clouds as PLY, LAS, LAZ and E57, the latter three with `pip install "scanloom[clouds]"`.
-Points that a scanner marked as invalid or withheld do not count, and colours that are black throughout
-are none. Changes and views need surfaces; a cloud has distances alone.
+`compare` accepts point clouds as PLY, LAS, LAZ and E57, the latter three with `pip install
+"scanloom[clouds]"`. Points that a scanner marked as invalid or withheld are ignored, and so are colours
+that are black throughout. Changes and views require surfaces; point clouds only support distances.
 """,
     "--change needs two surfaces, and hall.laz is a cloud of points; leave it out.",
 )
 MESH_COMPANION_MISSING = Code(
     "mesh.companion-missing",
-    "A companion that is missing",
+    "Missing companion files",
     """
-glTF names its `.bin` and images, OBJ its `.mtl`, and that its images: copy them too, with their names and
-folders. Without an image the mesh is read with a warning, without its texture.
+glTF files refer to a `.bin` file and images, OBJ files to an `.mtl` file, which refers to images. Copy
+these files as well, with their names and folders. If an image is missing, the mesh is read without that
+texture, with a warning.
 """,
     "chair.gltf: refers to the file chair.bin, which is missing.",
 )
 MESH_TEXTURE_DAMAGED = Code(
     "mesh.texture-damaged",
-    "Images or texture coordinates that are damaged",
+    "Damaged images or texture coordinates",
     """
-The mesh is read with a warning, and is grey where its image cannot be decoded or its texture coordinates
-are missing. Write the image again as PNG or JPEG, or export the mesh anew.
+The mesh is read with a warning. It is grey where its image cannot be decoded or its texture coordinates are
+missing. Save the image again as PNG or JPEG, or export the mesh again.
 """,
-    "chair.obj: the texture image chair.png is of no known kind or damaged",
+    "chair.obj: the texture image chair.png has an unknown format or is damaged",
 )
 MESH_COMPRESSION_UNKNOWN = Code(
     "mesh.compression-unknown",
-    "Compressed in a way that is not read",
+    "Unsupported compression",
     """
-Draco is not read; files packed by meshoptimizer are. In Blender, switch *Compression* off on export.
+Draco and binary OFF are not supported; glTF files compressed by meshoptimizer are. In Blender, turn
+*Compression* off on export.
 """,
-    "chair.glb: is compressed; write it again without compression.",
+    "chair.glb: uses an unsupported compression; write it again without compression.",
 )
 MESH_COORDINATES_TOO_LARGE = Code(
     "mesh.coordinates-too-large",
-    "Coordinates that are too large",
+    "Coordinates too large",
     """
-So far out that areas and volumes are beyond floating point, or positions beyond single precision. Mostly
-one stray vertex: take it out, or move the mesh to the origin.
+Coordinates are so large that areas and volumes overflow, or that positions exceed single precision. The
+cause is usually a stray vertex: remove it, or move the mesh to the origin.
 """,
     (
-        "chair.ply: vertex 8012 is at (1e+200, 0, 0), beyond ±1e+100 m (1 such): its coordinates are too "
-        "large; take it out, or scale the mesh."
+        "chair.ply: vertex 8012 is at (1e+200, 0, 0), beyond ±1e+60 m (1 such): its coordinates are too "
+        "large; remove it, or scale the mesh."
     ),
 )
 MESH_NOT_FINITE = Code(
     "mesh.not-finite",
     "Values that are not finite",
     """
-Positions, normals or texture coordinates are infinite or no number. The same check stands before every
-file that is written: such a mesh is refused, and no file is left. Remove or repair the vertex or triangle
-that is named.
+Positions, normals or texture coordinates are infinite or NaN. The check also runs before a file is written:
+such a mesh is refused, and no file is created. Remove or repair the vertex or triangle that the message
+names.
 """,
     (
         "chair.obj: vertex 8012 is [nan, 0.0, 1.0], not finite (1 such); remove or repair these before "
@@ -101,9 +103,9 @@ that is named.
 )
 MESH_INDEX_OUT_OF_RANGE = Code(
     "mesh.index-out-of-range",
-    "Triangles that use vertices that do not exist",
+    "Vertex indices out of range",
     """
-The file is damaged or cut short, or arrays do not belong together. Get a whole copy of the file.
+The file is damaged or cut short, or the given arrays do not belong together. Get a whole copy of the file.
 """,
     (
         "chair.ply: triangle 12 uses vertices [4, 5, 99999], but there are only 8012 (3 such triangles); the "
@@ -112,96 +114,96 @@ The file is damaged or cut short, or arrays do not belong together. Get a whole 
 )
 MESH_FILE_TOO_LARGE = Code(
     "mesh.file-too-large",
-    "A mesh that is too large for its format",
+    "Mesh too large for its format",
     """
-A GLB file holds 4 GiB at most. Write PLY, or simplify the mesh first.
+A GLB file is limited to 4 GiB. Write PLY, or simplify the mesh first.
 """,
-    "city.glb: would take 5,120,331,008 bytes, more than a GLB file can hold; write PLY.",
+    "city.glb: needs 5,120,331,008 bytes, more than the 4 GiB limit of GLB; write PLY.",
 )
 MESH_FILE_DAMAGED = Code(
     "mesh.file-damaged",
-    "Damaged, cut short, or of another kind",
+    "Mesh files that are damaged, cut short or of another format",
     """
-Nothing is reserved for sizes that a file only promises. Get a whole copy of it. If another program opens
-it, that program may repair it in silence: write it from there again.
+Sizes declared by a file are checked before memory is allocated. Get a whole copy of the file. If another
+program opens the file, that program may repair it silently: save it again from there.
 """,
-    "chair.glb: places more than 536,870,912 corners and vertices; it is damaged.",
+    "chair.glb: its nodes have more than 536,870,912 corners and vertices; it is damaged.",
 )
 MESH_POINTS_OUTSIDE = Code(
     "mesh.points-outside",
-    "Points outside of the box that their file states",
+    "Points outside the bounding box of the header",
     """
-A warning. Packed points have no check sum: points that lie far from all others are a sign of damage. Get
+A warning. Compressed points have no checksum, so points outside the bounding box are a sign of damage. Get
 a whole copy.
 """,
-    "hall.laz: 312 points are not where its header says that all are: it may be damaged",
+    "hall.laz: 312 points are outside the bounding box of the header: the file may be damaged",
 )
 MESH_UNIT_NOT_METRES = Code(
     "mesh.unit-not-metres",
-    "Coordinates in another unit than metres",
+    "Coordinates not in metres",
     """
-A warning. The coordinates are used as they are: parameters that are lengths, and all lengths that are
-printed, are in the unit of the file. Convert the cloud to metres first.
+A warning. The coordinates are used unchanged: lengths in parameters and in the output are in the unit of
+the file. Convert the point cloud to metres first.
 """,
-    "hall.las: its coordinates are in feet, and are taken as metres: all lengths are in that unit",
+    "hall.las: its coordinates are in feet but used as metres: all lengths are in that unit",
 )
 MESH_NO_SURFACE = Code(
     "mesh.no-surface",
-    "No surface, or none that a stage can work on",
+    "No usable surface",
     """
-A point cloud, a file of lines, or triangles without area; or a surface that is no manifold, for a stage
-that needs one. `scanloom clean` makes an oriented manifold of whatever has surface.
+The file is a point cloud, has only lines, or has triangles without area; or the surface is not a manifold
+and the stage requires one. `scanloom clean` turns any surface into an oriented manifold.
 """,
     "points.ply: holds 81,204 vertices but no triangles; a mesh is expected.",
 )
 MESH_LEFT_OUT = Code(
     "mesh.left-out",
-    "Parts of a file that a mesh does not hold",
+    "Unsupported data in mesh files",
     """
-Warnings: parts of a file that scanloom has no place for. The rest is read.
+A warning. The file has data that scanloom does not support. The other data is read.
 """,
     "chair.glb: animations are left out",
 )
 MESH_CONFIDENCE_LEFT_OUT = Code(
     "mesh.confidence-left-out",
-    "The confidence of vertices that is left out",
+    "Vertex confidence left out",
     """
-A warning. `remesh` carries the confidence of the vertices of a PLY file; other commands leave it out.
+A warning. Only `remesh` uses the confidence of the vertices of a PLY file.
 """,
-    "chair.ply: the confidence of its vertices is left out: remesh carries it",
+    "chair.ply: the vertex confidence is left out: only remesh uses it",
 )
 MESH_VALUES_REPLACED = Code(
     "mesh.values-replaced",
-    "Colours that are replaced",
+    "Replaced colours",
     """
-A warning. Colours that are not finite become black. Where only some parts of a file have colours of
-vertices, the others become white.
+A warning. Colours that are not finite become black. If only some parts of a file have vertex colours, the
+other parts become white.
 """,
-    "chair.obj: colours that are not finite are taken as 0",
+    "chair.obj: colours that are not finite become black",
 )
 MESH_POLYGONS_SPLIT = Code(
     "mesh.polygons-split",
-    "Polygons that were split into triangles",
+    "Polygons split into triangles",
     """
-Nothing is lost: a mesh consists of triangles here, and each corner of a polygon stays one.
+No data is lost: every corner of a polygon becomes a corner of a triangle.
 """,
     "chair.obj: 5,120 polygons were split into triangles",
 )
 MESH_POLYGONS_NOT_SIMPLE = Code(
     "mesh.polygons-not-simple",
-    "Polygons that cross themselves or have no area",
+    "Self-intersecting or degenerate polygons",
     """
-A warning. Such polygons have no unique triangles, and are split as if they were convex. Triangulate the
+A warning. Such polygons have no unique triangulation and are split as if they were convex. Triangulate the
 mesh in the program that made it.
 """,
-    "chair.obj: 2 polygons cross themselves or have no area, and were split as if convex",
+    "chair.obj: 2 polygons intersect themselves or have no area: they are split as if convex",
 )
 MESH_CONVERSION_LOSS = Code(
     "mesh.conversion-loss",
-    "Data that the mesh class of another library cannot hold",
+    "Data lost in conversion to another library",
     """
-A warning of `to_open3d`, `to_open3d_legacy` and `to_trimesh`. Functions of `stages` take and return the
-Mesh itself, and `write_mesh` writes all of it.
+A warning of `to_open3d`, `to_open3d_legacy` and `to_trimesh`. Functions of `stages` accept and return
+`Mesh`, and `write_mesh` stores all of it.
 """,
     (
         "open3d.geometry.TriangleMesh cannot hold parts and the up direction of this mesh: left out. Pass "
@@ -210,22 +212,22 @@ Mesh itself, and `write_mesh` writes all of it.
 )
 SCALE_UP_CONTRADICTED = Code(
     "scale.up-contradicted",
-    "An up direction that cameras and surface contradict",
+    "Up direction contradicted by cameras and surface",
     """
-A warning. The up direction that is known, from the layout or from gravity, is used; results may lie on
-their side if it is wrong. `--set upright.up=+z` states it (an axis, or three numbers).
+A warning. The known up direction, from the layout or from gravity, is used. If it is wrong, results are not
+upright. Override it with `--set upright.up=+z` (an axis, or three numbers).
 """,
     (
-        "what is up is taken from layout euroc, but cameras were held as if it were 88° off that; "
-        "upright.up=AXIS states it"
+        "the up direction from layout euroc differs by 88° from the cameras' up direction; set "
+        "upright.up=AXIS if it is wrong"
     ),
 )
 USAGE_EXTENSION_UNKNOWN = Code(
     "usage.extension-unknown",
-    "An extension that stands for no format",
+    "Unknown file extension",
     """
-The extension of a file decides its format. The sentence names the formats that this command reads or
-writes; `scanloom export` writes the most. STL and OFF hold the shape alone, and are refused where colours
+The extension of a file selects its format. The message names the formats that the command reads or writes;
+`scanloom export` writes the largest number. STL and OFF store geometry only, and are refused where colours
 are the result.
 """,
     "chair.3ds: is of an unknown format '.3ds'; known are .ply, .obj, .off, .stl, .glb, .gltf.",

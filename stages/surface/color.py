@@ -1,4 +1,4 @@
-"""The colour of a surface at any of its points: its texture's where it has one, else its vertex colours'."""
+"""Surface colour at arbitrary surface points, from the texture or from vertex colours."""
 
 from __future__ import annotations
 
@@ -13,49 +13,54 @@ from scanloom.stages.surface.texture import Material, Pixels
 
 _Floats = NDArray[np.floating]
 
-# Grey, for the parts of a surface that nothing colours.
+# 8-bit grey level of surface parts without any colour.
 _UNCOLORED = 128.0
 
 
 def has_color(mesh: Mesh) -> bool:
-    """Return whether any part of the surface has a colour."""
+    """Return True if the mesh has vertex colours or a coloured material in use."""
     return mesh.colors is not None or is_textured(mesh)
 
 
 def attributes_of(mesh: Mesh) -> NDArray[np.uint8]:
-    """Return the vertex colours of a mesh, (n, 3); (n, 0) if it has none."""
+    """Return the vertex colours (n, 3), or an (n, 0) array without colours.
+
+    Kernels take this array as the vertex attributes.
+    """
     return np.zeros((len(mesh.vertices), 0), np.uint8) if mesh.colors is None else mesh.colors
 
 
 def is_textured(mesh: Mesh) -> bool:
-    """Return whether any triangle takes its colour from a material."""
+    """Return True if any triangle takes its colour from a material."""
     if mesh.texture is None:
         return False
     tells = [material.image is not None or material.base_color is not None for material in _materials(mesh)]
-    # The last one stands for the triangles without a material.
+    # The last entry is addressed by -1, the material id of triangles without a material.
     return bool(np.array([*tells, False])[mesh.texture.material_ids].any())
 
 
 def is_transparent(mesh: Mesh) -> bool:
-    """Return whether an image of the mesh lets through what is behind it, anywhere."""
+    """Return True if an image of the mesh has transparent pixels (alpha below 255)."""
     images = [pixels_of(material) for material in _materials(mesh)]
     return any(image is not None and image.shape[2] == 4 and image[..., 3].min() < 255 for image in images)
 
 
 def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _Floats:
-    """Return the colour at points of the surface, (k, 3) RGB in 8-bit levels, as exact as the weights.
+    """Compute the colour at points on the surface.
+
+    The first available source counts: the material's image times its base colour, vertex colours, the base
+    colour alone, grey. In glTF files the vertex colours also multiply the image. An image that cannot be
+    decoded is ignored. Images are sampled bilinearly, vertex colours are interpolated linearly.
 
     Parameters
     ----------
-    mesh : an image counts first, times the base colour of its material, and times the vertex colours of glTF
-        files; then vertex colours, then a base colour alone; what has none of them is grey. An image that
-        cannot be decoded counts as none.
-    triangles : (k,) the triangle each point lies on.
-    weights : (k, 3) barycentric weights of its corners, float32 or float64.
+    mesh : mesh with any combination of these sources.
+    triangles : (k,) triangle index of each point.
+    weights : (k, 3) barycentric weights of the triangle's corners, float32 or float64.
 
     Returns
     -------
-    Vertex colours are interpolated linearly, images sampled bilinearly.
+    (k, 3) RGB in 8-bit levels, floating point, in the precision of the weights.
     """
     if mesh.colors is None:
         colors = np.full((len(triangles), 3), _UNCOLORED, weights.dtype)
@@ -71,7 +76,7 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
         if pixels is not None:
             (chosen,) = np.nonzero(is_its & has_uvs)
             corners = mesh.texture.uvs.take(triangles[chosen], axis=0)
-            # In double precision: of a large image, float32 resolves a few hundredths of a texel only.
+            # float32 would resolve only a few hundredths of a texel in a large image.
             uvs = np.einsum("kc,kcx->kx", np.asarray(weights[chosen], np.float64), corners)
             shown = tinted(sampled(pixels, uvs, material.wrap), material)
             if mesh.colors is not None and multiplies_colors(material):
@@ -85,11 +90,13 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
 
 
 def sampled(image: Pixels, uvs: NDArray[np.float64], wrap: tuple[str, str] = ("repeat", "repeat")) -> _Floats:
-    """Sample an image (h, w, 3 or 4) bilinearly at texture coordinates (k, 2), (0, 0) its lower left corner.
+    """Sample an image (h, w, 3 or 4) bilinearly at texture coordinates (k, 2).
+
+    (0, 0) is the lower left corner of the image.
 
     Returns
     -------
-    (k, 3) float32 RGB in levels.
+    (k, 3) float32 RGB in 8-bit levels.
     """
     height, width = image.shape[:2]
     columns, right_share = _around(uvs[:, 0], width, wrap[0])
@@ -102,7 +109,10 @@ def sampled(image: Pixels, uvs: NDArray[np.float64], wrap: tuple[str, str] = ("r
 
 
 def tinted(colors: _Floats, material: Material) -> _Floats:
-    """Return colours (k, 3) in levels times the base colour of a material, as light adds up."""
+    """Multiply colours (k, 3) by a material's base colour in linear light.
+
+    Input and output are sRGB in 8-bit levels.
+    """
     if material.base_color is None or min(material.base_color[:3]) >= 1:
         return colors
     tint = linear_from_srgb(np.array(material.base_color[:3]))
@@ -110,7 +120,10 @@ def tinted(colors: _Floats, material: Material) -> _Floats:
 
 
 def pixels_of(material: Material) -> Pixels | None:
-    """Return the pixels of a material's image, or None if it has none that can be decoded."""
+    """Return the pixels of a material's image.
+
+    The result is None without an image, or if it cannot be decoded.
+    """
     if material.image is None:
         return None
     try:
@@ -122,9 +135,12 @@ def pixels_of(material: Material) -> Pixels | None:
 def _around(
     at: NDArray[np.float64], count: int, way: str
 ) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], _Floats]:
-    """Return the texels before and after places in units of the image, and the share (k, 1) of the second."""
+    """Return both neighbouring texel indices of image coordinates, and the second's weight (k, 1).
+
+    The coordinates (k,) are in units of the image size; `way` is the wrap mode.
+    """
     period = 2 if way == "mirror" else 1
-    # Brought near first: places may be as far off as numbers go. Texel centres lie at halves.
+    # Wrap first, because coordinates can be huge and would overflow. Texel centres are at half integers.
     place = (at.clip(-1, 2) if way == "clamp" else at % period) * count - 0.5
     first = np.floor(place).astype(np.int64)
     texels = []
@@ -142,7 +158,7 @@ def _materials(mesh: Mesh) -> tuple[Material, ...]:
 
 
 def _interpolated(values: NDArray[np.uint8], corners: NDArray[np.int32], weights: _Floats) -> _Floats:
-    # A corner at a time: three times as fast as all at once.
+    # One corner at a time is three times as fast as all three at once.
     colors: _Floats = values.take(corners[:, 0], axis=0) * weights[:, :1]
     for i in (1, 2):
         colors += values.take(corners[:, i], axis=0) * weights[:, i : i + 1]

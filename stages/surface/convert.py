@@ -1,7 +1,7 @@
-"""Meshes of other libraries in and out, without importing a library nobody used.
+"""Conversion of meshes from and to Open3D and trimesh.
 
-The classes of Open3D are converted in `open3d_meshes`, that of trimesh in `trimesh_meshes`. Data that a class
-cannot hold is reported, with the code `mesh.conversion-loss`.
+Only a library that is in use is imported. `open3d_meshes` converts the classes of Open3D, `trimesh_meshes`
+the class of trimesh. Data that a class cannot hold is reported with the code `mesh.conversion-loss`.
 """
 
 from __future__ import annotations
@@ -34,28 +34,31 @@ __all__ = [
 
 MeshLike: TypeAlias = Mesh | Open3DMesh | Open3DLegacyMesh | TrimeshMesh | tuple[ArrayLike, ArrayLike]
 
-_UNTEXTURED = 128  # grey, for vertices that nothing colours
+_UNTEXTURED = 128  # 8-bit grey level of vertices without any colour
 
 
 def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
-    """Return any mesh as a validated Mesh; the arrays are copies of another library's.
+    """Convert any supported mesh to a validated Mesh.
+
+    Arrays of other libraries are copied.
 
     Parameters
     ----------
-    data : Mesh, open3d.t.geometry.TriangleMesh, open3d.geometry.TriangleMesh, trimesh.Trimesh, or
-        (vertices (n, 3), triangles (m, 3)). Open3D's float colours are 0..1.
-    where : what messages call it.
+    data : Mesh, open3d.t.geometry.TriangleMesh, open3d.geometry.TriangleMesh, trimesh.Trimesh, or (vertices
+        (n, 3), triangles (m, 3)). Float colours of Open3D are 0 to 1.
+    where : name of the mesh in messages.
 
     Raises
     ------
     MeshError
-        For another type, wrong shapes, values that are not finite, indices out of range.
+        If the type is unsupported, shapes are wrong, values are not finite, or indices are out of range.
     """
     if isinstance(data, Mesh):
         return validated(data, where)
     if isinstance(data, tuple) and len(data) == 2:
         return validated(Mesh(np.asarray(data[0]), np.asarray(data[1])), where)
-    # Type checkers go by their members; names tell here, and which library they are of.
+    # Classes are recognised by name and module, because isinstance would need an import of the library. Type
+    # checkers use the protocols of `foreign_meshes` instead.
     other: Any = data
     for cls in type(data).__mro__:
         module = cls.__module__
@@ -81,12 +84,12 @@ def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
 
 
 def with_vertex_colors(mesh: Mesh) -> Mesh:
-    """Return the mesh with its texture turned into vertex colours; unchanged if it has no texture.
+    """Bake the texture into vertex colours; return the mesh unchanged without a texture.
 
-    Each textured corner samples its image bilinearly, beyond its edges as the material says, times the base
-    colour; a vertex takes the mean of its corners, which differ along seams only. Where there is no image,
-    vertices keep their colour, else take the base colour of their material, else become grey. A mesh
-    whose materials say nothing of colours gets none. An image that cannot be decoded is reported.
+    Each textured corner samples its image bilinearly with the material's wrap mode, times the base colour. A
+    vertex gets the mean of its corners, which differ only along seams. Without an image, vertices keep their
+    colour, else get the base colour of their material, else grey. If no material has a colour, the result has
+    no new colours. An image that cannot be decoded is reported as a warning.
     """
     texture = mesh.texture
     if texture is None:
@@ -115,7 +118,7 @@ def with_vertex_colors(mesh: Mesh) -> Mesh:
 def _corner_colors(
     material: Material, image: Image | None, uvs: NDArray[np.float64]
 ) -> NDArray[np.floating] | None:
-    """Return (k, 3) colours 0..255 at texture coordinates (k, 2); None if nothing is known of them."""
+    """Return colours (k, 3) in 8-bit levels at texture coordinates (k, 2); None if the material has none."""
     if image is not None and len(uvs):
         try:
             return tinted(sampled(image.pixels, uvs, material.wrap), material)

@@ -1,7 +1,8 @@
-"""Edges of a triangle list, and which corners of a vertex hang together.
+"""Edges of a triangle list, and fans of triangles around vertices.
 
-Halfedge `3 t + k` runs from corner k of triangle t to its next corner; a corner has the number of the
-halfedge that leaves it. Both need no manifold: an edge may have any number of triangles.
+Halfedge `3 t + k` runs from corner k of triangle t to the next corner of that triangle. A corner and the
+halfedge that leaves it share one index. The mesh need not be manifold: an edge can have any number of
+triangles.
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ Ids = NDArray[np.integer[Any]]
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Edges, in the order of their vertices.
+    """Unique undirected edges, sorted by their vertices.
 
     Attributes
     ----------
-    ends : (e, 2) the smaller vertex first.
-    count : (e,) number of triangles.
-    forward : (e,) how many of them run from the smaller vertex to the larger.
-    of_halfedge : (3 m,) edge of each halfedge.
-    halfedges : (3 m,) sorted by edge, then by number; edge i has those from start[i] on, count[i] of them.
+    ends : (e, 2) vertex indices, the smaller one first.
+    count : (e,) number of incident triangles.
+    forward : (e,) number of incident halfedges that run from the smaller to the larger vertex.
+    of_halfedge : (3 m,) edge index of each halfedge.
+    halfedges : (3 m,) halfedge indices sorted by edge, then by index.
+    start : (e,) offset of each edge's halfedges in `halfedges`; `count[i]` entries belong to edge i.
     """
 
     ends: Ids
@@ -39,7 +41,7 @@ class Edges:
 
 
 def edges_of(triangles: Triangles, vertex_count: int) -> Edges:
-    """Return the edges of triangles that repeat no vertex."""
+    """Build the edges of triangles, which must not repeat a vertex."""
     tail = triangles.reshape(-1).astype(np.int64)
     head = tail[next_corner(np.arange(len(tail)))]
     key = np.minimum(tail, head) * vertex_count + np.maximum(tail, head)
@@ -62,12 +64,15 @@ def edges_of(triangles: Triangles, vertex_count: int) -> Edges:
 
 
 def next_corner(corner: Ids) -> Ids:
-    """Return the next corner of the same triangle."""
+    """Return the next corner in the same triangle."""
     return np.where(corner % 3 == 2, corner - 2, corner + 1)
 
 
 def neighbours(edges: Edges, chosen: NDArray[np.bool_]) -> tuple[Ids, Ids]:
-    """Return pairs of halfedges of the chosen edges: all of one edge, chained one to the next."""
+    """Return pairs of halfedges that share a chosen edge.
+
+    An edge with k halfedges yields a chain of k - 1 pairs, which connects all of them.
+    """
     follows = np.ones(len(edges.halfedges), bool)
     follows[edges.start] = False
     follows &= chosen[edges.of_halfedge[edges.halfedges]]
@@ -76,7 +81,14 @@ def neighbours(edges: Edges, chosen: NDArray[np.bool_]) -> tuple[Ids, Ids]:
 
 
 def components(count: int, a: Ids, b: Ids) -> tuple[int, Ids]:
-    """Label the connected components of `count` nodes joined by the pairs (a, b), in order of first node."""
+    """Label the connected components of `count` nodes joined by the pairs (a, b).
+
+    Labels are numbered in the order of each component's first node.
+
+    Returns
+    -------
+    The number of components, and the label (count,) of each node.
+    """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -86,9 +98,9 @@ def components(count: int, a: Ids, b: Ids) -> tuple[int, Ids]:
 
 
 def fans(triangles: Triangles, a: Ids, b: Ids) -> Ids:
-    """Label the corners: those of one vertex get one label if the joined halfedges (a, b) connect them.
+    """Label the fans: corners of a vertex that the joined halfedges (a, b) connect.
 
-    Each pair of halfedges runs along one edge, in the same direction or against each other.
+    The halfedges of a pair share an edge. They can run in the same or in opposite directions.
     """
     corners = triangles.reshape(-1)
     a_head, b_head = next_corner(a), next_corner(b)

@@ -1,4 +1,4 @@
-"""Sets of vertices at equal positions, such as the copies that files have along texture seams."""
+"""Sets of vertices at equal positions, such as duplicates along texture seams."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ def equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[np.i
 
     Returns
     -------
-    sets : (n,) int32, the set of each vertex, numbered from 0 in the order of their first vertices.
-    first : the first vertex of each set.
+    sets : (n,) int32, set index of each vertex, numbered from 0 in the order of first vertices.
+    first : (s,) first vertex of each set.
     """
     sets = rank_labels(position_keys(vertices))
     first = first_members(sets)
     if not np.array_equal(vertices[first][sets], vertices):
-        # Two positions with the same key.
+        # Hash collision: two different positions have the same key.
         sets = rank_labels(np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1))
         first = first_members(sets)
     return sets, first
 
 
 def position_keys(vertices: Vertices) -> NDArray[np.uint64]:
-    """Hash each position to a number (n,); different positions hardly ever share one."""
-    # Adding 0 makes −0 equal to 0 to the bit.
+    """Hash positions (n, 3) to 64-bit keys (n,); collisions are very rare."""
+    # Adding 0 turns −0 into +0, so both have the same bits.
     bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
     with np.errstate(over="ignore"):
         mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
@@ -37,7 +37,7 @@ def position_keys(vertices: Vertices) -> NDArray[np.uint64]:
 
 
 def rank_labels(labels: NDArray[Any]) -> NDArray[np.int32]:
-    """Replace labels by numbers from 0 in the order they first occur."""
+    """Renumber labels from 0 in the order of their first occurrence."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int32)
     rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
@@ -45,7 +45,7 @@ def rank_labels(labels: NDArray[Any]) -> NDArray[np.int32]:
 
 
 def first_members(sets: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Find the first member of each set."""
+    """Return the first member (s,) of each set."""
     first = np.empty(int(sets.max(initial=-1)) + 1, np.int64)
     first[sets[::-1]] = np.arange(len(sets))[::-1]
     return first

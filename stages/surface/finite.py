@@ -1,4 +1,4 @@
-"""Check that coordinates are finite, where meshes enter and where they are written."""
+"""Check that coordinates are finite, on input and before writing."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from numpy.typing import NDArray
 from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NOT_FINITE
 
-# Largest number of the formats that hold single precision alone: glTF, STL, USD.
+# Maximum of formats that store single precision only: glTF, STL, USD.
 LARGEST_SINGLE = float(np.finfo(np.float32).max)
 
 Named = tuple[str, NDArray[Any] | None]
 
 
 def _has_finite_sum(array: NDArray[Any]) -> bool:
-    # Quicker than a mask, and finite only if all terms are.
+    # Faster than a mask. A sum is finite only if all terms are finite.
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(array.sum()))
 
 
 def require_finite(arrays: Iterable[Named], where: Path | str, remedy: str, limit: float = np.inf) -> None:
-    """Raise MeshError for the first row with a value that is not finite, or beyond a limit.
+    """Raise MeshError for the first row that is not finite or exceeds a limit.
 
     Parameters
     ----------
-    arrays : name of one row ("vertex") and the rows (n, …), or None for data the mesh does not have.
-    where : file or argument that messages begin with.
-    remedy : end of the message: consequence and what to do.
-    limit : largest absolute value.
+    arrays : pairs of a row name ("vertex") and rows (n, …); None for data that the mesh does not have.
+    where : file or argument that begins the message.
+    remedy : end of the message: consequence and remedy.
+    limit : maximum absolute value.
     """
     for name, array in arrays:
         if array is None or (limit == np.inf and _has_finite_sum(array)):

@@ -1,6 +1,9 @@
-"""What is needed of the meshes of other libraries, by its members: to name the classes would import them."""
+"""Protocols of the Open3D and trimesh classes.
 
-# ruff: noqa: D102  (what a member is, its own library says)
+They allow type annotations without an import of these libraries. Only members that scanloom uses are listed.
+"""
+
+# ruff: noqa: D102  (members are documented by their library)
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from numpy.typing import NDArray
 
 
 class Tensor(Protocol):
-    """An open3d.core.Tensor."""
+    """Protocol of open3d.core.Tensor."""
 
     def cpu(self) -> Tensor: ...
 
@@ -20,7 +23,7 @@ class Tensor(Protocol):
 
 
 class TensorImage(Protocol):
-    """An open3d.t.geometry.Image."""
+    """Protocol of open3d.t.geometry.Image."""
 
     def cpu(self) -> TensorImage: ...
 
@@ -28,14 +31,14 @@ class TensorImage(Protocol):
 
 
 class TensorMaterial(Protocol):
-    """An open3d.visualization.Material."""
+    """Protocol of open3d.visualization.Material."""
 
     @property
     def texture_maps(self) -> TextureMaps: ...
 
 
 class TextureMaps(Protocol):
-    """Images of a material by name."""
+    """Protocol of a material's images by name."""
 
     def __contains__(self, name: str, /) -> bool: ...
 
@@ -43,7 +46,7 @@ class TextureMaps(Protocol):
 
 
 class TensorMap(Protocol):
-    """Attributes of vertices or triangles by name."""
+    """Protocol of vertex or triangle attributes by name."""
 
     def __contains__(self, name: str, /) -> bool: ...
 
@@ -51,7 +54,7 @@ class TensorMap(Protocol):
 
 
 class Open3DMesh(Protocol):
-    """An open3d.t.geometry.TriangleMesh."""
+    """Protocol of open3d.t.geometry.TriangleMesh."""
 
     @property
     def vertex(self) -> TensorMap: ...
@@ -66,13 +69,13 @@ class Open3DMesh(Protocol):
 
 
 class LegacyImage(Protocol):
-    """An open3d.geometry.Image."""
+    """Protocol of open3d.geometry.Image."""
 
     def is_empty(self) -> bool: ...
 
 
 class Open3DLegacyMesh(Protocol):
-    """An open3d.geometry.TriangleMesh."""
+    """Protocol of open3d.geometry.TriangleMesh."""
 
     @property
     def vertices(self) -> Iterable[NDArray[np.float64]]: ...
@@ -103,7 +106,7 @@ class Open3DLegacyMesh(Protocol):
 
 
 class TrimeshMesh(Protocol):
-    """A trimesh.Trimesh."""
+    """Protocol of trimesh.Trimesh."""
 
     @property
     def vertices(self) -> NDArray[np.float64]: ...
@@ -117,6 +120,6 @@ class TrimeshMesh(Protocol):
     @property
     def visual(self) -> object: ...
 
-    # What has been given or computed so far: to read `vertex_normals` computes them.
+    # Names of computed attributes. Reading `vertex_normals` would compute them.
     @property
     def _cache(self) -> Container[str]: ...

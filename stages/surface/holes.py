@@ -1,7 +1,7 @@
-"""Close small holes with the triangulation of least area.
+"""Hole filling by minimum-area triangulation.
 
-Barequet and Sharir, "Filling gaps in the boundary of a polyhedron", 1995: dynamic programming over the
-chains of the border loop. No vertex is added, so colours come from the rim.
+Source: Barequet and Sharir, "Filling gaps in the boundary of a polyhedron", 1995: dynamic programming over
+chains of the border loop. No vertex is added, so new triangles take the colours of the rim.
 """
 
 from __future__ import annotations
@@ -14,23 +14,24 @@ from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
 from scanloom.stages.surface.topology import FLAT
 from scanloom.stages.surface.traced import Traced
 
-# The work grows with the cube of the number of edges: at this many, about a second.
+# Time grows with the cube of the edge count: about one second for 500 edges.
 _MOST_EDGES = 500
-# A cap that faces the other way than the triangles around it closes a piece from behind: its outline is no
-# hole. At the open end of a tube they stand at right angles, which is still a hole.
+# Minimum cosine between the normals of a cap and of the rim triangles. A cap facing backwards would close the
+# outer boundary of an open component. At the open end of a tube the cosine is 0; that is still a hole.
 _FACING = -0.5
 
 
 def fill_holes(traced: Traced, max_length: float = np.inf, max_extent: float = np.inf) -> tuple[Traced, int]:
-    """Fill small holes; return the mesh and the number of holes filled.
+    """Fill small holes; return the mesh and the number of filled holes.
 
-    Outlines of components, loops of more than 500 edges and those that cannot be closed without breaking the
-    manifold stay open. So do loops through a vertex where several border loops meet.
+    Some loops stay open: outer boundaries of components, loops of more than 500 edges, and loops that share a
+    vertex with another border loop. So do loops that cannot be closed without non-manifold edges.
 
     Parameters
     ----------
-    max_length : metres along the border loop.
-    max_extent : metres, diagonal of the bounding box of the border loop; holes have to be smaller.
+    traced : mesh with its origin.
+    max_length : maximum length of the border loop in metres.
+    max_extent : exclusive limit of the bounding-box diagonal of the border loop in metres.
     """
     mesh = traced.mesh
     edges = edges_of(mesh.triangles, len(mesh.vertices))
@@ -55,12 +56,15 @@ def _border_vertices(edges: Edges) -> Ids:
 
 
 def _loops(mesh: Mesh, edges: Edges) -> list[tuple[Ids, Ids]]:
-    """Return the border loops, in the direction in which a cap runs, and the triangles along each."""
+    """Return the border loops with the triangles along each.
+
+    A loop has the direction of a cap, opposite to the border halfedges.
+    """
     corners = mesh.triangles.reshape(-1)
     border = edges.halfedges[edges.start[edges.count == 1]]
-    # A cap runs against the halfedges that are there.
+    # The halfedges of a cap run against the existing border halfedges.
     heads, tails = corners[next_corner(border)], corners[border]
-    # Where several loops meet, nothing says which way each goes on.
+    # At a vertex shared by several loops the continuation is ambiguous.
     _, position, times = np.unique(heads, return_inverse=True, return_counts=True)
     steps = zip(heads.tolist(), tails.tolist(), border.tolist(), times[position] == 1, strict=True)
     follower = {head: (tail, halfedge // 3) for head, tail, halfedge, is_clear in steps if is_clear}
@@ -78,7 +82,10 @@ def _loops(mesh: Mesh, edges: Edges) -> list[tuple[Ids, Ids]]:
 
 
 def _allowed(loop: Ids, existing: set[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Return which pairs of the loop's vertices may become an edge: those that are none yet, and its own."""
+    """Return a mask of the vertex pairs of a loop that can become an edge.
+
+    A pair that is already an edge elsewhere is excluded.
+    """
     count = len(loop)
     allowed = np.ones((count, count), bool)
     for i, a in enumerate(loop.tolist()):
@@ -89,7 +96,10 @@ def _allowed(loop: Ids, existing: set[tuple[int, int]]) -> NDArray[np.bool_]:
 
 
 def _least_area(rim: Vertices, allowed: NDArray[np.bool_]) -> Triangles | None:
-    """Return triangles (k, 3) of rim positions that close the loop with least area; None if none do."""
+    """Compute the minimum-area triangulation (k, 3) of a loop.
+
+    Indices are positions in `rim`. The result is None if no triangulation is allowed.
+    """
     count = len(rim)
     cost = np.full((count, count), np.inf)
     middle = np.zeros((count, count), np.int64)
@@ -117,7 +127,7 @@ def _least_area(rim: Vertices, allowed: NDArray[np.bool_]) -> Triangles | None:
 
 
 def _areas(a: Vertices, b: Vertices, c: Vertices) -> NDArray[np.float64]:
-    """Return twice the areas; infinite for flat triangles, which a sound mesh must not have."""
+    """Return twice the triangle areas; infinite for degenerate triangles, to exclude them."""
     ab, ac, bc = b - a, c - a, c - b
     doubled = np.linalg.norm(np.cross(ab, ac), axis=-1)
     squares = [(e * e).sum(axis=-1) for e in (ab, ac, bc)]
@@ -126,7 +136,7 @@ def _areas(a: Vertices, b: Vertices, c: Vertices) -> NDArray[np.float64]:
 
 
 def _faces_with(mesh: Mesh, beside: Triangles, cap: Triangles | Ids) -> bool:
-    """Return whether the cap looks the same way as the triangles around it."""
+    """Return True if the cap faces the same way as the rim triangles."""
     cap_normal, rim_normal = _normal_sum(mesh.vertices, cap), _normal_sum(mesh.vertices, beside)
     return bool(cap_normal @ rim_normal >= _FACING * np.linalg.norm(cap_normal) * np.linalg.norm(rim_normal))
 

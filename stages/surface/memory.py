@@ -1,4 +1,4 @@
-"""Memory that is free, but that the allocator still holds."""
+"""Release of unused memory from the allocator to the operating system."""
 
 from __future__ import annotations
 
@@ -6,5 +6,8 @@ from scanloom.stages import _kernels
 
 
 def give_back() -> None:
-    """Give free pages back to the system: what comes next would else find holes that are too small for it."""
+    """Return free pages to the operating system.
+
+    Otherwise fragmentation of the heap adds to the peak memory of later steps.
+    """
     _kernels.give_back()

@@ -1,4 +1,4 @@
-"""The mesh that passes between stages."""
+"""The mesh class that all stages exchange, and its validation."""
 
 from __future__ import annotations
 
@@ -41,17 +41,18 @@ Triangles = NDArray[np.int32]
 Colors = NDArray[np.uint8]
 
 _BEFORE_PROCESSING = "remove or repair these before processing."
-# Also of writers that have no Mesh, such as those of levels of detail.
+# Shared with writers that have no Mesh, such as level-of-detail files.
 NOT_WRITTEN = "nothing is written. Remove or repair these first."
-# A direction is as long as this share about 1, or is made so.
+# Tolerance of the length of `up`; a vector outside it is normalized.
 _UNIT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles with optional colours, normals and texture. Immutable in spirit: functions return a new one.
+    """Triangle mesh with optional colours, normals, texture and parts.
 
-    A cloud of points is a mesh without triangles; few stages take one, and the others say so.
+    Treat it as immutable: functions return a new mesh. A point cloud is a mesh without triangles; stages that
+    do not support clouds raise an error.
 
     Attributes
     ----------
@@ -59,14 +60,17 @@ class Mesh:
     triangles : (m, 3) int32, counter-clockwise seen from outside.
     colors : (n, 3) uint8 RGB, or None.
     normals : (n, 3) float64 unit vertex normals, or None.
-    texture : texture coordinates per corner and a material per triangle; see Texture, or None.
-    corner_normals : (m, 3, 3) float64 unit normals of the corners, or None. Given where those of a vertex
-        differ, as along sharp edges, 0 where a corner has none; `normals` is then None or holds means.
-    part_ids : (m,) int32 into `part_names`, -1 for none; or None. Objects and groups of OBJ, nodes of glTF.
-    part_names : of the parts; names may repeat.
-    diagnostics : what the reader of the file, or a conversion, changed or left out.
-    up : (3,) of length 1, the direction that is up, where that is known: glTF, which is y-up, is written so
-        that it stands, and read back as it was. Positions do not follow it.
+    texture : texture coordinates per corner and a material per triangle (see Texture), or None.
+    corner_normals : (m, 3, 3) float64 unit normals per corner, or None. Present if the corners of a vertex
+    differ,
+        as along sharp edges; 0 for a corner without a normal. `normals` is then None or holds means.
+    part_ids : (m,) int32 index in `part_names`, -1 for no part; or None. Parts are OBJ objects and groups,
+    and
+        glTF nodes.
+    part_names : names of the parts; not necessarily unique.
+    diagnostics : data that the file reader or a conversion changed or dropped.
+    up : (3,) unit vector of the up direction, or None if unknown. Positions are not rotated to it. glTF files
+        (y-up by definition) are written with a rotation, which reading undoes.
     """
 
     vertices: Vertices
@@ -103,7 +107,7 @@ class Mesh:
         return None if picture is None else encoded_png(picture)
 
     def with_(self, **changes: Unpack[MeshKeywords]) -> Mesh:
-        """Return the same mesh with some fields replaced; other triangles need `with_triangles`."""
+        """Return a copy with some fields replaced; use `with_triangles` for new triangles."""
         return replace(self, **changes)
 
     def with_triangles(
@@ -114,15 +118,18 @@ class Mesh:
         uvs: NDArray[np.float64] | None = None,
         corner_normals: NDArray[np.float64] | None = None,
     ) -> Mesh:
-        """Return the mesh with other triangles, which keep the material, part and corners they come from.
+        """Return a copy with other triangles; material, part and corners come from source triangles.
 
         Parameters
         ----------
         triangles : (k, 3) int32.
-        source : (k,) the triangle each one is or lies on, -1 for new ones, which have no material, texture
-            coordinates or part; or a mask (m,) of those that stay.
-        uvs : (k, 3, 2), corner_normals : (k, 3, 3), where the corners are not those of `source`; of no effect
-            if the mesh has none. Without them normals of the corners of new triangles are 0.
+        source : (k,) source triangle of each new triangle, -1 for none: no material, texture coordinates or
+        part. Or a
+            boolean mask (m,) of the triangles to keep.
+        uvs : (k, 3, 2), if the corners differ from the source's; ignored for a mesh without texture.
+        corner_normals : (k, 3, 3), if the corners differ from the source's; ignored for a mesh without corner
+        normals.
+            By default, triangles without a source get 0.
         """
         texture, part_ids = self.texture, self.part_ids
         if self.corner_normals is None:
@@ -139,16 +146,17 @@ class Mesh:
 
 
 def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
-    """Check a mesh from outside, once, where it enters; arrays get the contract's types.
+    """Validate an external mesh and convert its arrays to the documented dtypes.
 
     Parameters
     ----------
-    where : the file or argument the mesh came from; it starts every message.
+    mesh : mesh with arrays of any numeric type.
+    where : file or argument, for messages.
 
     Raises
     ------
     MeshError
-        For a wrong shape, a value that is not finite, an index out of range; it names the first offender.
+        If a shape is wrong, a value is not finite, or an index is out of range; names the first such row.
     """
     vertices = _array(mesh.vertices, np.float64, (3,), "vertices", where)
     triangles = _indices(mesh.triangles, len(vertices), where)
@@ -185,18 +193,21 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
 
 
 def require_writable(mesh: Mesh, path: Path | str, *, single_precision: bool = False) -> None:
-    """Refuse to write a mesh whose coordinates are not finite; every mesh writer calls this before it writes.
+    """Refuse to write a mesh with non-finite coordinates.
+
+    Every mesh writer calls this function before writing.
 
     Parameters
     ----------
-    path : the file that is about to be written; it starts the message.
-    single_precision : whether positions and normals have to fit into single precision. Writers clip texture
+    mesh : mesh to write.
+    path : output file, for messages.
+    single_precision : True if positions and normals must fit in single precision. Writers clip texture
         coordinates themselves.
 
     Raises
     ------
     MeshError
-        Naming the first vertex, normal or triangle with such a value.
+        Names the first invalid vertex, normal or triangle.
     """
     uvs = None if mesh.texture is None else mesh.texture.uvs
     require_finite([("texture coordinates of triangle", uvs)], path, NOT_WRITTEN)

@@ -1,7 +1,7 @@
-"""Read and write meshes in the formats people have: PLY, OBJ, OFF, STL, glTF.
+"""Mesh file reader and writer: PLY, OBJ, OFF, STL and glTF.
 
-PLY, OBJ and glTF are parsed here; OFF and STL by trimesh, under guard: what its readers raise becomes one
-sentence, and files that promise more than they hold are refused before memory is reserved for it.
+PLY, OBJ and glTF have parsers in this package. OFF and STL are parsed by trimesh: its exceptions are
+converted to one InputError, and files shorter than declared are refused before memory is allocated.
 """
 
 from __future__ import annotations
@@ -38,21 +38,31 @@ from scanloom.stages.surface.mesh import Mesh, require_writable
 from scanloom.stages.surface.welding import merge_vertices
 
 EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
-# Formats that hold the shape alone.
+# Formats that store geometry only.
 SHAPE_ALONE = (".off", ".stl")
 
 
 def read_mesh(path: Path | str) -> Mesh:
-    """Read a mesh file; its extension tells the format.
+    """Read a mesh file; the extension selects the format.
 
-    All objects of a file become one mesh, placed as the file's scene places them. STL has no shared
-    vertices and glTF none across texture seams: there, vertices of equal position and colour become one.
+    All objects of a file become one mesh, with scene transforms applied. STL does not share vertices, and
+    glTF duplicates them along texture seams; vertices of equal position and colour are therefore welded.
+
+    Parameters
+    ----------
+    path : mesh file with an extension of EXTENSIONS.
+
+    Returns
+    -------
+    Mesh
+        With at least one triangle; `diagnostics` lists changed and dropped data.
 
     Raises
     ------
     InputError
-        If the file is missing, of an unknown format, damaged, or holds no triangles; one sentence with the
-        name of the file.
+        If the file is missing, of an unknown format, damaged, or holds no triangles.
+    MeshError
+        If a vertex is not finite or an index is out of range.
     """
     path = Path(path)
     mesh = read_whatever_it_holds(path)
@@ -69,7 +79,7 @@ def read_mesh(path: Path | str) -> Mesh:
 
 
 def read_whatever_it_holds(path: Path) -> Mesh:
-    """Read a mesh file as `read_mesh` does, also where it holds no triangles, or nothing."""
+    """Read a mesh file like `read_mesh`, but accept files without triangles or vertices."""
     require_buffers(1)
     extension = path.suffix.lower()
     if extension not in EXTENSIONS:
@@ -96,27 +106,32 @@ def read_whatever_it_holds(path: Path) -> Mesh:
 
 
 def standing(path: Path, mesh: Mesh) -> Mesh:
-    """Return the mesh of a file with what is up, where its format says it: y in glTF."""
+    """Set a missing up direction to the format's up axis: +y in glTF."""
     if mesh.up is None and path.suffix.lower() in (".glb", ".gltf"):
         return mesh.with_(up=(0.0, 1.0, 0.0))
     return mesh
 
 
 def write_mesh(path: Path | str, mesh: Mesh) -> None:
-    """Write a mesh; the extension tells the format. The file appears whole or not at all.
+    """Write a mesh; the extension selects the format. The file is replaced atomically.
 
-    PLY and OBJ hold everything a Mesh has, to the bit; glTF in single precision, triangles of one part
-    and material together. What a material says beside image and base colour is only kept within OBJ and
-    within glTF. OFF and STL hold the shape alone.
+    PLY and OBJ store every field of a Mesh losslessly. glTF uses single precision and groups triangles by
+    part and material. Material properties other than image and base colour are kept only from OBJ to OBJ and
+    from glTF to glTF. OFF and STL store geometry only.
+
+    Parameters
+    ----------
+    path : output file with an extension of EXTENSIONS.
+    mesh : mesh in metres.
 
     Raises
     ------
     UsageError
-        If the extension is none of EXTENSIONS.
+        If the extension is not in EXTENSIONS.
     MeshError
-        For positions, normals or texture coordinates that are not finite, or beyond the format's precision.
+        If positions, normals or texture coordinates are not finite, or exceed the format's precision.
     StageError
-        If the system refuses to write.
+        If a file cannot be written.
     """
     path = Path(path)
     extension = path.suffix.lower()
@@ -129,7 +144,7 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
             path_suffix=path.suffix,
         )
     if path.is_symlink():
-        # What belongs beside the file, images and materials, belongs beside that which the link leads to.
+        # Images and materials must be written next to the link's target.
         path = path.resolve()
     if extension == ".ply":
         write_ply(path, mesh)
@@ -147,23 +162,24 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
 
 
 def lost_with(extension: str, mesh: Mesh) -> str:
-    """Name what a format has no place for, of what a mesh has: "colours and parts"; empty for nothing.
+    """Name the mesh data that a format cannot store, such as "colours and parts".
 
-    Normals of vertices any program has from the shape.
+    Empty if nothing is lost. Vertex normals are not listed, because programs recompute them from the
+    geometry.
     """
     if extension not in SHAPE_ALONE:
         return ""
     has = (
         ("colours", mesh.colors is not None or mesh.texture is not None),
         ("parts", mesh.part_ids is not None),
-        ("normals of corners", mesh.corner_normals is not None),
+        ("corner normals", mesh.corner_normals is not None),
     )
     return " and ".join(name for name, there in has if there)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    # What NumPy and trimesh say of odd values on the way; what matters of them is validated afterwards.
+    # Silences NumPy and trimesh warnings about invalid values; the result is validated afterwards.
     logger = logging.getLogger("trimesh")
     level = logger.level
     logger.setLevel(logging.CRITICAL)
@@ -187,7 +203,7 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     elif data[:64].split(b"\n")[0].split()[:2] == [b"OFF", b"BINARY"]:
         raise InputError(
             MESH_COMPRESSION_UNKNOWN,
-            "is OFF in its binary form, which is not read",
+            "is binary OFF, which is not supported",
             path,
             remedy="write it as text, or as PLY.",
         )
@@ -197,7 +213,7 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         with _quiet():
             scene = trimesh.load_scene(io.BytesIO(data), file_type=extension[1:], process=False)
             parts = [_placed(scene, node) for node in scene.graph.nodes_geometry]
-    except Exception as error:  # trimesh's readers raise whatever the first bad value leads to
+    except Exception as error:  # trimesh's readers raise arbitrary exceptions on malformed files
         if is_lack_of_memory(error):
             raise
         raise InputError(
@@ -216,7 +232,10 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
 
 
 def _report_lost_of_off(data: bytes, path: Path) -> None:
-    """Report numbers of an OFF file behind coordinates, or behind a face's corners, which are left out."""
+    """Warn about additional numbers in an OFF file, which trimesh ignores.
+
+    They follow the coordinates of a vertex or the corners of a face.
+    """
     text = data.decode("utf-8", "replace").partition("OFF")[2]
     rows = [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
     vertices, faces = int(rows[0][0]), int(rows[0][1])
@@ -227,13 +246,13 @@ def _report_lost_of_off(data: bytes, path: Path) -> None:
         if there:
             emit(
                 MESH_LEFT_OUT.warning(
-                    "numbers behind its {called}, such as colours, are left out", path, called=called
+                    "additional numbers of its {called}, such as colours, are left out", path, called=called
                 )
             )
 
 
 def _report_lost_of_stl(parts: list[Any], path: Path) -> None:
-    """Report the names and numbers of the solids of an STL file, which are left out."""
+    """Warn about dropped solid names and attribute numbers of an STL file."""
     if len(parts) > 1:
         emit(
             MESH_LEFT_OUT.warning(
@@ -243,7 +262,7 @@ def _report_lost_of_stl(parts: list[Any], path: Path) -> None:
     if any(np.any(part.face_attributes.get("stl", 0)) for part in parts):
         emit(
             MESH_LEFT_OUT.warning(
-                "numbers beside triangles, which some programs take for colours, are left out", path
+                "attribute numbers of triangles, which some programs use for colours, are left out", path
             )
         )
 
@@ -256,7 +275,10 @@ def _placed(scene: Any, node: str) -> Any:
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:
-    """Put the meshes of an STL or OFF file, which have a shape and perhaps colours, into one."""
+    """Concatenate the meshes of an STL or OFF file.
+
+    Colours are dropped if there are several meshes.
+    """
     if len(meshes) == 1:
         return meshes[0]
     if not meshes:
@@ -270,14 +292,17 @@ def _joined(meshes: list[Mesh]) -> Mesh:
 
 
 def _require_whole_stl(data: bytes, path: Path) -> None:
-    """Refuse a binary STL file that is cut short; trimesh would take it for text and find nothing in it."""
+    """Refuse a truncated binary STL file.
+
+    trimesh would misread it as an empty text file.
+    """
     start = data[:84]
     count = int.from_bytes(start[80:84], "little")
     held = (len(data) - 84) // 50
     if len(start) == 84 and not start.lstrip().startswith(b"solid") and count > held:
         raise InputError(
             MESH_FILE_DAMAGED,
-            "promises {count:,} triangles but holds {held:,}; it is damaged or cut short.",
+            "declares {count:,} triangles but holds {held:,}; it is damaged or cut short.",
             path,
             count=count,
             held=held,

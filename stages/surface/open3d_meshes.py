@@ -1,8 +1,8 @@
-"""Conversion to and from the triangle meshes of Open3D: `t.geometry` and the legacy class.
+"""Conversion from and to Open3D triangle meshes: `t.geometry` and the legacy class.
 
-The tensor class takes arbitrary attributes. Further materials go under numbered names (`albedo_1`,
-`base_color_1`), which Open3D keeps but does not render. The legacy class holds images alone: a material
-with a colour and no image becomes an image of one pixel.
+The tensor class stores arbitrary attributes. Materials after the first get numbered names (`albedo_1`,
+`base_color_1`), which Open3D keeps but does not render. The legacy class stores only images: a material with
+a colour and no image becomes an image of one pixel.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from open3d import geometry, t  # noqa: TID251
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# Open3D's own names; those of further materials have their index behind.
+# Names defined by Open3D; materials after the first append their index.
 _IMAGE, _COLOR = "albedo", "base_color"
-# Properties that tell a material without a colour from the white one that Open3D assumes.
+# Properties added by scanloom: the number of materials, and a flag for a first material without a colour,
+# which Open3D would default to white.
 _COUNT, _NO_COLOR = "material_count", "base_color_unset"
 
 
@@ -62,7 +63,7 @@ def _name_parts(part_ids: NDArray[Any]) -> tuple[str, ...]:
 
 
 def _read_materials(data: Open3DMesh, where: str) -> tuple[Material, ...]:
-    """Return the materials of a tensor mesh; maps that are left out are reported."""
+    """Read the materials of a tensor mesh; warn about dropped texture maps."""
     if not data.has_valid_material():
         return ()
     properties: Any = data.material
@@ -91,7 +92,7 @@ def _read_materials(data: Open3DMesh, where: str) -> tuple[Material, ...]:
                 "material images other than albedo are left out: {names}", where, names=", ".join(others)
             )
         )
-    # A material of defaults says nothing.
+    # Open3D's default material carries no information and is dropped.
     has_own = count > 1 or materials[0].image is not None or materials[0].base_color not in (None, _WHITE)
     return tuple(materials) if has_own or _COUNT in numbers else ()
 
@@ -106,7 +107,7 @@ def from_open3d_legacy(data: Open3DLegacyMesh) -> Mesh:
     if data.has_triangle_uvs():
         uvs = np.array(data.triangle_uvs).reshape(-1, 3, 2)
         material_ids = np.array(data.triangle_material_ids)
-        # Empty images stand for materials without one, so that indices stay right.
+        # Empty images become materials without an image, to keep the material indices valid.
         materials = tuple(_read_legacy_material(image) for image in data.textures)
         texture = _build_texture(uvs, material_ids if len(material_ids) == len(uvs) else None, materials)
     return Mesh(
@@ -121,7 +122,7 @@ def from_open3d_legacy(data: Open3DLegacyMesh) -> Mesh:
 def _read_legacy_material(image: Any) -> Material:
     if image.is_empty():
         return Material()
-    # This class keeps images bottom row first.
+    # The legacy class stores images bottom row first.
     pixels = _to_rgb(np.asarray(image)[::-1])
     if pixels.shape[:2] == (1, 1):
         red, green, blue, *alpha = (pixels[0, 0] / 255).tolist()
@@ -137,7 +138,7 @@ def _build_texture(
 
 
 def _to_levels(colors: NDArray[Any]) -> NDArray[np.uint8]:
-    # Clipped first: a colour a rounding error above 1 must not pass for one of 0..255.
+    # Clip first: a float colour slightly above 1 would make `to_uint8` assume the range 0 to 255.
     return to_uint8(np.clip(colors, 0, 1) if colors.dtype.kind == "f" else colors)
 
 
@@ -149,11 +150,11 @@ def _to_rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
-    """Return an open3d.t.geometry.TriangleMesh: float64 positions and normals, int32 indices, uint8 colours.
+    """Convert a mesh to an open3d.t.geometry.TriangleMesh.
 
-    Its renderer shows the first material's image; those of further materials are kept as `albedo_1` etc.
-    Open3D's `clone` and `to_legacy` drop materials. Data that has no place is reported
-    (`mesh.conversion-loss`).
+    Positions and normals are float64, indices int32, colours uint8. Open3D renders the image of the first
+    material; further images are stored as `albedo_1` etc. Open3D's `clone` and `to_legacy` drop materials.
+    Data that the class cannot hold is reported (`mesh.conversion-loss`).
     """
     from scanloom.stages._open3d import open3d
 
@@ -174,7 +175,7 @@ def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
         result.triangle.texture_uvs = tensor(mesh.texture.uvs)
         result.triangle.material_ids = tensor(mesh.texture.material_ids)
         _set_tensor_materials(o3d, result.material, mesh.texture.materials)
-    losses = [*_find_material_losses(mesh), *(["names of parts"] if any(mesh.part_names) else [])]
+    losses = [*_find_material_losses(mesh), *(["part names"] if any(mesh.part_names) else [])]
     if mesh.up is not None:
         losses.append("the up direction")
     _report_losses("open3d.t.geometry.TriangleMesh", losses)
@@ -197,9 +198,10 @@ def _set_tensor_materials(o3d: Any, target: Any, materials: tuple[Material, ...]
 
 
 def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
-    """Return an open3d.geometry.TriangleMesh; colours become 0..1 floats that come back exactly.
+    """Convert a mesh to a legacy open3d.geometry.TriangleMesh.
 
-    Base colours are multiplied into the images. Data that has no place is reported (`mesh.conversion-loss`).
+    Colours become floats 0 to 1, from which the 8-bit values are recovered exactly. Base colours are
+    multiplied into the images. Data that the class cannot hold is reported (`mesh.conversion-loss`).
     """
     from scanloom.stages._open3d import open3d
 
@@ -216,7 +218,7 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
         result.triangle_material_ids = o3d.utility.IntVector(mesh.texture.material_ids)
         result.textures = [_build_legacy_image(o3d, material) for material in mesh.texture.materials]
     has = (
-        ("normals of corners", mesh.corner_normals is not None),
+        ("corner normals", mesh.corner_normals is not None),
         ("parts", mesh.part_ids is not None),
         ("the up direction", mesh.up is not None),
     )
@@ -226,7 +228,10 @@ def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
 
 
 def _build_legacy_image(o3d: Any, material: Material) -> Any:
-    """Return the image of a material as the legacy class has it: bottom row first, empty for none."""
+    """Return a material's image for the legacy class.
+
+    The bottom row is first. The image is empty if the material has neither image nor colour.
+    """
     if material.image is not None:
         return o3d.geometry.Image(np.ascontiguousarray(_tint_pixels(material.image.pixels, material)[::-1]))
     if material.base_color is None:
@@ -246,7 +251,7 @@ def _tint_pixels(pixels: Pixels, material: Material) -> Pixels:
 
 
 def _report_losses(class_name: str, losses: Iterable[str]) -> None:
-    """Emit one warning that names all data left out; none if there is no loss."""
+    """Emit one warning that lists all dropped data, if any."""
     found = list(losses)
     if found:
         emit(
@@ -260,10 +265,10 @@ def _report_losses(class_name: str, losses: Iterable[str]) -> None:
 
 
 def _find_material_losses(mesh: Mesh) -> list[str]:
-    """List properties of materials that are neither image nor base colour."""
+    """List the material properties in use other than image and base colour."""
     materials = () if mesh.texture is None else mesh.texture.materials
     losses = (
-        ("names of materials", any(material.name for material in materials)),
+        ("material names", any(material.name for material in materials)),
         ("wrap modes of images", any(set(material.wrap) != {"repeat"} for material in materials)),
         ("shading properties of materials", any(material.kept is not None for material in materials)),
     )

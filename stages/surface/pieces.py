@@ -1,10 +1,12 @@
-"""Meshes that no memory holds at once: a PLY file in pieces, each a range of its vertices and triangles.
+"""Chunked PLY files for meshes that exceed memory.
 
-mesh.ply           as any program reads it
-mesh.pieces.json   if it is that large: which vertices and triangles belong to which piece, and its box
+A chunk is a range of consecutive vertices and triangles.
 
-A piece's triangles name vertices of other pieces where they join them. Whatever works piece by piece reads a
-piece with those, as a mesh of its own, and the numbers its vertices have in all.
+mesh.ply           standard PLY, readable by any program
+mesh.pieces.json   only for large meshes: vertex range, triangle range and bounding box of each chunk
+
+Triangles of a chunk can reference vertices of other chunks. A chunk is read as a mesh that includes these
+vertices, together with the index of each vertex in the whole mesh.
 """
 
 from __future__ import annotations
@@ -30,25 +32,26 @@ from scanloom.stages.surface.mesh import NOT_WRITTEN, Mesh
 Point = tuple[float, float, float]
 
 _FACE = np.dtype([("length", "u1"), ("corners", "<i4", (3,))])
-# Triangles; of more, a mesh is worked on in pieces. To simplify so many at once takes about 2 GB.
+# Triangles up to which a mesh is processed in memory; larger meshes are processed in chunks. Simplifying this
+# number at once takes about 2 GB.
 MOST_AT_ONCE = 5_000_000
-# Vertices that are read at a time where few of all are wanted.
+# Vertices read at a time when only a subsample is needed.
 _READ_AT_ONCE = 1_000_000
 
 
 def is_many(triangles: int) -> bool:
-    """Whether a mesh of so many triangles is worked on in pieces."""
+    """Return True if a mesh of `triangles` triangles must be processed in chunks."""
     return triangles > MOST_AT_ONCE
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Where a piece is.
+    """Ranges and bounding box of a chunk.
 
     Attributes
     ----------
-    vertices, triangles : (first, end) of its own, in the file.
-    low, high : corners of the box whose surface it has, metres.
+    vertices, triangles : (first, end) of the chunk's own rows in the file.
+    low, high : corners of the region whose surface the chunk holds, metres.
     """
 
     vertices: tuple[int, int]
@@ -59,13 +62,13 @@ class Extent:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A piece, with the vertices of others that its triangles name.
+    """A chunk as a mesh, including vertices of other chunks that its triangles reference.
 
     Attributes
     ----------
-    mesh : its own vertices first.
-    numbers : (n,) int64, of its vertices in all.
-    own : how many are its own.
+    mesh : mesh whose vertices are the chunk's own ones, then the foreign ones.
+    numbers : (n,) int64, index of each vertex in the whole mesh.
+    own : number of own vertices.
     """
 
     mesh: Mesh
@@ -74,25 +77,25 @@ class Part:
 
 
 def table_of(path: Path) -> Path:
-    """Return the file beside a PLY file that tells its pieces."""
+    """Return the path of the chunk table that belongs to a PLY file."""
     return path.with_suffix(".pieces.json")
 
 
 class Pieces:
-    """A PLY file in pieces, open for reading.
+    """A PLY file with a chunk table, open for reading.
 
     Attributes
     ----------
-    path : of the file.
-    extents : of the pieces.
-    spacing : metres; no edge of a triangle is longer than twice this.
-    vertex_count, triangle_count : of all pieces.
-    has_colors : whether vertices have colours.
+    path : the PLY file.
+    extents : ranges and bounding box of each chunk.
+    spacing : metres; no triangle edge is longer than twice this.
+    vertex_count, triangle_count : totals over all chunks.
+    has_colors : True if vertices have colours.
 
     Raises
     ------
     InputError
-        If the files are damaged, or do not fit each other.
+        If a file is damaged, or the table does not match the PLY file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -107,7 +110,7 @@ class Pieces:
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "this is no table of pieces: {error} is missing or wrong.",
+                "this is not a valid chunk table: {error} is missing or wrong.",
                 table_of(path),
                 error=error,
             ) from error
@@ -121,13 +124,16 @@ class Pieces:
             is_it = file.read(len(header)) == header
         if not is_it or path.stat().st_size != size or not self._follow_each_other():
             raise InputError(
-                MESH_FILE_DAMAGED, "the file is damaged, or not the one its table of pieces tells of.", path
+                MESH_FILE_DAMAGED, "the file is damaged, or does not match its chunk table.", path
             )
         self._row, self._starts = row, starts
         self.has_colors = has_colors
 
     def _rows(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return vertices and faces, mapped anew each time: what was read of a map counts as memory."""
+        """Map vertices and faces into memory.
+
+        Each call makes a new map, because pages read from a map count as memory.
+        """
         return (
             _mapped(self.path, self._row, self._starts[0], self.vertex_count),
             _mapped(self.path, _FACE, self._starts[1], self.triangle_count),
@@ -144,18 +150,18 @@ class Pieces:
         return True
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of chunks."""
         return len(self.extents)
 
     def part(self, number: int) -> Part:
-        """Read a piece.
+        """Read a chunk.
 
         Raises
         ------
         InputError
-            If a triangle names a vertex that is not there.
+            If a triangle references a vertex that does not exist.
         """
-        # What was done with the last one has left holes, which would grow from piece to piece.
+        # Processing the previous chunk fragmented the heap; without this, memory grows from chunk to chunk.
         give_back()
         extent = self.extents[number]
         vertices, faces = self._rows()
@@ -163,7 +169,7 @@ class Pieces:
         if triangles.size and (triangles.min() < 0 or triangles.max() >= self.vertex_count):
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "the file is damaged: a triangle names a vertex that is not there.",
+                "the file is damaged: a triangle references a vertex that does not exist.",
                 self.path,
             )
         first, end = extent.vertices
@@ -174,8 +180,8 @@ class Pieces:
         return Part(Mesh(places, local, colors), numbers, end - first)
 
     def places(self, step: int) -> NDArray[np.float64]:
-        """Read every `step`-th vertex (k, 3), metres."""
-        # Each time from a map that forgets what was read before: of many vertices there is no room for all.
+        """Read every `step`-th vertex as positions (k, 3), metres."""
+        # A new map per block releases the pages read before; all vertices together can exceed memory.
         at_once = step * max(_READ_AT_ONCE // step, 1)
         found = [np.zeros((0, 3))]
         for start in range(0, self.vertex_count, at_once):
@@ -187,12 +193,16 @@ class Pieces:
 def counted_from(
     first: int, end: int, triangles: NDArray[np.integer[Any]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Return the numbers of a piece's vertices, its own first, and its triangles by places among these.
+    """Convert triangles of a chunk from global to local vertex indices.
 
     Parameters
     ----------
-    first, end : of its own vertices.
-    triangles : (m, 3), by numbers in all.
+    first, end : range of the chunk's own vertices.
+    triangles : (m, 3) global vertex indices.
+
+    Returns
+    -------
+    The global index (n,) of each local vertex, own ones first, and the triangles (m, 3) in local indices.
     """
     is_foreign = (triangles < first) | (triangles >= end)
     foreign = np.unique(triangles[is_foreign])
@@ -203,9 +213,9 @@ def counted_from(
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """A piece to be written: its own vertices, and triangles by numbers that count through all pieces.
+    """A chunk to write: its own vertices, and triangles with global vertex indices.
 
-    `values` (n, v) are what is known of the vertices beside their colours.
+    `values` (n, v) are further vertex properties.
     """
 
     vertices: NDArray[np.float64]
@@ -217,18 +227,22 @@ class Written:
 def write_pieces(
     path: Path, sizes: Sequence[Extent], pieces: Iterable[Written], *, has_colors: bool, spacing: float
 ) -> None:
-    """Write a PLY file, and the table of its pieces if it has more than MOST_AT_ONCE triangles.
+    """Write a PLY file, and a chunk table if it is large.
+
+    The table is written for more than MOST_AT_ONCE triangles.
 
     Parameters
     ----------
-    sizes : of the pieces, which follow each other.
-    pieces : as many, read once.
-    spacing : metres; no edge of a triangle is longer than twice this.
+    path : output file.
+    sizes : ranges of the consecutive chunks.
+    pieces : one chunk per entry of `sizes`, consumed once.
+    has_colors : True if vertices have colours.
+    spacing : metres; no triangle edge is longer than twice this.
 
     Raises
     ------
     StageError
-        If the system refuses to write.
+        If a file cannot be written.
     """
     vertex_count, triangle_count = (sizes[-1].vertices[1], sizes[-1].triangles[1]) if sizes else (0, 0)
     write_by_pieces(path, vertex_count, triangle_count, pieces, has_colors=has_colors)
@@ -248,18 +262,20 @@ def write_by_pieces(
     has_colors: bool,
     values: Sequence[str] = (),
 ) -> None:
-    """Write a PLY file without a table: as it comes, one piece after the other, and read as any PLY file is.
+    """Write a PLY file chunk by chunk, without a chunk table.
 
     Parameters
     ----------
-    vertex_count, triangle_count : of all pieces.
-    pieces : read once.
-    values : names of those that vertices have.
+    path : output file.
+    vertex_count, triangle_count : totals over all chunks.
+    pieces : chunks in order, consumed once.
+    has_colors : True if vertices have colours.
+    values : names of the further vertex properties.
 
     Raises
     ------
     StageError
-        If the system refuses to write.
+        If the file cannot be written.
     """
     header = _header(vertex_count, triangle_count, has_colors=has_colors, values=values)
     row = _row(has_colors=has_colors, values=values)
@@ -303,5 +319,5 @@ def _header(vertices: int, triangles: int, *, has_colors: bool, values: Sequence
 
 
 def _mapped(path: Path, row: np.dtype[Any], start: int, count: int) -> NDArray[Any]:
-    # Nothing can be mapped of no bytes.
+    # An empty range cannot be memory-mapped.
     return np.memmap(path, row, "r", start, (count,)) if count else np.zeros(0, row)

@@ -1,4 +1,7 @@
-"""A mesh in pieces, of which some triangles at a time are worked on, as of the whole."""
+"""Chunked access to large meshes.
+
+Triangles are processed in batches, with vertex normals and areas of the whole mesh.
+"""
 
 from __future__ import annotations
 
@@ -17,26 +20,27 @@ from scanloom.stages.surface.runs import Runs
 from scanloom.stages.surface.topology import areas
 from scanloom.stages.surface.vertex_normals import normal_sums, unit, vertex_normals
 
-# Vertices that are kept of all of them, about: no point is farther from the surface than from one of these.
+# Approximate number of sampled vertices. The distance to the nearest one is an upper bound of the distance to
+# the surface.
 _LANDMARKS = 200_000
-# Of the nearest of these, so much farther off may be the one that is taken.
+# Relative error allowed in that nearest-neighbour search.
 _ROUGHLY = 0.1
-# Triangles that are worked on at a time: to search them takes about a kilobyte for each.
+# Triangles per batch. A search structure takes about 1 kB per triangle.
 AT_ONCE = 250_000
-# Of so many, all are worked on at once.
+# Triangles up to which a mesh in memory is not split into chunks.
 _FEW = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A piece, or of one with many triangles some of them.
+    """A batch of at most AT_ONCE triangles of a chunk.
 
     Attributes
     ----------
-    mesh : its triangles.
-    box : (2, 3) lowest and highest corner around them, metres.
-    normals : (n, 3) float32 unit normals of the vertices, those of the whole; None if not asked for.
-    numbers : (n,) int64, of its vertices in all.
+    mesh : the triangles with the vertices in use.
+    box : (2, 3) minimum and maximum corner of the bounding box, metres.
+    normals : (n, 3) float32 unit vertex normals of the whole mesh; None if not requested.
+    numbers : (n,) int64, index of each vertex in the whole mesh.
     """
 
     mesh: Mesh
@@ -46,30 +50,31 @@ class Piece:
 
 
 def piecewise(mesh: Mesh) -> Mesh | Piecewise:
-    """Return a mesh, or what works on it piece by piece where that takes far less memory."""
+    """Wrap a large mesh for chunked processing; return a small one unchanged."""
     return mesh if len(mesh.triangles) <= _FEW else Piecewise(Runs(mesh))
 
 
 class Piecewise:
-    """A mesh in pieces, looked over.
+    """A mesh that is processed chunk by chunk.
 
-    Beside a piece, memory holds what is known of vertices that several pieces name.
+    Memory holds one chunk, and the normals of vertices shared between chunks. The constructor reads all
+    chunks once.
 
     Parameters
     ----------
-    pieces : of a file, or the runs of a mesh.
+    pieces : chunks of a file or of a mesh in memory.
 
     Attributes
     ----------
-    has_colors : whether vertices have colours.
-    triangle_count, vertex_count : of all pieces.
-    box : (2, 3) lowest and highest corner around all triangles, metres.
-    area_ends : (p,) area of the pieces up to and with each, m²: sums over all their triangles in order.
+    has_colors : True if vertices have colours.
+    triangle_count, vertex_count : totals over all chunks.
+    box : (2, 3) minimum and maximum corner of the bounding box of all triangles, metres.
+    area_ends : (p,) cumulative area up to the end of each chunk, m².
 
     Raises
     ------
     InputError
-        If the files are damaged, or do not fit each other.
+        If a file is damaged, or the chunk table does not match it.
     """
 
     def __init__(self, pieces: Pieces | Runs) -> None:
@@ -92,49 +97,52 @@ class Piecewise:
         self._landmarks = np.concatenate(landmarks)
 
     def __len__(self) -> int:
-        """Return how many pieces there are."""
+        """Return the number of chunks."""
         return len(self._pieces)
 
     @property
     def area(self) -> float:
-        """Of all triangles, m²."""
+        """Total area of all triangles, m²."""
         return float(self.area_ends[-1])
 
     def areas_up_to(self, number: int, mesh: Mesh) -> Floats:
-        """Return what `area_ends` is after each triangle of a piece (m,), after the one before it first."""
+        """Return the cumulative area (m + 1,) along a chunk's triangles, m².
+
+        The first value is the area of all chunks before.
+        """
         before = self.area_ends[number - 1] if number else 0.0
         some = (mesh.triangles[first : first + AT_ONCE] for first in range(0, len(mesh.triangles), AT_ONCE))
         return np.cumsum(np.concatenate([[before], *(areas(mesh.vertices, rows) for rows in some)]))
 
     def mesh(self, number: int) -> Mesh:
-        """Read the triangles of a piece."""
+        """Read a chunk as a mesh."""
         return self._pieces.part(number).mesh
 
     def pieces(self, *, facing: bool = False) -> Iterator[Piece]:
-        """Read one after the other, of each no more triangles at a time than much can be done with.
+        """Yield all triangles in batches of at most AT_ONCE.
 
         Parameters
         ----------
-        facing : whether normals are wanted.
+        facing : True to compute vertex normals.
         """
         for number in range(len(self._pieces)):
             part = self._pieces.part(number)
             normals = self.normals(part) if facing else None
-            # What follows on each other in a piece is near each other.
+            # Consecutive triangles of a chunk are near each other, so a batch is compact.
             for first in range(0, len(part.mesh.triangles), AT_ONCE):
                 yield _some(part, normals, slice(first, first + AT_ONCE))
 
     def parts(self) -> Iterator[Part]:
-        """Read one piece after the other, each with its own vertices."""
+        """Iterate over the chunks."""
         return (self._pieces.part(number) for number in range(len(self._pieces)))
 
     def some_vertices(self, wanted: int) -> Floats:
-        """Return about so many vertices (k, 3), at equal steps through all."""
+        """Return about `wanted` vertex positions (k, 3), sampled at equal index steps."""
         return self._pieces.places(1 + self._pieces.vertex_count // wanted)
 
     def at_most(self, points: Floats) -> Floats:
-        """Return distances (k,) that points are no farther from the surface than, metres."""
-        # Any of them will do, and one that is nearly the nearest is found much sooner where all are far off.
+        """Return an upper bound (k,) of each point's distance to the surface, metres."""
+        # Any sampled vertex gives a valid bound. An approximate search is much faster for distant points.
         return np.asarray(self._tree.query(points, eps=_ROUGHLY, workers=-1)[0], np.float64)
 
     @cached_property
@@ -144,7 +152,7 @@ class Piecewise:
         return cKDTree(self._landmarks, balanced_tree=False)
 
     def normals(self, part: Part) -> NDArray[np.float32]:
-        """Return the unit normals (n, 3) of the vertices of a piece, with what others have there."""
+        """Compute a chunk's unit vertex normals (n, 3), including triangles of other chunks."""
         sums = normal_sums(part.mesh)
         numbers, of_all = self._shared
         rows = rows_of(numbers, part.numbers)
@@ -153,9 +161,9 @@ class Piecewise:
 
     @cached_property
     def _shared(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """The vertices that several pieces name, (s,) numbers in all and (s, 3) sums of normals there.
+        """Vertices used by several chunks: indices (s,) and normal sums (s, 3).
 
-        They are many where a wall or a floor runs along faces of pieces.
+        There are many of them where a wall or floor runs along a chunk boundary.
         """
         named = [np.zeros(0, np.int32)]
         for number in range(len(self._pieces)):
@@ -171,7 +179,7 @@ class Piecewise:
 
 
 def rows_of(known: NDArray[np.integer[Any]], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where numbers (n,) are among known ones (k,), which ascend; −1 where they are not."""
+    """Return each wanted value's position in the sorted array `known`; −1 if missing."""
     if not len(known):
         return np.full(len(wanted), -1)
     rows = np.searchsorted(known, wanted.astype(known.dtype, copy=False)).clip(max=len(known) - 1)
@@ -179,7 +187,7 @@ def rows_of(known: NDArray[np.integer[Any]], wanted: NDArray[np.int64]) -> NDArr
 
 
 def _some(part: Part, normals: NDArray[np.float32] | None, rows: slice) -> Piece:
-    """Return some triangles of a piece."""
+    """Extract a range of a chunk's triangles as a batch."""
     mesh = part.mesh
     triangles = mesh.triangles[rows]
     used = np.zeros(len(mesh.vertices), np.bool_)
@@ -194,15 +202,17 @@ def _some(part: Part, normals: NDArray[np.float32] | None, rows: slice) -> Piece
 
 
 class OnePiece:
-    """A mesh that memory holds, as the only piece of itself: for what works piece by piece on either.
+    """A mesh in memory with the interface of `Piecewise`.
+
+    The whole mesh is one chunk and one batch.
 
     Parameters
     ----------
-    mesh : with at least one triangle.
+    mesh : mesh with at least one triangle.
 
     Attributes
     ----------
-    triangle_count, vertex_count, box, area : as of `Piecewise`.
+    triangle_count, vertex_count, box, area : as in `Piecewise`.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -213,13 +223,13 @@ class OnePiece:
         self._piece = Piece(mesh, self.box, self._normals, np.arange(self.vertex_count))
 
     def pieces(self, *, facing: bool = False) -> Iterator[Piece]:  # noqa: ARG002
-        """Yield the piece, each time the same one; it has normals in any case."""
+        """Yield the only batch; it always has normals."""
         yield self._piece
 
     def parts(self) -> Iterator[Part]:
-        """Yield the piece with its own vertices, which are all."""
+        """Yield the only chunk, which owns all vertices."""
         yield Part(self._piece.mesh, self._piece.numbers, self.vertex_count)
 
     def normals(self, part: Part) -> NDArray[np.float32]:  # noqa: ARG002
-        """Return the unit normals (n, 3) of the vertices."""
+        """Return the unit vertex normals (n, 3)."""
         return self._normals

@@ -1,7 +1,7 @@
-"""Triangles in a plane to the pixels whose centres they cover.
+"""Rasterization of 2-D triangles to the pixels whose centres they cover.
 
-An edge is crossed at the same place whichever of its two triangles asks, so neighbours leave no pixel out
-between them and claim none twice.
+Both triangles of an edge compute identical intersections with it, so adjacent triangles leave no gap and
+share no pixel.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Covered:
-    """Pixels that triangles cover; a pixel under several triangles is there once for each.
+    """Pixels covered by triangles, with one entry per pixel and triangle.
 
     Attributes
     ----------
-    rows, columns : (k,) int64, of the pixels.
-    triangles : (k,) int64, in ascending order.
-    weights : (k, 3) float64 barycentric weights of the pixel's centre, non-negative, of sum 1.
+    rows, columns : (k,) int64 pixel positions.
+    triangles : (k,) int64 triangle indices, ascending.
+    weights : (k, 3) float64 barycentric weights of the pixel centre, non-negative, with sum 1.
     """
 
     rows: NDArray[np.int64]
@@ -32,13 +32,13 @@ class Covered:
 
 
 def covered(corners: Floats, rows: tuple[int, int], width: int) -> Covered:
-    """Return the pixels of some rows of an image whose centres lie in triangles.
+    """Rasterize triangles to a range of image rows.
 
     Parameters
     ----------
-    corners : (m, 3, 2) x and y in pixels; the first pixel's centre is at (0.5, 0.5). Either orientation.
-    rows : first row, and the one after the last.
-    width : of the image, pixels; what is beyond is left out.
+    corners : (m, 3, 2) x and y in pixels, of either orientation; the first pixel's centre is at (0.5, 0.5).
+    rows : first row, and one past the last row.
+    width : image width in pixels; pixels beyond it are dropped.
     """
     low, high = _between(corners[:, :, 1].min(axis=1), corners[:, :, 1].max(axis=1), *rows)
     (triangles,) = np.nonzero(high > low)
@@ -55,25 +55,31 @@ def covered(corners: Floats, rows: tuple[int, int], width: int) -> Covered:
 
 
 def _between(low: Floats, high: Floats, first: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the whole numbers n with low <= n + 0.5 < high, as the first and the one after the last."""
+    """Return the integers n with low <= n + 0.5 < high.
+
+    The result is the first one, and one past the last.
+    """
     bounds = (np.ceil(bound - 0.5).clip(first, end).astype(np.int64) for bound in (low, high))
     return next(bounds), next(bounds)
 
 
 def _counted(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return start, start + 1, … for each start, as many as its count, one after another."""
+    """Concatenate the ranges start, start + 1, … of `counts` values each."""
     before = np.cumsum(counts) - counts
     return np.asarray(np.arange(counts.sum()) + np.repeat(starts - before, counts), np.int64)
 
 
 def _from_top(corners: Floats) -> Floats:
-    """Return each triangle's corners by y, then x: both triangles of an edge see it in the same direction."""
+    """Sort each triangle's corners by y, then x.
+
+    Both triangles of an edge then traverse it in the same direction.
+    """
     order = np.lexsort((corners[:, :, 0], corners[:, :, 1]), axis=1)
     return np.take_along_axis(corners, order[:, :, None], axis=1)
 
 
 def _crossed(corners: Floats, triangles: NDArray[np.int64], y: Floats) -> tuple[Floats, Floats]:
-    """Return where horizontal lines enter and leave triangles whose corners go by y."""
+    """Return the x range of horizontal lines in triangles with corners sorted by y."""
     a, b, c = corners[triangles].swapaxes(0, 1)
     is_lower = (y >= b[:, 1])[:, None]
     start, end = np.where(is_lower, b, a), np.where(is_lower, c, b)
@@ -95,6 +101,6 @@ def _weights(corners: Floats, triangles: NDArray[np.int64], points: Floats) -> F
     with np.errstate(divide="ignore", invalid="ignore"):
         v = (ap[:, 0] * ac[triangles, 1] - ap[:, 1] * ac[triangles, 0]) / area
         w = (ab[triangles, 0] * ap[:, 1] - ab[triangles, 1] * ap[:, 0]) / area
-    # A centre within rounding of an edge may come out beyond it.
+    # Rounding can put a centre near an edge slightly outside.
     weights = np.nan_to_num(np.stack([1 - v - w, v, w], axis=1), nan=1 / 3).clip(0, 1)
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))

@@ -1,9 +1,9 @@
-"""A mesh as Open3D's ray-casting scene, without the float32 trap.
+"""Closest-point and ray queries on a mesh with Open3D's ray-casting scene, in double precision.
 
-Embree, underneath, holds coordinates as float32: at map coordinates of 500 km a step is 3 cm. So the scene
-is centred and scaled to unit size first, it only *chooses* the triangle, and the closest point and its
-distance are then computed on that triangle in float64. What is left is the choice between triangles whose
-distances differ by less than about 1e-6 of the box's diagonal.
+Embree stores coordinates as float32, whose step at map coordinates of 500 km is 3 cm. The scene is therefore
+centred and scaled to unit size, and only selects the triangle. The closest point and distance are then
+computed on that triangle in float64. The remaining error: the selection is arbitrary between triangles whose
+distances differ by less than about 1e-6 of the bounding-box diagonal.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from scanloom.stages.surface.mesh import Mesh, Triangles
 
 Floats = NDArray[np.float64]
 
-# Queries at a time: bounds the memory of any number of points, and keeps the arrays near the cache.
+# Queries per call: limits memory, and keeps the arrays in cache.
 CHUNK = 1 << 17
-# A triangle whose height is below this share of its longest side is as good as that side.
+# A triangle whose doubled area is below this ratio of its squared longest side is treated as that side.
 _SLIVER = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Points on the surface.
+    """Closest points on the surface.
 
     Attributes
     ----------
-    triangles : (k,) int64, the triangle each point lies on.
-    weights : (k, 3) float64 barycentric weights of its three corners, non-negative, of sum 1.
-    distances : (k,) float64, metres, from the query point.
+    triangles : (k,) int64, triangle index of each point.
+    weights : (k, 3) float64 barycentric weights of the triangle's corners, non-negative, with sum 1.
+    distances : (k,) float64, distance to the query point in metres.
     """
 
     triangles: NDArray[np.int64]
@@ -46,14 +46,14 @@ class Located:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Where rays met the surface first; float32, which is as exact as the ray caster is.
+    """First intersections of rays with the surface; float32, the precision of the ray caster.
 
     Attributes
     ----------
-    rays : (k,) int64, the rays that met it, in ascending order.
-    triangles : (k,) int64, the triangle each met.
-    weights : (k, 3) float32 barycentric weights of its three corners, non-negative, of sum 1.
-    distances : (k,) float32, along the ray, in lengths of its direction.
+    rays : (k,) int64, indices of the rays that hit, ascending.
+    triangles : (k,) int64, triangle hit by each ray.
+    weights : (k, 3) float32 barycentric weights of the triangle's corners, non-negative, with sum 1.
+    distances : (k,) float32, distance along the ray in lengths of its direction vector.
     normals : (k, 3) float32, unit normals of the triangles.
     """
 
@@ -64,7 +64,7 @@ class Hits:
     normals: NDArray[np.float32]
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> Hits:
-        """Return the hits a mask (k,) chooses."""
+        """Return the hits selected by a mask (k,)."""
         return Hits(
             self.rays[chosen],
             self.triangles[chosen],
@@ -75,13 +75,13 @@ class Hits:
 
 
 class Slimness(NamedTuple):
-    """What tells needles and slivers from other triangles.
+    """Longest side and area of triangles, to detect needles and slivers.
 
     Attributes
     ----------
-    longest : (m,) int64, the corner that the longest side starts at.
-    longest2 : (m,) its length squared.
-    area2 : (m,) twice the area.
+    longest : (m,) int64, corner at which the longest side starts.
+    longest2 : (m,) squared length of the longest side, m².
+    area2 : (m,) twice the area, m².
     """
 
     longest: NDArray[np.int64]
@@ -90,18 +90,19 @@ class Slimness(NamedTuple):
 
 
 class Surface:
-    """The surface of a mesh, ready for closest-point and ray queries.
+    """A mesh prepared for closest-point and ray queries.
 
     Parameters
     ----------
-    mesh : with at least one triangle.
-    box : (2, 3) lowest and highest corner of everything that will be asked; the mesh's own box if None.
-        Queries far outside it lose precision in the choice of the triangle.
+    mesh : mesh with at least one triangle.
+    box : (2, 3) minimum and maximum corner of mesh and query points; None for the mesh's bounding box. Far
+    outside
+        it, the selection of the triangle loses precision.
 
     Attributes
     ----------
-    mesh : as given.
-    slimness : of its triangles.
+    mesh : the mesh.
+    slimness : longest side and area of its triangles.
     """
 
     def __init__(self, mesh: Mesh, box: Floats | None = None) -> None:
@@ -116,22 +117,25 @@ class Surface:
             o3d.core.Tensor(self._scaled(mesh.vertices)),
             o3d.core.Tensor(_without_slivers(mesh, self.slimness).astype(np.uint32)),
         )
-        # Open3D builds its tree at the first query: have that now, before several threads ask.
+        # Open3D builds its BVH at the first query. Trigger that now, because it is not thread-safe.
         self._scene.compute_closest_points(o3d.core.Tensor(np.zeros((1, 3), np.float32)))
 
     def showing(self, mesh: Mesh) -> Surface:
-        """Return the same surface with other colours: of a mesh of the same vertices and triangles."""
+        """Return a copy with another mesh of equal geometry.
+
+        The other mesh can have different colours.
+        """
         other = copy.copy(self)
         other.mesh = mesh
         return other
 
     @cached_property
     def normals(self) -> Floats:
-        """Unit normals (m, 3) of the triangles; 0 for those without area."""
+        """Unit normals (m, 3) of the triangles; 0 for triangles without area."""
         return unit_normals(self.mesh)
 
     def closest(self, points: Floats) -> Located:
-        """Return the surface point nearest to each of `points`, (k, 3) float64 in metres."""
+        """Find the closest surface point of each of `points`, (k, 3) float64 in metres."""
         parts = [self._closest(points[rows]) for rows in chunks(len(points))]
         return _joined(parts)
 
@@ -141,13 +145,13 @@ class Surface:
         directions: NDArray[np.floating],
         starts: NDArray[np.float32] | None = None,
     ) -> Hits:
-        """Return what rays meet first.
+        """Find the first intersection of each ray.
 
         Parameters
         ----------
-        origin : (3,) float64 metres, of all rays, or (k, 3) of each.
-        directions : (k, 3), of any length, the unit of the distances.
-        starts : (k,) distances before which nothing counts; 0 if None.
+        origin : (3,) float64 in metres for all rays, or (k, 3).
+        directions : (k, 3) of any length; distances are multiples of that length.
+        starts : (k,) minimum distances; None for 0.
         """
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3] = self._scaled(origin if starts is None else origin + starts[:, None] * directions)
@@ -167,9 +171,9 @@ class Surface:
         )
 
     def nearest(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Return the triangle (k,) nearest to each of `points`, and how far it is, in single precision.
+        """Find the triangle (k,) nearest to each point, and its distance, in single precision.
 
-        Unlike `closest`, it takes all points at a time, of which there is one at least.
+        Faster than `closest`. All points are queried in one call; there must be at least one.
         """
         asked = self._scaled(points)
         found = self._scene.compute_closest_points(open3d().core.Tensor(asked))
@@ -190,11 +194,11 @@ class Surface:
 
 
 def slimness_of(mesh: Mesh) -> Slimness:
-    """Return how slim each triangle is."""
+    """Compute the longest side and area of each triangle."""
     count = len(mesh.triangles)
     sides2, area2_squared = np.zeros((3, count)), np.zeros(count)
     first, second = np.empty((3, count)), np.empty((3, count))
-    # A coordinate at a time: several times as fast as rows of three, and this runs over all triangles.
+    # One coordinate at a time is several times faster than rows of three.
     for axis in range(3):
         a, b, c = (mesh.vertices[:, axis].take(corner) for corner in mesh.triangles.T)
         first[axis], second[axis] = b - a, c - b
@@ -208,10 +212,10 @@ def slimness_of(mesh: Mesh) -> Slimness:
 
 
 def _without_slivers(mesh: Mesh, slimness: Slimness) -> Triangles:
-    """Return the triangles with every sliver replaced by its longest side, as (first, second, second).
+    """Replace every sliver by its longest side, as degenerate triangle (first, second, second).
 
-    In single precision the closest point of a sliver can come out anywhere along its line, and another
-    triangle then be taken for the nearest; that of a side comes out right.
+    In single precision, the closest point of a sliver can be anywhere along its line, so another triangle
+    could be selected. The closest point of a segment is stable.
     """
     (slivers,) = np.nonzero(slimness.area2 <= _SLIVER * slimness.longest2)
     if not len(slivers):
@@ -224,8 +228,8 @@ def _without_slivers(mesh: Mesh, slimness: Slimness) -> Triangles:
 
 
 def unit_normals(mesh: Mesh) -> Floats:
-    """Return the unit normals (m, 3) of a mesh's triangles; 0 for those without area."""
-    # A coordinate at a time: several times as fast as rows of three.
+    """Compute the unit normals (m, 3) of a mesh's triangles; 0 for triangles without area."""
+    # One coordinate at a time is several times faster than rows of three.
     corners = np.array([[x.take(corner) for x in mesh.vertices.T] for corner in mesh.triangles.T])
     first, second = corners[1] - corners[0], corners[2] - corners[0]
     across = [first[i] * second[j] - first[j] * second[i] for i, j in ((1, 2), (2, 0), (0, 1))]
@@ -237,42 +241,42 @@ def unit_normals(mesh: Mesh) -> Floats:
 
 
 def bounding_box(*meshes: Mesh) -> Floats:
-    """Return the lowest and the highest corner, (2, 3), of the box around the triangles of all meshes."""
+    """Return the bounding box of all triangles: minimum and maximum corner (2, 3)."""
     corners = [mesh.vertices.compress(is_used(mesh), axis=0) for mesh in meshes]
-    # A column at a time: reducing over rows of three is several times slower.
+    # One column at a time: a reduction over rows of three is several times slower.
     low = [min(points[:, axis].min() for points in corners) for axis in range(3)]
     high = [max(points[:, axis].max() for points in corners) for axis in range(3)]
     return np.array([low, high])
 
 
 def is_used(mesh: Mesh) -> NDArray[np.bool_]:
-    """Return which vertices (n,) a triangle uses."""
+    """Return a mask (n,) of the vertices used by triangles."""
     used = np.zeros(len(mesh.vertices), bool)
     used[mesh.triangles] = True
     return used
 
 
 def chunks(count: int) -> Iterator[slice]:
-    """Yield slices that cover `count` rows, CHUNK at a time."""
+    """Yield slices of at most CHUNK that cover `count` rows."""
     for start in range(0, count, CHUNK):
         yield slice(start, min(start + CHUNK, count))
 
 
 def interpolated(values: NDArray[np.generic], mesh: Mesh, at: Located) -> Floats:
-    """Return vertex values (n, d) interpolated at located points, (k, d) float64; all must be hits."""
+    """Interpolate vertex values (n, d) at surface points; return (k, d) float64."""
     corners = values[mesh.triangles[at.triangles]].astype(np.float64)
     return np.asarray(np.einsum("kc,kcd->kd", at.weights, corners))
 
 
 def closest_weights(points: Floats, corners: Floats) -> Floats:
-    """Return the barycentric weights (k, 3) of the point of each triangle (k, 3, 3) nearest to each point.
+    """Compute barycentric weights (k, 3) of the closest point on each triangle.
 
-    The foot of the perpendicular where it falls inside, else the nearest point of the three edges; a
-    triangle without area has only its edges.
+    `corners` is (k, 3, 3). The closest point is the perpendicular foot if it is inside, else the closest
+    point on the three edges. A triangle without area has only its edges.
     """
     a = corners[:, 0]
     ab, ac, ap = corners[:, 1] - a, corners[:, 2] - a, points - a
-    # By cross products, not by the normal equations: those square the condition, and slivers are common.
+    # Cross products instead of normal equations, which would square the condition number; slivers are common.
     normal = np.cross(ab, ac)
     squared = _dot(normal, normal)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,7 +1,7 @@
-"""A mesh that memory holds, in runs of triangles that follow each other.
+"""A mesh in memory, split into chunks of consecutive triangles.
 
-To search a mesh takes twenty times the memory of the mesh itself. In meshes of scans triangles that follow
-each other are near each other, so that each run is a piece of the surface.
+A search structure takes twenty times the memory of the mesh, so it is built per chunk. Consecutive triangles
+of scan meshes are near each other, so each chunk is compact.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from scanloom.stages.surface.memory import give_back
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.pieces import Part, counted_from
 
-# Triangles in a run.
+# Triangles per chunk.
 _LENGTH = 500_000
 
 
 class Runs:
-    """The runs of a mesh, as `Pieces` are those of a file.
+    """Chunks of a mesh in memory, with the reading interface of `Pieces`.
 
-    Vertices are counted anew, so that those that a run has first follow each other; others name none.
+    Vertices are renumbered by the first chunk that uses them. Unused vertices are dropped.
 
     Parameters
     ----------
-    mesh : its vertices, triangles and vertex colours are what counts.
+    mesh : mesh of which vertices, triangles and vertex colours are used.
 
     Attributes
     ----------
-    vertex_count, triangle_count : of all runs.
-    has_colors : whether vertices have colours.
+    vertex_count, triangle_count : totals over all chunks.
+    has_colors : True if vertices have colours.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -38,7 +38,7 @@ class Runs:
         for number in reversed(range(len(self))):
             first[mesh.triangles[_rows(number)]] = number
         order = np.argsort(first, kind="stable")
-        # Where the vertices end that each run has first.
+        # End of the vertex range that each chunk uses first.
         self._ends = np.searchsorted(first[order], np.arange(len(self)), "right")
         self.vertex_count = int(self._ends[-1]) if len(self) else 0
         rank = np.empty(len(order), np.int32)
@@ -48,12 +48,12 @@ class Runs:
         self._colors = None if mesh.colors is None else mesh.colors[used]
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of chunks."""
         return -(-self.triangle_count // _LENGTH)
 
     def part(self, number: int) -> Part:
-        """Return a run."""
-        # What was done with the last one has left holes, which would grow from run to run.
+        """Return a chunk."""
+        # Processing the previous chunk fragmented the heap; without this, memory grows from chunk to chunk.
         give_back()
         first, end = (0 if number == 0 else int(self._ends[number - 1])), int(self._ends[number])
         numbers, local = counted_from(first, end, self._triangles[_rows(number)])
@@ -61,7 +61,7 @@ class Runs:
         return Part(Mesh(self._vertices[numbers], local, colors), numbers, end - first)
 
     def places(self, step: int) -> NDArray[np.float64]:
-        """Return every `step`-th vertex (k, 3), metres."""
+        """Return every `step`-th vertex as positions (k, 3), metres."""
         return self._vertices[::step]
 
 

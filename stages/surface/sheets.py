@@ -1,4 +1,4 @@
-"""Sheets: a surface taken apart where it is no manifold, so that each of them is an oriented one."""
+"""Decomposition of a non-manifold surface into oriented manifold sheets."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ Ids = NDArray[np.integer[Any]]
 
 @dataclass(frozen=True, eq=False)
 class Sheets:
-    """Triangles that are joined where two of them, of like orientation, meet at an edge, and nowhere else.
+    """Triangles connected only across edges with two consistently oriented triangles.
 
     Attributes
     ----------
-    triangles : (k, 3) int32, numbers of the sheets' own vertices.
-    triangle_source : (k,) int32, the triangle of the input each was; those with two corners in one set are
-        left out.
-    vertex_source : (p,) int32, a vertex of the input that each one is.
-    touches : (p,) bool, vertices where sheets touch: if one moved, they would come apart.
-    sets : (n,) the set that each vertex of the input is in; vertices of one set are one.
+    triangles : (k, 3) int32, indices of the sheets' vertices.
+    triangle_source : (k,) int32, input triangle of each triangle. Triangles with two corners in one set are
+        dropped.
+    vertex_source : (p,) int32, an input vertex at each sheet vertex.
+    touches : (p,) bool, True for vertices where sheets touch; moving one would open a crack.
+    sets : (n,) set index of each input vertex; vertices of one set count as one.
     """
 
     triangles: Triangles
@@ -36,12 +36,12 @@ class Sheets:
 
 
 def taken_apart(triangles: Triangles, sets: Ids) -> Sheets:
-    """Take a surface apart where more than two triangles meet at an edge, or fans of them at a vertex.
+    """Cut a surface at non-manifold edges and vertices.
 
     Parameters
     ----------
-    triangles : (m, 3).
-    sets : (n,) numbers from 0 to n - 1; vertices of one set are one.
+    triangles : (m, 3) vertex indices.
+    sets : (n,) set index of each vertex, 0 to n - 1; vertices of one set count as one.
     """
     welded = _kernels.weld_sheets(sets.astype(np.int32), triangles)
     vertex_source = np.empty(len(welded.touches), np.int32)

@@ -1,4 +1,4 @@
-"""Connected components of a mesh that are smaller than a size."""
+"""Detection of small connected components."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from scanloom.stages.surface.welding import same_rows
 def find_small_components(
     mesh: Mesh, size: float, keep: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.bool_], int]:
-    """Find the triangles of connected components that are smaller than a size.
+    """Find the triangles of connected components smaller than a size.
 
     Triangles are connected if they share a vertex position. The size of a component is the diagonal of its
     bounding box.
 
     Parameters
     ----------
-    size : metres.
-    keep : (n,) vertices whose components count as large.
+    mesh : mesh to search.
+    size : limit of the diagonal, metres.
+    keep : (n,) mask of vertices whose components count as large.
 
     Returns
     -------
-    (m,) mask of triangles, and the number of small components.
+    A mask (m,) of the triangles, and the number of small components.
     """
     position = same_rows(list(mesh.vertices.T))
     corners = position[mesh.triangles]

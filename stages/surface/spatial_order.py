@@ -1,4 +1,4 @@
-"""Meshes whose rows come in no order, for algorithms that go from neighbour to neighbour in memory."""
+"""Reordering of meshes for memory locality."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from scanloom.stages.surface.mesh import Mesh
 
 Rows = NDArray[np.integer[Any]]
 
-# Smaller meshes fit into the caches in any order.
+# Vertices. Smaller meshes fit in the CPU caches in any order.
 _LEAST_VERTICES = 100_000
 
-# Triangles looked at, and what share of all vertices may lie between two that belong together.
+# Sampled triangles, and the maximum index distance between neighbours as a ratio of the vertex count.
 _SAMPLE = 4096
 _NEAR = 1 / 64
 
 
 def is_scattered(mesh: Mesh) -> bool:
-    """Return whether, in a large mesh, what belongs together is mostly far apart in memory."""
+    """Return True if neighbours in a large mesh are mostly far apart in memory."""
     triangles = mesh.triangles
     if len(mesh.vertices) < _LEAST_VERTICES or len(triangles) < 2:
         return False
@@ -35,13 +35,13 @@ def is_scattered(mesh: Mesh) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Ordered:
-    """A mesh in an order in which neighbours in space are neighbours in memory.
+    """A mesh reordered so that neighbours in space are neighbours in memory.
 
     Attributes
     ----------
-    mesh : its rows in this order.
-    vertices : (n,) uint32, the vertex of the input that each one is.
-    triangles : (m,) uint32, likewise.
+    mesh : the reordered mesh.
+    vertices : (n,) uint32, input vertex of each vertex.
+    triangles : (m,) uint32, input triangle of each triangle.
     """
 
     mesh: Mesh
@@ -50,20 +50,20 @@ class Ordered:
 
 
 def ordered(mesh: Mesh) -> Ordered:
-    """Return the mesh in an order along a curve through space.
+    """Reorder a mesh along a space-filling curve.
 
     Raises
     ------
     InvalidMeshError
-        For an index out of range or a value that is not finite.
+        If an index is out of range or a value is not finite.
     """
     vertices, triangles = _kernels.spatial_order(mesh.vertices, mesh.triangles)
     return Ordered(with_rows(mesh, vertices, triangles), vertices, triangles)
 
 
 def with_rows(mesh: Mesh, vertices: Rows, triangles: Rows) -> Mesh:
-    """Return the mesh with its vertices (n,) and triangles (m,) in another order, each once."""
-    # take is several times as fast as brackets.
+    """Return the mesh with permuted vertices (n,) and triangles (m,)."""
+    # `take` is several times faster than indexing.
     number = np.empty(len(vertices), np.int32)
     number[vertices] = np.arange(len(vertices), dtype=np.int32)
     return mesh.with_triangles(number.take(mesh.triangles.take(triangles, axis=0)), triangles).with_(

@@ -17,19 +17,19 @@ from scanloom.stages.surface.codes import MESH_NOT_FINITE, MESH_TEXTURE_DAMAGED
 
 Pixels = NDArray[np.uint8]
 
-# How an image goes on beyond its edges, along u and along v.
+# Wrap modes of an image along u and v.
 WRAPS = ("repeat", "clamp", "mirror")
 
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A texture image: a file's bytes as they were read, pixels that were computed, or both.
+    """A texture image: encoded file content, computed pixels, or both.
 
     Attributes
     ----------
-    name : its file name, which may have spaces; empty for a new image.
-    encoded : the bytes of the file. Writers pass them on untouched.
-    given : (h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first, of an image that has no bytes yet.
+    name : file name, possibly with spaces; empty for a new image.
+    encoded : file content, which writers store unchanged.
+    given : (h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first, for an image that is not encoded yet.
     """
 
     name: str = ""
@@ -43,12 +43,12 @@ class Image:
 
     @cached_property
     def pixels(self) -> Pixels:
-        """(h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first; decoded when first asked for.
+        """(h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first; decoded on first access.
 
         Raises
         ------
         MeshError
-            If the bytes are damaged.
+            If the image cannot be decoded.
         """
         if self.given is not None:
             return self.given
@@ -63,40 +63,41 @@ class Image:
 
     @cached_property
     def size(self) -> tuple[int, int] | None:
-        """Width and height in texels as the file states them, or None; the image is not decoded."""
+        """Width and height in texels from the image header, without decoding; None if unreadable."""
         if self.given is not None:
             return self.given.shape[1], self.given.shape[0]
         return None if self.encoded is None else promised_size(self.encoded)
 
     @cached_property
     def file_bytes(self) -> bytes:
-        """What a file of this image holds: the bytes as read, or the pixels as PNG."""
+        """Content of the image file: the original bytes, or the pixels encoded as PNG."""
         return self.encoded if self.encoded is not None else encoded_png(self.pixels)
 
     @property
     def extension(self) -> str:
-        """The extension that fits `file_bytes`: ".png", ".jpg", …; that of the name if they do not tell."""
+        """File extension for `file_bytes`, such as ".png"; from `name` if the content is unknown."""
         return kind_of(self.encoded, self.name)[0] if self.encoded is not None else ".png"
 
     @property
     def mime(self) -> str:
-        """The media type of `file_bytes`, such as "image/png"."""
+        """Media type of `file_bytes`, such as "image/png"."""
         return kind_of(self.encoded, self.name)[1] if self.encoded is not None else "image/png"
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What gives triangles their colour.
+    """Base colour and image of triangles, with the original properties of the file.
 
     Attributes
     ----------
-    name : as in the file; empty if it has none.
-    image : base colour image, or None. Materials that share an image share the object.
-    base_color : red, green, blue, alpha, 0..1, as they are displayed (sRGB); None if the file says nothing.
-        It multiplies the image, as in glTF, after both were made linear. The Kd of an MTL file is only
-        taken where there is no image, for programs disagree on what it does beside one.
-    wrap : how the image goes on beyond its edges along u and v: "repeat", "clamp" or "mirror".
-    kept : what else the file says of the material, for the writer of the same format alone.
+    name : name in the file; empty if it has none.
+    image : base colour image, or None. Materials with the same image share the object.
+    base_color : sRGB red, green, blue, and alpha, 0 to 1; None if the file states none. It multiplies the
+    image in
+        linear light, as in glTF. Kd of an MTL file is used only without an image, because programs disagree
+        on its effect on an image.
+    wrap : wrap modes of the image along u and v: "repeat", "clamp" or "mirror".
+    kept : further properties, used only when writing the same file format.
     """
 
     name: str = ""
@@ -116,10 +117,11 @@ class Texture:
 
     Attributes
     ----------
-    uvs : (m, 3, 2) float64, per corner, finite; (0, 0) is the lower left corner of the image. Values outside
-        0..1 go on as the material's `wrap` says. (0, 0) at all three corners stands for no coordinates.
-    material_ids : (m,) int32 into `materials`; -1 for none.
-    materials : in the file's order.
+    uvs : (m, 3, 2) float64 per corner, finite; (0, 0) is the lower left corner of the image. Values outside 0
+    to 1
+        follow the material's `wrap`. (0, 0) at all three corners means no coordinates.
+    material_ids : (m,) int32 index in `materials`; -1 for none.
+    materials : in file order.
     """
 
     uvs: NDArray[np.float64]
@@ -138,21 +140,21 @@ class Texture:
 
     @property
     def images(self) -> tuple[Image, ...]:
-        """The images of all materials, each once."""
+        """Images of all materials, each once."""
         found = {id(m.image): m.image for m in self.materials if m.image is not None}
         return tuple(found.values())
 
     def has_uvs(self) -> NDArray[np.bool_]:
-        """Return (m,) whether each triangle has texture coordinates."""
+        """Return a mask (m,) of the triangles with texture coordinates."""
         return np.asarray((self.uvs != 0).any(axis=(1, 2)))
 
     def rows(self, source: NDArray[Any], uvs: NDArray[np.float64] | None = None) -> Texture:
-        """Return the texture of chosen triangles.
+        """Select the texture of chosen triangles.
 
         Parameters
         ----------
-        source : row numbers, -1 for a triangle without texture; or a mask.
-        uvs : coordinates of the chosen triangles if they are others than those of `source`.
+        source : row indices, -1 for a triangle without texture; or a boolean mask.
+        uvs : coordinates of the chosen triangles, if they differ from the source's.
         """
         return replace(
             self,
@@ -162,13 +164,13 @@ class Texture:
 
 
 def signed_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the areas of triangles in a plane (m, 3, 2), negative for those that go round the other way."""
+    """Compute signed areas (m,) of 2-D triangles (m, 3, 2); negative if clockwise."""
     (x1, y1), (x2, y2) = ((corners[:, i] - corners[:, 0]).T for i in (1, 2))
     return np.asarray((x1 * y2 - y1 * x2) / 2)
 
 
 def rows_or(array: NDArray[Any], source: NDArray[Any], missing: float) -> NDArray[Any]:
-    """Return the rows that `source` (row numbers or a mask) names, and `missing` for those of -1."""
+    """Select rows by index or mask; index -1 gives `missing`."""
     chosen: NDArray[Any] = array[source]
     if source.dtype.kind == "i":
         chosen[source < 0] = missing
@@ -176,12 +178,12 @@ def rows_or(array: NDArray[Any], source: NDArray[Any], missing: float) -> NDArra
 
 
 def validated_texture(texture: Texture, triangle_count: int, where: str) -> Texture:
-    """Check a texture from outside; arrays get the contract's types.
+    """Validate an external texture and convert its arrays to the documented dtypes.
 
     Raises
     ------
     MeshError
-        For a wrong shape or count, a coordinate that is not finite, a material index out of range.
+        If a shape or count is wrong, a coordinate is not finite, or a material index is out of range.
     """
     uvs, material_ids = np.asarray(texture.uvs), np.asarray(texture.material_ids)
     if uvs.ndim != 3 or uvs.shape[1:] != (3, 2) or uvs.dtype.kind not in "iuf":
@@ -213,7 +215,7 @@ def validated_texture(texture: Texture, triangle_count: int, where: str) -> Text
             MESH_NOT_FINITE,
             "texture coordinates of triangle {bad} are {uvs}, not finite",
             where,
-            remedy="set those of such a triangle to 0 for none.",
+            remedy="set them to 0 for a triangle without texture.",
             bad=bad,
             uvs=uvs[bad].tolist(),
         )

@@ -1,7 +1,7 @@
-"""A small picture of triangles, for notebooks: without a ray caster, whose import alone takes seconds.
+"""Small preview image of a mesh for notebooks.
 
-Triangles are seen from 30° above, y up, without perspective; of those that cover the centre of a pixel the
-nearest is drawn. `scanloom.stages.picturing` draws pictures that are looked at for longer.
+It uses no ray caster, whose import alone takes seconds. The view is orthographic, from 30° above, with y up.
+The nearest triangle at each pixel centre is drawn. `scanloom.stages.picturing` renders full pictures.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from scanloom.stages.surface.rasterize import Covered, covered
 from scanloom.stages.surface.texture import Texture
 
 WIDTH, HEIGHT = 240, 180
-# Rays a pixel, along each side: the mean of them smooths outlines.
+# Samples per pixel along each axis, averaged for antialiasing.
 _FINER = 2
 _MARGIN = 0.94
-# More take longer than a person waits for a table.
+# Larger meshes take too long to draw for an interactive notebook.
 _MOST_TRIANGLES = 1_000_000
 _TOWARDS_VIEWER = np.array((-0.5, 0.5, 0.7071))
 _BACKGROUND, _CLAY = 244.0, (214.0, 212.0, 207.0)
@@ -29,7 +29,7 @@ def thumbnail(
     colors: NDArray[np.uint8] | None,
     texture: Texture | None,
 ) -> NDArray[np.uint8] | None:
-    """Return (HEIGHT, WIDTH, 3) RGB; None without a surface, or of more than a million triangles."""
+    """Render a preview (HEIGHT, WIDTH, 3) RGB; None without triangles or above a million."""
     if not 0 < len(triangles) <= _MOST_TRIANGLES:
         return None
     right = np.array((_TOWARDS_VIEWER[2], 0, -_TOWARDS_VIEWER[0]))
@@ -46,7 +46,7 @@ def thumbnail(
     flat = (corners[:, :, :2] - (low + high)[:2] / 2) * (scale, -scale) + (width / 2, height / 2)
     nearest = _nearest(covered(flat, (0, height), width), corners[:, :, 2], width)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[nearest.triangles]
-    # The light is where the viewer is, and sides do not matter: many a mesh is seen from behind.
+    # Headlight, two-sided: many meshes are seen from behind.
     facing = np.abs(normals[:, 2]) / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
     image = np.full((height, width, 3), _BACKGROUND)
     lit = _AMBIENT + (1 - _AMBIENT) * facing
@@ -56,7 +56,7 @@ def thumbnail(
 
 
 def _nearest(found: Covered, heights: NDArray[np.float64], width: int) -> Covered:
-    """Return of the triangles at each pixel the one whose point there is nearest to the viewer."""
+    """Keep the triangle nearest to the viewer at each pixel."""
     height = (found.weights * heights[found.triangles]).sum(axis=1)
     place = found.rows * width + found.columns
     order = np.lexsort((-height, place))
@@ -67,7 +67,7 @@ def _nearest(found: Covered, heights: NDArray[np.float64], width: int) -> Covere
 def _colors(
     at: Covered, triangles: NDArray[np.int32], colors: NDArray[np.uint8] | None, texture: Texture | None
 ) -> NDArray[np.float64]:
-    """Return (k, 3) levels: of the nearest texel, else between the vertices, else of clay."""
+    """Return colours (k, 3): from the texture, else vertex colours, else clay."""
     if colors is None:
         found = np.tile(np.array(_CLAY), (len(at.triangles), 1))
     else:

@@ -1,4 +1,4 @@
-"""What kind of surface a mesh is: pieces, borders, and where it is no oriented manifold."""
+"""Topology of a mesh: connected components, borders and manifold defects."""
 
 from __future__ import annotations
 
@@ -15,34 +15,36 @@ from scanloom.stages.surface.convert import MeshLike, as_mesh
 from scanloom.stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
 from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
 
-# A triangle whose height is less than this share of its longest edge has no usable normal: with positions
+# Maximum ratio of height to longest edge of a degenerate triangle, whose normal is unusable: with positions
 # of metres and edges of millimetres, rounding alone moves a vertex by that much.
 FLAT = 1e-10
 
 
-# As the kernels: products of four lengths are still numbers.
+# Metres. Products of four lengths stay finite; the kernels have the same limit.
 _FARTHEST = 1e60
-# Times that an image is repeated.
+# In image widths, that is repetitions of the image.
 _FARTHEST_UV = 1e30
 
 
 @dataclass(frozen=True)
 class Topology:
-    """Counts that describe a mesh.
+    """Topological counts of a mesh.
 
     Attributes
     ----------
-    euler : vertices − edges + triangles, of the vertices in use.
-    boundary_edges : edges of one triangle.
-    boundary_loops : closed chains of them.
-    components : pieces not joined by any vertex.
-    nonmanifold_edges : edges of three or more triangles.
-    nonmanifold_vertices : pinched ones, whose triangles form more than one fan.
-    inconsistent_edges : edges of two triangles that run along them in the same direction.
+    vertices, triangles : sizes of the arrays.
+    edges : distinct edges of the triangles that repeat no vertex.
+    euler : vertices − edges + triangles, counting only vertices in use.
+    boundary_edges : edges with one triangle.
+    boundary_loops : closed chains of boundary edges.
+    components : connected components; triangles with a common vertex are connected.
+    nonmanifold_edges : edges with three or more triangles.
+    nonmanifold_vertices : vertices whose triangles form more than one fan.
+    inconsistent_edges : edges whose two triangles traverse them in the same direction.
     degenerate : triangles that repeat a vertex or have no area.
-    duplicate : triangles of the same three vertices as an earlier one.
-    unreferenced : vertices no triangle uses.
-    repeating : the degenerate triangles that repeat a vertex; they have no part in the counts of edges.
+    duplicate : triangles with the same three vertices as an earlier one.
+    unreferenced : vertices without a triangle.
+    repeating : degenerate triangles that repeat a vertex; they are excluded from all edge counts.
     """
 
     vertices: int
@@ -65,21 +67,21 @@ class Topology:
 
     @property
     def is_manifold(self) -> bool:
-        """Whether every edge has one or two triangles and every vertex one fan of them."""
+        """True if every edge has at most two triangles, every vertex one fan."""
         return self.nonmanifold_edges == self.nonmanifold_vertices == self.repeating == 0
 
     @property
     def is_oriented(self) -> bool:
-        """Whether neighbouring triangles agree on which side is outside."""
+        """True if adjacent triangles have consistent orientation."""
         return self.inconsistent_edges == 0
 
     @property
     def is_closed(self) -> bool:
-        """Whether there is a surface and each of its edges has two triangles."""
+        """True if there are triangles and every edge has exactly two."""
         return self.triangles > 0 and self.boundary_edges == self.nonmanifold_edges == 0
 
     def figures(self) -> dict[str, Any]:
-        """Return all counts and properties by name."""
+        """Return all counts and properties as JSON-compatible values."""
         return asdict(self) | {
             "is_manifold": self.is_manifold,
             "is_oriented": self.is_oriented,
@@ -88,12 +90,14 @@ class Topology:
 
 
 def topology(mesh: MeshLike) -> Topology:
-    """Count what describes the surface; about a second for a million triangles.
+    """Analyse the topology of a mesh.
+
+    It takes about one second per million triangles.
 
     Raises
     ------
     MeshError
-        If it is no valid mesh.
+        If the mesh is invalid.
     """
     mesh = as_mesh(mesh)
     repeating = repeats_vertex(mesh.triangles)
@@ -125,12 +129,12 @@ def topology(mesh: MeshLike) -> Topology:
 
 
 def require_manifold(mesh: MeshLike, where: str = "mesh") -> Mesh:
-    """Return the mesh if it is an oriented manifold, border allowed.
+    """Return the mesh if it is an oriented manifold, with or without border.
 
     Raises
     ------
     MeshError
-        Naming the first triangles, edges or vertices that break the rule.
+        If it is not; names the first offending triangles, edges or vertices.
     """
     mesh = as_mesh(mesh, where)
     repeating = repeats_vertex(mesh.triangles)
@@ -138,8 +142,8 @@ def require_manifold(mesh: MeshLike, where: str = "mesh") -> Mesh:
         _refuse(where, "triangles that repeat a vertex", np.flatnonzero(repeating))
     edges = edges_of(mesh.triangles, len(mesh.vertices))
     for offending, name in (
-        (edges.count > 2, "edges of more than two triangles"),
-        (inconsistent(edges), "edges whose two triangles are oriented against each other"),
+        (edges.count > 2, "edges with more than two triangles"),
+        (inconsistent(edges), "inconsistently oriented edges"),
     ):
         if offending.any():
             _refuse(where, name, edges.ends[offending])
@@ -150,12 +154,12 @@ def require_manifold(mesh: MeshLike, where: str = "mesh") -> Mesh:
 
 
 def require_measurable(mesh: Mesh, where: str) -> None:
-    """Refuse a mesh whose areas and volumes may be beyond floating point.
+    """Refuse a mesh whose areas and volumes could overflow.
 
     Raises
     ------
     MeshError
-        If a vertex or a texture coordinate is farther out than kernels take it; `where` starts the message.
+        If a vertex or texture coordinate exceeds the limit of the kernels; `where` starts the message.
     """
     if mesh.texture is not None:
         (beyond,) = np.nonzero((np.abs(mesh.texture.uvs) > _FARTHEST_UV).any(axis=(1, 2)))
@@ -167,7 +171,7 @@ def require_measurable(mesh: Mesh, where: str) -> None:
                     "({beyond_count:,} such)"
                 ),
                 where,
-                remedy="make a new texture, or leave it out.",
+                remedy="create a new texture, or remove it.",
                 beyond=beyond[0],
                 farthest_uv=_FARTHEST_UV,
                 beyond_count=len(beyond),
@@ -182,7 +186,7 @@ def require_measurable(mesh: Mesh, where: str) -> None:
                 "such): its coordinates are too large"
             ),
             where,
-            remedy="take it out, or scale the mesh.",
+            remedy="remove it, or scale the mesh.",
             beyond=beyond[0],
             place=place,
             farthest=_FARTHEST,
@@ -191,12 +195,12 @@ def require_measurable(mesh: Mesh, where: str) -> None:
 
 
 def require_area(mesh: Mesh, where: str) -> None:
-    """Refuse a mesh that has no surface to work on.
+    """Refuse a mesh without surface area.
 
     Raises
     ------
     MeshError
-        If it has no triangles, no area, or an area beyond floating point; `where` starts the message.
+        If the mesh has no triangles, no area, or an infinite area; `where` starts the message.
     """
     if len(mesh.triangles) == 0:
         raise MeshError(MESH_NO_SURFACE, "it has no triangles; there is no surface.", where)
@@ -207,7 +211,9 @@ def require_area(mesh: Mesh, where: str) -> None:
         raise MeshError(MESH_NO_SURFACE, "all its triangles have zero area; there is no surface.", where)
     if not np.isfinite(total):
         raise MeshError(
-            MESH_COORDINATES_TOO_LARGE, "its coordinates are too large; is their unit really metres?", where
+            MESH_COORDINATES_TOO_LARGE,
+            "its coordinates are too large; check that their unit is metres.",
+            where,
         )
 
 
@@ -227,25 +233,28 @@ def _refuse(where: str, what: str, offenders: NDArray[Any]) -> None:
 
 
 def repeats_vertex(triangles: Triangles | Ids) -> NDArray[np.bool_]:
-    """Return which triangles name a vertex twice."""
+    """Return a mask (m,) of the triangles that repeat a vertex."""
     a, b, c = triangles.T
     return np.asarray((a == b) | (b == c) | (c == a))
 
 
 def is_degenerate(vertices: Vertices, triangles: Triangles) -> NDArray[np.bool_]:
-    """Return which triangles repeat a vertex or are flat to rounding (see FLAT)."""
+    """Return a mask (m,) of degenerate triangles.
+
+    They repeat a vertex or have no area (see FLAT).
+    """
     longest, doubled_area = _sizes(vertices, triangles)
     return np.asarray(doubled_area <= FLAT * longest)
 
 
 def areas(vertices: Vertices, triangles: Triangles) -> NDArray[np.float64]:
-    """Return the area of each triangle, m²."""
+    """Compute the area (m,) of each triangle, m²."""
     return _sizes(vertices, triangles)[1] / 2
 
 
 def _sizes(vertices: Vertices, triangles: Triangles) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return each triangle's longest edge, squared, and twice its area."""
-    # One coordinate at a time: three times as fast as rows of three, and this runs over all triangles.
+    """Compute each triangle's squared longest edge and doubled area, m²."""
+    # One coordinate at a time is three times faster than rows of three, and this runs over all triangles.
     a, b, c = triangles.T
     ab, ac, bc = ([x[q] - x[p] for x in vertices.T] for p, q in ((a, b), (a, c), (b, c)))
     longest = np.max([u * u + v * v + w * w for u, v, w in (ab, ac, bc)], axis=0)
@@ -254,8 +263,8 @@ def _sizes(vertices: Vertices, triangles: Triangles) -> tuple[NDArray[np.float64
 
 
 def is_duplicate(edges: Edges) -> NDArray[np.bool_]:
-    """Return which triangles have the vertices of an earlier one."""
-    # Two edges of a triangle name all its vertices.
+    """Return a mask (m,) of triangles that duplicate an earlier one."""
+    # Two edges of a triangle determine its vertices.
     first, second, _ = np.sort(edges.of_halfedge.reshape(-1, 3), axis=1).T
     key = first * len(edges.count) + second
     ordered = np.sort(key)
@@ -268,12 +277,15 @@ def is_duplicate(edges: Edges) -> NDArray[np.bool_]:
 
 
 def inconsistent(edges: Edges) -> NDArray[np.bool_]:
-    """Return which edges have two triangles that run along them in the same direction."""
+    """Return a mask (e,) of the inconsistently oriented edges.
+
+    Both triangles traverse such an edge in the same direction.
+    """
     return np.asarray((edges.count == 2) & (edges.forward != 1))
 
 
 def pinched(triangles: Triangles, labels: Ids) -> Ids:
-    """Return the vertices whose corners carry more than one label."""
+    """Return the vertices whose corners have more than one fan label."""
     corners = triangles.reshape(-1)
     vertex_of_fan = np.empty(labels.max(initial=-1) + 1, np.int64)
     vertex_of_fan[labels] = corners
@@ -282,7 +294,7 @@ def pinched(triangles: Triangles, labels: Ids) -> Ids:
 
 
 def _loop_count(edges: Edges, labels: Ids) -> int:
-    """Count border loops; at a pinched vertex a loop goes on along its own fan."""
+    """Count border loops; at a pinched vertex, a loop continues along its own fan."""
     border = edges.halfedges[edges.start[edges.count == 1]]
     ends, index = np.unique(labels[np.concatenate((border, next_corner(border)))], return_inverse=True)
     number, _ = components(len(ends), index[: len(border)], index[len(border) :])

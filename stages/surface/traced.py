@@ -1,4 +1,4 @@
-"""A mesh under repair that remembers where its vertices and triangles came from."""
+"""A mesh under editing that records the source of its vertices and triangles."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from scanloom.stages.surface.mesh import Mesh, Triangles
 
 @dataclass(frozen=True, eq=False)
 class Traced:
-    """A mesh and its origin; every edit returns a new one.
+    """A mesh with the source of each vertex and triangle.
+
+    Every edit returns a new object.
 
     Attributes
     ----------
-    vertex_source : (n,) vertex of the original mesh each vertex was.
-    triangle_source : (m,) triangle of the original mesh each one was, or lies on; -1 for new ones.
+    mesh : the edited mesh.
+    vertex_source : (n,) original vertex of each vertex.
+    triangle_source : (m,) original triangle that each triangle equals or lies on; -1 for new triangles.
     """
 
     mesh: Mesh
@@ -27,11 +30,11 @@ class Traced:
 
     @classmethod
     def start(cls, mesh: Mesh) -> Traced:
-        """Return the mesh as its own origin."""
+        """Start editing a mesh, with identity sources."""
         return cls(mesh, np.arange(len(mesh.vertices)), np.arange(len(mesh.triangles)))
 
     def keep(self, chosen: NDArray[np.bool_]) -> Traced:
-        """Drop the triangles that are not chosen."""
+        """Keep only the chosen triangles, a mask (m,)."""
         if chosen.all():
             return self
         mesh = self.mesh.with_triangles(self.mesh.triangles[chosen], chosen)
@@ -44,12 +47,12 @@ class Traced:
         uvs: NDArray[np.float64] | None,
         corner_normals: NDArray[np.float64] | None,
     ) -> Traced:
-        """Replace the triangles; row i is, or lies on, what was row origin[i], whose material it keeps."""
+        """Replace the triangles; triangle i comes from `origin[i]` and keeps its material."""
         mesh = self.mesh.with_triangles(triangles, origin, uvs=uvs, corner_normals=corner_normals)
         return replace(self, mesh=mesh, triangle_source=self.triangle_source[origin])
 
     def flip(self, chosen: NDArray[np.bool_]) -> Traced:
-        """Turn the chosen triangles over."""
+        """Reverse the orientation of the chosen triangles, a mask (m,)."""
         order = np.where(chosen[:, None], [0, 2, 1], [0, 1, 2])
         triangles = np.take_along_axis(self.mesh.triangles, order, axis=1)
         mesh = self.mesh
@@ -62,16 +65,18 @@ class Traced:
         return self.with_triangles(triangles, np.arange(len(triangles)), uvs, corner_normals)
 
     def unite(self, representative: Ids) -> Traced:
-        """Let each vertex be replaced by its representative in all triangles."""
+        """Replace each vertex by its representative (n,) in all triangles."""
         triangles = representative[self.mesh.triangles].astype(np.int32)
         return replace(self, mesh=self.mesh.with_(triangles=triangles))
 
     def split(self, fan: Ids) -> Traced:
-        """Give each fan of corners a vertex of its own; the vertex's first fan keeps the old one.
+        """Duplicate vertices so that each fan of corners has a separate vertex.
+
+        The first fan of a vertex keeps the original one.
 
         Parameters
         ----------
-        fan : (3 m,) label of each corner, in the order in which the labels first appear.
+        fan : (3 m,) fan label of each corner, numbered by first occurrence.
         """
         corners = self.mesh.triangles.reshape(-1)
         vertex_of_fan = np.zeros(fan.max(initial=-1) + 1, np.int64)
@@ -88,14 +93,14 @@ class Traced:
         return self._with_vertices(source, triangles)
 
     def extend(self, triangles: Triangles) -> Traced:
-        """Add triangles that lie on no original one; they carry no texture."""
+        """Append new triangles without source and texture."""
         source = np.concatenate((np.arange(len(self.mesh.triangles)), np.full(len(triangles), -1)))
         mesh = self.mesh.with_triangles(np.concatenate((self.mesh.triangles, triangles)), source)
         new = np.full(len(triangles), -1, np.int64)
         return replace(self, mesh=mesh, triangle_source=np.concatenate((self.triangle_source, new)))
 
     def compact(self) -> Traced:
-        """Drop the vertices no triangle uses."""
+        """Drop unreferenced vertices."""
         used = np.zeros(len(self.mesh.vertices), bool)
         used[self.mesh.triangles] = True
         if used.all():

@@ -1,8 +1,8 @@
-"""Conversion to and from trimesh.Trimesh.
+"""Conversion from and to trimesh.Trimesh.
 
-The class has one texture coordinate per vertex, so vertices on texture seams are duplicated on the way out
-and joined again on the way back. Materials become a SimpleMaterial, or a MultiMaterial with `face_materials`.
-Normals of corners and parts are `face_attributes`; names of parts and the up direction are `metadata`.
+Trimesh has one texture coordinate per vertex. Vertices on texture seams are therefore duplicated on export
+and welded on import. Materials become a SimpleMaterial, or a MultiMaterial with `face_materials`. Corner
+normals and parts are stored in `face_attributes`, part names and the up direction in `metadata`.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 _Ids = NDArray[np.int32]
 
-# Colour of a trimesh material that was given none.
+# trimesh's default colour of a material.
 _UNSET = (102, 102, 102, 255)
 _WHITE = (255, 255, 255, 255)
-# Where a PIL image carries the file that its pixels came from.
+# Key in `info` of a PIL image for the original file name and content.
 _FILE = "scanloom_file"
 _OTHER_MAPS = ("normalTexture", "emissiveTexture", "occlusionTexture", "metallicRoughnessTexture")
 
@@ -41,7 +41,7 @@ def from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
         vertices=np.array(data.vertices),
         triangles=np.array(data.faces),
         colors=_read_vertex_colors(visual, len(data.vertices), where),
-        # Reading the property would compute normals that were never given.
+        # Only normals that were set or computed before; the property itself would compute them.
         normals=np.array(data.vertex_normals) if "vertex_normals" in data._cache else None,
         corner_normals=_read_attribute(other.face_attributes, "corner_normals", (len(data.faces), 3, 3)),
     )
@@ -55,7 +55,7 @@ def from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
 
 def _read_vertex_colors(visual: Any, count: int, where: str) -> NDArray[np.uint8] | None:
     if visual.kind == "face":
-        emit(MESH_LEFT_OUT.warning("colours of faces are left out; only colours of vertices are used", where))
+        emit(MESH_LEFT_OUT.warning("face colours are left out; only vertex colours are used", where))
     if visual.kind == "vertex":
         colors = np.array(visual.vertex_colors)
     elif visual.kind == "texture" and "color" in visual.vertex_attributes:
@@ -71,7 +71,7 @@ def _read_vertex_colors(visual: Any, count: int, where: str) -> NDArray[np.uint8
 
 
 def _read_attribute(attributes: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any] | None:
-    """Return an attribute if it is numbers of this shape, else None."""
+    """Return an attribute if it is numeric with this shape, else None."""
     array = np.array(attributes[name]) if name in attributes else np.zeros(0)
     return array if array.shape == shape and array.dtype.kind in "iuf" else None
 
@@ -125,7 +125,7 @@ def _read_material_ids(given: Any, count: int, materials: int) -> _Ids:
 
 
 def _read_material(data: Any, images: dict[int, Image], where: str) -> Material:
-    """Convert a SimpleMaterial or a PBRMaterial; materials that share an image share the object."""
+    """Convert a SimpleMaterial or PBRMaterial; `images` caches shared images by id."""
     name = str(getattr(data, "name", None) or "")
     if hasattr(data, "baseColorTexture"):
         image = _read_image(data.baseColorTexture, images)
@@ -157,12 +157,12 @@ def _read_material(data: Any, images: dict[int, Image], where: str) -> Material:
 
 
 def _read_color(data: Any, image: Image | None, exact: Any) -> tuple[float, float, float, float] | None:
-    """Return the colour of a SimpleMaterial: exact if trimesh's 8-bit copy was not changed since."""
+    """Return a SimpleMaterial's colour, in full precision if its 8-bit copy is unchanged."""
     diffuse = tuple(np.asarray(data.diffuse).tolist())
     if exact is not None and _to_levels(exact) == diffuse:
         red, green, blue, alpha = exact
         return red, green, blue, alpha
-    # As of MTL files: beside an image, programs disagree on what a diffuse colour means.
+    # As for MTL files: programs disagree on the effect of a diffuse colour on an image.
     if image is not None or diffuse == _UNSET or len(diffuse) != 4:
         return None
     red, green, blue, alpha = (level / 255 for level in diffuse)
@@ -180,14 +180,14 @@ def _read_image(data: Any, images: dict[int, Image]) -> Image | None:
         has_alpha = data.mode in ("RGBA", "LA", "PA")
         pixels = np.asarray(data.convert("RGBA" if has_alpha else "RGB"), np.uint8)
         if pixels.shape[:2] == (1, 1) and tuple(pixels[0, 0, :3]) == _UNSET[:3]:
-            # The image of a material that was given none.
+            # trimesh's placeholder for a missing image.
             return None
         images[id(data)] = _recover_file(data, pixels) or Image(given=pixels)
     return images[id(data)]
 
 
 def _recover_file(data: Any, pixels: NDArray[np.uint8]) -> Image | None:
-    """Return the file that an image came from, if its pixels are still the same."""
+    """Return the original file of an image if its pixels are unchanged."""
     held = data.info.get(_FILE)
     if held is None:
         return None
@@ -199,7 +199,7 @@ def _recover_file(data: Any, pixels: NDArray[np.uint8]) -> Image | None:
 
 
 def _join_copies(mesh: Mesh, source: NDArray[Any]) -> Mesh:
-    """Join the copies of vertices on texture seams again, unless one of them was changed since."""
+    """Weld the duplicates along texture seams, unless one of them was modified."""
     if source.shape != (len(mesh.vertices),) or source.dtype.kind not in "iu" or len(source) == 0:
         return mesh
     _, first, place = np.unique(source, return_index=True, return_inverse=True)
@@ -216,11 +216,11 @@ def _join_copies(mesh: Mesh, source: NDArray[Any]) -> Mesh:
 
 
 def to_trimesh(mesh: Mesh) -> Trimesh:
-    """Return a trimesh.Trimesh that `as_mesh` turns back into the same mesh.
+    """Convert a mesh to a trimesh.Trimesh; `as_mesh` restores the same mesh.
 
     Vertices on texture seams are duplicated, because the class has one texture coordinate per vertex. Several
-    materials become a MultiMaterial with `face_materials`. The viewer and the exporters of trimesh ignore
-    these: write such meshes with `write_mesh`. Colours beside a texture are in
+    materials become a MultiMaterial with `face_materials`. trimesh's viewer and exporters ignore these; write
+    such meshes with `write_mesh`. Vertex colours of a textured mesh are in
     `visual.vertex_attributes["color"]`.
     """
     from trimesh import Trimesh
@@ -243,7 +243,7 @@ def to_trimesh(mesh: Mesh) -> Trimesh:
     return Trimesh(
         mesh.vertices[source],
         triangles,
-        # It asks how long they are at most, which none has an answer to.
+        # trimesh computes a maximum over the normals, which fails for an empty array.
         vertex_normals=mesh.normals[source] if mesh.normals is not None and len(source) else None,
         face_attributes=attributes,
         metadata=metadata,
@@ -255,12 +255,12 @@ def to_trimesh(mesh: Mesh) -> Trimesh:
 def _split_seams(
     mesh: Mesh, texture: Texture
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Give each vertex a copy per texture coordinate.
+    """Duplicate each vertex per distinct texture coordinate.
 
     Returns
     -------
-    (k,) the vertex that each copy is of, (m, 3) triangles of the copies, (k, 2) coordinates. Vertices without
-    triangles come last.
+    The source vertex (k,) of each copy, triangles (m, 3) of the copies, and texture coordinates (k, 2).
+    Unreferenced vertices come last.
     """
     corners = mesh.triangles.reshape(-1)
     wedges, first, wedge_of_corner = np.unique(
@@ -308,7 +308,7 @@ def _build_material(material: Material, images: dict[int, Any]) -> Any:
                 images[key].info[_FILE] = (material.image.name, material.image.encoded)
         image = images[key]
     color = material.base_color
-    # Without a colour of their own, images are to be shown as they are.
+    # White, so that an image without a base colour is displayed unchanged.
     diffuse = _to_levels(color) if color is not None else _WHITE if image is not None else None
     said = {"base_color": color, "wrap": material.wrap, "kept": material.kept}
     return types.SimpleMaterial(

@@ -1,4 +1,7 @@
-"""What is up in a mesh: as it is said, or from where most of the surface looks and how cameras were held."""
+"""Up direction of a mesh, given or estimated.
+
+Estimates use the surface and the camera poses.
+"""
 
 from __future__ import annotations
 
@@ -17,25 +20,26 @@ from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 
-# Directions that are tried, about 3° apart.
+# Candidate directions on the sphere, about 3° apart.
 _TRIED = 4000
-# Normals as near as this to a direction count for it, degrees: a scanned floor is not flat.
+# Degrees. Maximum angle of a normal to a candidate to support it: a scanned floor is not flat.
 _NEAR = 8.0
-# A guess is off by no more than this, degrees.
+# Degrees. Maximum error of the initial guess.
 _WITHIN = 60.0
-# Less surface than this share does not tell.
+# Minimum ratio of the surface area that must support a direction.
 _LEAST_SHARE = 0.03
-# As many triangles tell it.
+# Triangles sampled to estimate the up direction.
 _ENOUGH = 40_000
-# An axis as near as this to what is up is up, degrees.
+# Degrees. An up direction this close to a coordinate axis is snapped to it.
 _SAME = 1.0
-# What is known to be up and what is seen to be may be so far apart, degrees: rooms are tidy, hands are not.
+# Degrees. Maximum difference between known and estimated up direction; generous, because people hold cameras
+# loosely.
 _DOUBTFUL = 30.0
-# The mean of a camera's side that is up is at least so long where cameras were held alike.
+# Minimum length of the mean up axis if all cameras were held the same way.
 _HELD_ALIKE = 0.5
-# Cameras on their side go around what they show: their upper sides look all about, and the mean of them is
-# no longer than the first, and this share of their x axes' squares lies along one axis, of 30° above it, too.
-# A camera that is only tilted comes near that by more than 200°.
+# Cameras rolled by 90° that orbit an object: their mean -y axis is at most 0.6 long, and one direction has at
+# least 0.7 of the summed squares of their x axes. Both also hold for cameras that look down by 30°. A camera
+# that is tilted but not rolled comes close only on an orbit of more than 200°.
 _UPPER_SIDES, _ALONG = 0.6, 0.7
 _AXES = {
     "+x": (1.0, 0.0, 0.0),
@@ -45,7 +49,7 @@ _AXES = {
     "+z": (0.0, 0.0, 1.0),
     "-z": (0.0, 0.0, -1.0),
 }
-# The turns that bring an axis up, along z.
+# Exact rotations of each axis to +z.
 _TURNS = {
     "+x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
     "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
@@ -58,12 +62,16 @@ _Y_UP_FROM_Z_UP = np.array(((1, 0, 0), (0, 0, 1), (0, -1, 0)), np.float64)
 
 
 def direction_of(up: str) -> Floats | None:
-    """Return the direction (3,) of length 1 that words tell, an axis or three numbers; None for `none`.
+    """Parse an up direction: an axis such as "+z", three numbers, or "none".
+
+    Returns
+    -------
+    Unit vector (3,), or None for "none".
 
     Raises
     ------
     UsageError
-        If it is none of these, or the numbers are no direction.
+        If the text has none of these forms, or the vector is zero or not finite.
     """
     if up == "none":
         return None
@@ -74,7 +82,7 @@ def direction_of(up: str) -> Floats | None:
     except ValueError:
         raise UsageError(
             USAGE_VALUE_INVALID,
-            "is {up!r}; it must be one of {names}.",
+            "is {up!r}; it must be one of {names}, or three numbers.",
             Where(parameter="up"),
             up=up,
             names=", ".join((*_AXES, "none")),
@@ -91,34 +99,34 @@ def direction_of(up: str) -> Floats | None:
 
 
 def turn_along_z(up: Floats | None) -> Floats:
-    """Return the rotation (3, 3) that brings a direction (3,) of length 1 along z; None turns nothing."""
+    """Return a rotation (3, 3) of a unit vector (3,) to +z; identity for None."""
     if up is None:
         return np.eye(3)
     for name, axis in _AXES.items():
         if np.array_equal(up, axis):
             return np.array(_TURNS[name], np.float64)
-    # What is farthest from up gives the other axes.
+    # The coordinate axis farthest from `up` gives a well-conditioned cross product.
     across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     across /= np.linalg.norm(across)
     return np.stack([across, np.cross(up, across), up])
 
 
 def turn_along_y(up: Floats) -> Floats:
-    """Return the rotation (3, 3) that brings a direction (3,) of length 1 along y, which is up in glTF."""
+    """Return a rotation (3, 3) of a unit vector (3,) to +y, the up axis of glTF."""
     if np.array_equal(up, _AXES["+y"]):
         return np.eye(3)
-    # Not by a product where there are axes alone, so that no zero becomes a negative one.
+    # Adding 0 turns −0 into +0.
     return np.asarray(_Y_UP_FROM_Z_UP @ turn_along_z(up) + 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceUp:
-    """What is up in a scan of a place.
+    """Up direction of a scanned scene.
 
     Attributes
     ----------
-    direction : (3,) float64 of length 1.
-    source : what told it: `surface`, `plane`, `cameras`, or how it is known.
+    direction : (3,) float64 unit vector.
+    source : origin of the direction: `surface`, `plane`, `cameras`, or the source of a known direction.
     """
 
     direction: Floats
@@ -131,19 +139,21 @@ def up_of_place(
     known: tuple[ArrayLike, str] | None = None,
     plane: ArrayLike | None = None,
 ) -> PlaceUp:
-    """Return what is up in a scan of a place.
+    """Estimate the up direction of a scanned scene.
 
-    What is known counts; where neither the surface nor the cameras agree with it, that is reported. Else the
-    surface tells it, else the cameras. An axis of the poses' world that is within a degree of it is taken for
-    it: worlds that know of gravity have one there, and a floor is not known better.
+    A known direction has priority; a warning is emitted if it contradicts both the surface and the cameras.
+    Otherwise the surface decides, or the cameras if the surface has no dominant direction. A direction within
+    1° of a coordinate axis is snapped to that axis: gravity-aligned worlds have one there, and a floor is not
+    measured more accurately.
 
     Parameters
     ----------
-    mesh : of the place, in the poses' world.
-    poses : (n, 4, 4) camera-to-world, one or more.
-    known : a direction (3,) of length 1, and how it is known.
-    plane : up (3,), of length 1, from a table or floor that was left out of the mesh; says what else the
-        surface would.
+    mesh : the scene, in world coordinates of the poses.
+    poses : (n, 4, 4) camera-to-world, n >= 1.
+    known : unit vector (3,) and its source.
+    plane : unit normal (3,), pointing up, of a table or floor removed from the mesh; replaces the estimate
+    from the
+        surface.
     """
     held = up_of_held(poses)
     found = up_of_surface(mesh, held) if plane is None else np.asarray(plane, np.float64)
@@ -162,17 +172,16 @@ def _or_axis(up: Floats) -> Floats:
 
 
 def _report_doubts(up: Floats, source: str, found: Floats | None, poses: Floats) -> None:
-    """Warn if neither the surface nor the cameras agree with the known up direction."""
+    """Warn if a known up direction contradicts both the surface and the cameras."""
     by_cameras = min(_degrees(up, held) for held in _up_of_cameras_on_any_side(poses))
     by_surface = math.inf if found is None else _degrees(up, found)
     if min(by_cameras, by_surface) <= _DOUBTFUL:
         return
-    surface = "" if found is None else f", and most of the surface near that looks {by_surface:.0f}° off it"
+    surface = "" if found is None else f" and by {by_surface:.0f}° from the main direction of the surface"
     emit(
         SCALE_UP_CONTRADICTED.warning(
-            "what is up is taken from {source}, but cameras were held as if it were {off:.0f}° off that"
-            "{surface}",
-            remedy="upright.up=AXIS states it",
+            "the up direction from {source} differs by {off:.0f}° from the cameras' up direction{surface}",
+            remedy="set upright.up=AXIS if it is wrong",
             source=source,
             off=by_cameras,
             surface=surface,
@@ -185,10 +194,10 @@ def _degrees(first: Floats, second: Floats) -> float:
 
 
 def _up_of_cameras_on_any_side(poses: Floats) -> list[Floats]:
-    """Return what `up_of_cameras` says, and what it says of cameras held on another side, if all may be.
+    """Return the cameras' up direction, also for cameras rolled by ±90°, if consistent.
 
-    Phones are: in portrait, what is up is the left or right side of their images, the same in all. That all
-    were taken upside down is no excuse: then it is more likely that an axis is.
+    Phones in portrait orientation store all images rolled by 90°. A roll of 180° is not considered, because a
+    wrong axis convention is more likely.
     """
     sides = [up_of_cameras(poses)]
     for sine in (1, -1):
@@ -199,14 +208,14 @@ def _up_of_cameras_on_any_side(poses: Floats) -> list[Floats]:
 
 
 def up_of_cameras(poses: Floats) -> Floats:
-    """Return the direction (3,) that is up: square to the cameras' x axes, on the side of their -y axes.
+    """Estimate the up direction (3,) from level cameras.
 
-    People hold cameras level, so x axes are horizontal; where all point the same way, as from a car, they
-    leave the direction open and the mean -y axis, weighted less, decides.
+    People hold cameras level, so `up` is orthogonal to the x axes and on the side of the -y axes. If all x
+    axes are parallel, as in a car, the mean -y axis decides; it has a lower weight.
 
     Parameters
     ----------
-    poses : (n, 4, 4) camera-to-world, one or more, or their turns (n, 3, 3).
+    poses : (n, 4, 4) camera-to-world, n >= 1, or their rotations (n, 3, 3).
     """
     sideways = poses[:, :3, 0]
     upward = -poses[:, :3, 1].mean(axis=0)
@@ -216,14 +225,15 @@ def up_of_cameras(poses: Floats) -> Floats:
 
 
 def up_of_held(poses: Floats) -> Floats:
-    """Return the direction (3,) that is up as `up_of_cameras`, also of cameras on their side around a thing.
+    """Estimate the up direction (3,) from cameras that can be rolled by 90°.
 
-    Telephones are held so, and arms that go around. Which end of their axis is up no side tells then, for
-    they may have been turned either way; but they rather look down.
+    Phones and orbiting arms are used that way around an object. The roll can be in either direction, so the
+    sign of `up` follows from the assumption that cameras look down rather than up. Other cameras are passed
+    to `up_of_cameras`.
 
     Parameters
     ----------
-    poses : (n, 4, 4) camera-to-world, one or more.
+    poses : (n, 4, 4) camera-to-world, n >= 1.
     """
     sideways = poses[:, :3, 0]
     along, axes = np.linalg.eigh(sideways.T @ sideways / len(poses))
@@ -235,14 +245,15 @@ def up_of_held(poses: Floats) -> Floats:
 
 
 def up_of_surface(mesh: Mesh, guess: Floats) -> Floats | None:
-    """Return the direction (3,) of length 1 that floors and tops of tables look to; None if there is none.
+    """Estimate the up direction (3,) from floors and table tops; None if there are none.
 
-    Of the directions within 60° of the guess it is the one that most of the surface looks to, the more so the
-    nearer it is to the guess.
+    Among the directions within 60° of the guess, the result maximises the supporting area times the cosine of
+    the angle to the guess.
 
     Parameters
     ----------
-    guess : (3,) of length 1, what is roughly up.
+    mesh : the scene.
+    guess : approximate up direction (3,), unit vector.
     """
     chosen = mesh.triangles[:: 1 + len(mesh.triangles) // _ENOUGH]
     corners = mesh.vertices[chosen]
@@ -265,7 +276,7 @@ def _near(normals: Floats, direction: Floats) -> NDArray[np.bool_]:
 
 
 def _all_around(count: int) -> Floats:
-    """Return directions (n, 3) spread evenly: a spiral of golden angles."""
+    """Return evenly distributed directions (n, 3): a golden-angle spiral."""
     z = 1 - (2 * np.arange(count) + 1) / count
     angle = np.arange(count) * math.pi * (3 - math.sqrt(5))
     across = np.sqrt(1 - z**2)

@@ -1,7 +1,8 @@
-"""A coarse mesh of a file too large to be read: what lies in a cell of a grid becomes one vertex.
+"""Vertex clustering of a mesh file that exceeds memory, for display.
 
-Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993; a vertex is the
-mean of its cell. Nothing is proven of it: it is for pictures, where reading all would take too much memory.
+Source: Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
+Vertices of a grid cell are replaced by their mean. The error is not bounded, so the result is only used for
+pictures.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ from scanloom.stages.surface.raycasting import Floats
 
 Keys = NDArray[np.int64]
 
-# Rows that are read at a time: some 100 bytes each.
+# Rows read at a time, about 100 bytes each.
 _AT_ONCE = 1_000_000
-# The finest grid has so many cells along the longest side; a coordinate takes as many bits of a key.
+# The finest grid has 2^11 cells along the longest side; a cell key has 11 bits per coordinate.
 _BITS = 11
-# Vertices by which three corners are one number.
+# Maximum vertex count, so that three vertex indices fit in one 64-bit key.
 _MOST = 1 << 20
 _AXES, _COLORS = ("x", "y", "z"), ("red", "green", "blue")
 
 
 @dataclass(frozen=True, eq=False)
 class Clustered:
-    """A mesh whose vertices are the means of cells.
+    """A mesh simplified by vertex clustering.
 
     Attributes
     ----------
-    mesh : triangles whose corners were in three cells, each once; colours if the file has them.
-    cell : side of a cell, metres.
-    triangle_count : of the file.
+    mesh : triangles between three different cells, without duplicates; with colours if the file has them.
+    cell : side length of a cell, metres.
+    triangle_count : number of triangles in the file.
     """
 
     mesh: Mesh
@@ -47,19 +48,21 @@ class Clustered:
 
 
 def clustered(path: Path, most: int) -> Clustered:
-    """Read a binary PLY file of triangles as a mesh of at most `most` vertices.
+    """Read a binary triangle PLY file, simplified to at most `most` vertices.
 
-    Memory holds 4 bytes for each vertex of the file, and some 200 for each that is left.
+    It takes 4 bytes of memory per vertex of the file and about 200 bytes per vertex of the result.
 
     Parameters
     ----------
-    most : up to 1,048,576. A cell's side is 1/2048 of the longest side of the box, doubled until no more are
-        left.
+    path : PLY file.
+    most : maximum vertex count, up to 1,048,576. The cell size is 1/2048 of the longest side of the bounding
+    box,
+        doubled until the count is reached.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is damaged, or is not binary with triangles alone.
+        If the file cannot be read, is damaged, or does not consist of binary triangles.
     """
     vertices, faces = rows_of_triangles(path)
     low, side = _box(vertices)
@@ -86,7 +89,7 @@ def _places(rows: NDArray[Any]) -> Floats:
 
 
 def _box(vertices: Rows) -> tuple[Floats, float]:
-    """Return the lowest corner (3,) and the longest side."""
+    """Return the minimum corner (3,) and the longest side of the bounding box, metres."""
     lows, highs = [], []
     for rows in vertices.some(_AT_ONCE):
         places = _places(rows)
@@ -101,13 +104,13 @@ def _box(vertices: Rows) -> tuple[Floats, float]:
 
 
 def _keys(rows: NDArray[Any], low: Floats, cell: float) -> Keys:
-    """Return the cell of each place as one number: a coordinate after the other."""
+    """Return each vertex's grid cell as one key with _BITS bits per coordinate."""
     x, y, z = ((_places(rows) - low[:, None]) / cell).astype(np.int64).clip(0, (1 << _BITS) - 1)
     return np.asarray((x << 2 * _BITS) | (y << _BITS) | z)
 
 
 def _coarser(keys: Keys, halvings: int) -> Keys:
-    """Return the cells of a grid whose cells are that many times twice as long."""
+    """Map cell keys to a grid with 2^halvings times larger cells."""
     mask = (1 << _BITS) - 1
     x, y, z = (((keys >> shift) & mask) >> halvings for shift in (2 * _BITS, _BITS, 0))
     return np.asarray((x << 2 * _BITS) | (y << _BITS) | z)
@@ -116,7 +119,10 @@ def _coarser(keys: Keys, halvings: int) -> Keys:
 def _means(
     vertices: Rows, low: Floats, cell: float, keys: Keys, halvings: int
 ) -> tuple[Floats, Floats | None, NDArray[np.int32]]:
-    """Return the mean place (k, 3) and colour (k, 3) in each cell, and the cell of each vertex (n,)."""
+    """Compute the mean position (k, 3) and colour (k, 3) of each cell.
+
+    The third result is the cell index (n,) of each vertex.
+    """
     has_colors = set(_COLORS) <= set(vertices.dtype.names or ())
     sums = np.zeros((3 + 3 * has_colors, len(keys)))
     counts = np.zeros(len(keys))
@@ -134,20 +140,22 @@ def _means(
 
 
 def _triangles(faces: Rows, of: NDArray[np.int32], path: Path) -> NDArray[np.int64]:
-    """Return triangles whose corners are in three cells, each once, by its least corner first."""
+    """Return the distinct triangles between three different cells, smallest index first."""
     found = [np.zeros(0, np.int64)]
     for rows in faces.some(_AT_ONCE):
         corners = rows[CORNERS]
         if (rows[LENGTH] != 3).any():
-            raise InputError(MESH_FILE_DAMAGED, "it has faces that are no triangles.", path)
+            raise InputError(MESH_FILE_DAMAGED, "it has faces that are not triangles.", path)
         if corners.min() < 0 or corners.max() >= len(of):
             raise InputError(
-                MESH_FILE_DAMAGED, "the file is damaged: a triangle names a vertex that is not there.", path
+                MESH_FILE_DAMAGED,
+                "the file is damaged: a triangle references a vertex that does not exist.",
+                path,
             )
         a, b, c = (of[corners[:, i]].astype(np.int64) for i in range(3))
         is_one = (a != b) & (b != c) & (c != a)
         a, b, c = a[is_one], b[is_one], c[is_one]
-        # Turned so that its orientation stays.
+        # A cyclic rotation keeps the orientation.
         first = np.where((a < b) & (a < c), 0, np.where(b < c, 1, 2))
         a, b, c = (np.choose(first, turned) for turned in ((a, b, c), (b, c, a), (c, a, b)))
         found.append(np.unique((a << 40) | (b << 20) | c))

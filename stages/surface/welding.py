@@ -1,4 +1,4 @@
-"""Vertices that lie at the same place, made one."""
+"""Welding of vertices at equal positions."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 def merge_vertices(mesh: Mesh, apart: NDArray[Any] | None = None) -> Mesh:
-    """Make one vertex of those with exactly the same position and colour; vertices keep their order.
+    """Weld vertices with exactly equal position and colour; vertices keep their order.
 
-    Formats that store a corner's texture coordinate or normal with the vertex, and STL, which stores
-    corners alone, tear a surface apart that is one. A merged vertex takes the mean of the normals.
-    Vertices that differ in `apart` (n,) stay apart.
+    Some formats duplicate vertices along texture seams and hard edges, and STL stores separate corners;
+    welding restores the connectivity. A welded vertex gets the mean of the normals. Vertices that differ in
+    `apart` (n,) are not welded.
     """
     keys = list(mesh.vertices.T)
     if mesh.colors is not None:
@@ -43,7 +43,7 @@ def merge_vertices(mesh: Mesh, apart: NDArray[Any] | None = None) -> Mesh:
 
 
 def same_rows(columns: list[NDArray[Any]]) -> NDArray[np.int64]:
-    """Return for each row the first one equal to it in all columns."""
+    """Return the index of the first row equal in all columns, for each row."""
     count = len(columns[0])
     order = np.lexsort(columns)
     starts = np.zeros(count, bool)

@@ -49,7 +49,7 @@ def test_a_printer_is_told_why_not(scanloom: Run, model: Path, tmp_path: Path) -
     ran = scanloom("export", model, tmp_path / "a.stl", "--preset", "print")
     assert ran.exit_code == 1
     assert "edges of one triangle" in ran.stderr
-    assert "shape alone" in ran.stderr
+    assert "geometry only" in ran.stderr
     write_mesh(tmp_path / "ball.ply", ball())
     ran = scanloom("export", tmp_path / "ball.ply", tmp_path / "b.stl", "--preset", "print", "--up", "-y")
     assert (ran.exit_code, "unmet" in ran.stderr) == (0, False)
@@ -67,11 +67,11 @@ def test_gltf_of_others_has_y_up(scanloom: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (("out.fbx",), 2, "stands for no format"),
-        (("out.glb", "--preset", "paper"), 2, "there is no preset"),
+        (("out.fbx",), 2, "extension .fbx is unknown"),
+        (("out.glb", "--preset", "paper"), 2, "unknown preset"),
         (("out.glb", "--up", "sideways"), 2, "up"),
-        (("out.glb", "--unit", "mm"), 2, "is in metres"),
-        (("out.stl", "--compress", "meshopt"), 2, "are of glTF"),
+        (("out.glb", "--unit", "mm"), 2, "in metres"),
+        (("out.stl", "--compress", "meshopt"), 2, "only to glTF"),
         (("folder.glb",), 3, "this is a folder"),
     ],
 )

@@ -55,7 +55,7 @@ def test_a_warning_is_told_whatever_is_silenced(
 ) -> None:
     ran = scanloom("clean", faces, tmp_path / "out.ply", *switches)
     assert ran.exit_code == 0
-    warned = f"warning: {faces}: colours of faces are left out; only colours of vertices are used"
+    warned = f"warning: {faces}: face colours are left out; only vertex colours are used"
     assert warned in ran.stderr.splitlines()
     if switches:
         assert ran.stderr.splitlines() == [warned]
@@ -163,7 +163,7 @@ def test_a_message_is_one_line_whatever_a_file_is_called(scanloom: Run, faces: P
     shutil.copy(faces, odd)
     ran = scanloom("clean", odd, tmp_path / "out.ply")
     lines = ran.stderr.splitlines()
-    assert lines[0].startswith(f"warning: {tmp_path}/two\\nlines\\x1b[31m.ply: colours of faces")
+    assert lines[0].startswith(f"warning: {tmp_path}/two\\nlines\\x1b[31m.ply: face colours")
     assert len(lines) == 2
     missing = scanloom("clean", tmp_path / "no\nsuch.ply", tmp_path / "out.ply")
     assert missing.exit_code == 3

@@ -1,1 +1,1 @@
-"""Mesh files, read by code that no file can take down, and written whole."""
+"""Readers and writers of mesh files; readers survive damaged files, writers replace files atomically."""

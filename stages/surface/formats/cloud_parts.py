@@ -1,6 +1,6 @@
-"""A cloud on its way from a file's reader to us: written to plain files, a part at a time.
+"""Transfer of a point cloud between processes in plain binary files.
 
-So a reader never holds more than a part, however many points there are.
+The reader process appends points in chunks, so it never holds more than one chunk in memory.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from scanloom.stages.surface.codes import MESH_CLOUD_DAMAGED, MESH_LEFT_OUT
 from scanloom.stages.surface.formats.colors import to_uint8
 from scanloom.stages.surface.mesh import Mesh
 
-# Points at a time.
+# Points per chunk.
 PART = 1 << 20
-# More are not read: they would take more memory than most machines have.
+# Clouds with more points are refused: they need more memory than most machines have.
 MOST_POINTS = 100_000_000
-# No honest file holds more points a byte: a million equal points take 7 kB as LAZ.
+# Maximum plausible points per byte of a file: a million equal points take 7 kB as LAZ.
 _MOST_PER_BYTE = 256
 
 _POINTS, _COLORS, _NORMALS = "points.f8", "colors.u2", "normals.f8"
@@ -30,12 +30,12 @@ _TYPES = {_POINTS: np.float64, _COLORS: np.uint16, _NORMALS: np.float64}
 
 
 class Parts:
-    """Parts of a cloud, appended to files in a folder.
+    """Writer of a cloud's chunks to files in a folder.
 
     Parameters
     ----------
-    folder : that the files go to.
-    path : of the cloud's file, for messages.
+    folder : folder of the chunk files.
+    path : cloud file, for messages.
     """
 
     def __init__(self, folder: Path, path: Path) -> None:
@@ -45,19 +45,25 @@ class Parts:
         self._promised = 0
 
     def promise(self, points: int) -> None:
-        """Refuse a number of points that the file cannot hold, or that are too many; before they are read."""
+        """Check an announced point count before the points are read.
+
+        Raises
+        ------
+        InputError
+            If the total exceeds the size of the file or MOST_POINTS.
+        """
         self._promised += points
         if self._promised > _MOST_PER_BYTE * self._path.stat().st_size:
             raise InputError(
                 MESH_CLOUD_DAMAGED,
-                "promises {points:,} points, which do not fit in it; it is damaged or cut short.",
+                "declares {points:,} points, more than its size allows; it is damaged or cut short.",
                 self._path,
                 points=points,
             )
         if self._promised > MOST_POINTS:
             raise InputError(
                 MESH_CLOUD_DAMAGED,
-                "holds {promised:,} points; up to {most_points:,} are read. Thin it out first.",
+                "holds {promised:,} points, more than the limit of {most_points:,}. Subsample it first.",
                 self._path,
                 promised=self._promised,
                 most_points=MOST_POINTS,
@@ -66,7 +72,10 @@ class Parts:
     def append(
         self, points: NDArray[Any], colors: NDArray[Any] | None = None, normals: NDArray[Any] | None = None
     ) -> None:
-        """Append points (k, 3), metres, and what they have: colours (k, 3) to 65535, normals (k, 3)."""
+        """Append points (k, 3) in metres with optional colours and normals.
+
+        Colours (k, 3) are 0 to 65535, or 0 to 255 if no colour of the cloud exceeds 255. Normals are (k, 3).
+        """
         if colors is not None and len(colors):
             self._brightest = max(self._brightest, int(colors.max()))
         for name, values in ((_POINTS, points), (_COLORS, colors), (_NORMALS, normals)):
@@ -76,14 +85,20 @@ class Parts:
                     np.ascontiguousarray(values, _TYPES[name]).tofile(file)
 
     def told(self) -> dict[str, Any]:
-        """Return what `collected` has to know."""
+        """Return the metadata that `collected` needs, as JSON-compatible values."""
         return {"counts": self._counts, "brightest": self._brightest}
 
 
 def collected(folder: Path, told: dict[str, Any], path: Path) -> Mesh:
-    """Return the cloud whose parts are in a folder: a mesh without triangles.
+    """Assemble the cloud from the chunk files in a folder.
 
-    Diagnostics of the process that read the file `path` are emitted again here.
+    Diagnostics of the reader process are emitted again.
+
+    Parameters
+    ----------
+    folder : folder of the chunk files.
+    told : metadata from `Parts.told`, plus "diagnostics".
+    path : cloud file, for messages.
     """
     emit(*(Diagnostic.from_figures(figures) for figures in told["diagnostics"]))
     counts = told["counts"]
@@ -117,7 +132,7 @@ def _read(path: Path, kind: Any, count: int) -> NDArray[Any]:
 
 
 def _levels(colors: NDArray[np.uint16], brightest: int, path: Path) -> NDArray[np.uint8] | None:
-    """Return 8-bit colours; None where all are 0, which stands for none."""
+    """Convert colours to 8 bits; None if all are 0, which means no colours."""
     if brightest == 0:
         emit(MESH_LEFT_OUT.warning("its colours are left out: all of them are 0", path))
         return None

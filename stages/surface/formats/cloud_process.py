@@ -1,4 +1,4 @@
-"""What runs in a process of its own to read a cloud; see `scanloom.stages.files.own_process`."""
+"""Subprocess that reads a LAS, LAZ or E57 file; started by `scanloom.stages.files.own_process`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from scanloom.stages.surface.formats.las import read_las
 
 
 def main() -> None:
-    """Read a cloud's file into parts in a folder; the words are both."""
+    """Run the reader process.
+
+    Arguments: the cloud file, and the folder of the chunk files.
+    """
     answer(_read)
 
 

@@ -1,4 +1,4 @@
-"""Colours as files and other libraries store them, and as 8-bit RGB."""
+"""Conversion of colours between 8-bit sRGB, other number types and linear light."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 def to_uint8(values: NDArray[Any]) -> NDArray[np.uint8]:
     """Convert colours of any number type to 8 bits.
 
-    Bytes stay as they are, 16-bit values are scaled, and floats are taken as 0..1 unless one of them is
-    larger, then as 0..255. The way from bytes to floats (k / 255) and back is exact. Values that are not
-    finite become 0.
+    uint8 is returned unchanged and uint16 is scaled. Floats are 0 to 1 if no value exceeds 1, else 0 to 255.
+    The round trip from uint8 to float (k / 255) and back is exact. Values that are not finite become 0.
     """
     values = np.asarray(values)
     if values.dtype == np.uint8:
@@ -27,13 +26,13 @@ def to_uint8(values: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def linear_from_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how much light displayed values 0..1 stand for (IEC 61966-2-1)."""
+    """Convert sRGB values 0 to 1 to linear light 0 to 1 (IEC 61966-2-1)."""
     low = np.clip(values, 0, 1)
     return np.where(low <= 0.04045, low / 12.92, ((low + 0.055) / 1.055) ** 2.4)
 
 
 def srgb_from_linear(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inverse of `linear_from_srgb`."""
+    """Convert linear light 0 to 1 to sRGB values 0 to 1 (IEC 61966-2-1)."""
     low = np.clip(values, 0, 1)
-    # Written so that 1 stays 1.
+    # This form of the formula maps 1 to exactly 1.
     return np.where(low <= 0.0031308, low * 12.92, 1 - 1.055 * (1 - low ** (1 / 2.4)))

@@ -1,7 +1,7 @@
-"""Read E57: the scans of a laser scanner, each with its pose.
+"""E57 reader: merges the scans of a laser scanner with their poses.
 
-ASTM E2807, "Standard specification for 3D imaging data exchange"; Huber, "The ASTM E57 file format for 3D
-imaging data exchange", 2011; by `pye57`, which is an extra. Called in a process of its own: see
+Sources: ASTM E2807, "Standard specification for 3D imaging data exchange"; Huber, "The ASTM E57 file format
+for 3D imaging data exchange", 2011. Requires the optional package `pye57`; runs in the subprocess of
 `cloud_process`.
 """
 
@@ -24,7 +24,7 @@ _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _COLORS = ("colorRed", "colorGreen", "colorBlue")
 _NORMALS = ("nor:normalX", "nor:normalY", "nor:normalZ")
-# Not 0 where a direction was measured and no distance, or nothing.
+# Non-zero for points without a valid distance or direction.
 _INVALID = ("cartesianInvalidState", "sphericalInvalidState")
 _BRIGHTEST = np.iinfo(np.uint16).max
 
@@ -32,18 +32,21 @@ Floats = NDArray[np.float64]
 
 
 def read_e57(path: Path, parts: Parts) -> None:
-    """Read the points of all scans of a file, in its own coordinates, with their colours and normals.
+    """Read the points of all scans in file coordinates, with colours and normals.
 
     Raises
     ------
     InputError
-        If it is none, holds no points, or promises more than it holds. What pye57 raises besides is damage.
+        If the file is not E57, has no coordinates, or ends early. Other exceptions of pye57 also mean damage;
+        the caller handles them.
     """
     import pye57
 
     with opened(path) as file:
         if file.read(len(_START)) != _START:
-            raise InputError(MESH_CLOUD_DAMAGED, "is no E57 file: it does not start with `ASTM-E57`.", path)
+            raise InputError(
+                MESH_CLOUD_DAMAGED, "is not an E57 file: it does not start with `ASTM-E57`.", path
+            )
     file = pye57.E57(str(require_regular(path)))
     invalid = 0
     for number in range(file.scan_count):
@@ -59,7 +62,7 @@ def read_e57(path: Path, parts: Parts) -> None:
 
 
 def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
-    """Append the points of one scan; return how many were left out."""
+    """Append the points of one scan; return the number of invalid points dropped."""
     from pye57 import libe57
 
     fields = set(scan.point_fields)
@@ -67,7 +70,7 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     if places is None:
         raise InputError(
             MESH_CLOUD_DAMAGED,
-            "its points have {fields}, and no coordinates.",
+            "its points have no coordinates, only {fields}.",
             path,
             fields=", ".join(sorted(fields))[:200],
         )
@@ -99,7 +102,7 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     if left > 0:
         raise InputError(
             MESH_CLOUD_DAMAGED,
-            "ends {left:,} points before the {point_count:,} that it promises.",
+            "ends {left:,} points before the declared count of {point_count:,}.",
             path,
             left=left,
             point_count=scan.point_count,
@@ -108,9 +111,10 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
 
 
 def _pose(scan: Any) -> tuple[Floats, Floats]:
-    """Return the rotation (3, 3) and translation (3,) of a scan, by the names of their numbers.
+    """Return the rotation (3, 3) and translation (3,) of a scan.
 
-    pye57 takes these in the order in which they stand in the file, which is free.
+    Values are read by field name. pye57's own accessor reads them in file order, which the format leaves
+    open.
     """
     turn, shift = np.eye(3), np.zeros(3)
     pose = scan["pose"] if "pose" in scan.scan_fields else None
@@ -130,7 +134,7 @@ def _from_spherical(values: Floats) -> Floats:
 
 
 def _color_limits(scan: Any) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest value of each colour, (3,); what is usual where none are told."""
+    """Return the minimum and maximum (3,) of each colour channel; default 0 and 255."""
     ends = np.array([[0.0] * 3, [255.0] * 3])
     if "colorLimits" in scan.scan_fields:
         limits = scan["colorLimits"]

@@ -1,9 +1,9 @@
-"""Read glTF files: all meshes of the scene, where its nodes place them.
+"""glTF reader: merges all meshes of the scene, with node transforms applied.
 
-Coordinates stay as they are (metres, y up), but for a file that says how its scan was turned upright: it
-comes back in the axes of the scan, and `Mesh.up` says what is up. Vertex colours are amounts of light in glTF
-and become what is displayed, except from programs known to write them as displayed. Animations, skins and
-morph targets are left out, points and lines too.
+Coordinates are kept in metres, y-up. Exception: if `asset.extras` of the file stores the rotation back to
+scan axes, that rotation is applied, and `Mesh.up` holds the up direction. Vertex colours are converted from
+linear light to sRGB, except for generators known to write sRGB. Animations, skins, morph targets, points and
+lines are dropped with a warning.
 """
 
 from __future__ import annotations
@@ -39,16 +39,17 @@ from scanloom.stages.surface.mesh import Mesh, validated
 from scanloom.stages.surface.texture import Texture
 from scanloom.stages.surface.welding import merge_vertices
 
-# These write vertex colours as they are displayed, whatever the specification says.
+# Generators that write vertex colours as sRGB, contrary to the specification.
 _DISPLAYED = ("https://github.com/mikedh/trimesh", "Open3D")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-# Attributes that are read, told of elsewhere, or our own beside others.
+# Attributes that are read, reported elsewhere, or written by scanloom in addition to standard ones.
 _KNOWN = re.compile(
     r"POSITION|NORMAL|TANGENT|TEXCOORD_\d+|COLOR_0|JOINTS_\d+|WEIGHTS_\d+|_COLOR_DISPLAYED|_VALUES"
 )
-# How far a matrix may be from a rotation.
+# Tolerance of the orthonormality test of a rotation matrix.
 _ROTATION = 1e-6
-# Many nodes may place one large mesh: more corners than this do not fit into memory, nor are they meant.
+# Many nodes can instance one large mesh. More corners and vertices than this exceed memory and indicate a
+# damaged or malicious file.
 _MOST_CORNERS = 1 << 29
 
 Floats = NDArray[np.float64]
@@ -57,7 +58,7 @@ Rows = NDArray[np.int64]
 
 @dataclass
 class _Part:
-    """The triangles of one primitive, placed."""
+    """Mesh of one primitive, with the node transform applied."""
 
     vertices: Floats
     triangles: Any  # (k, 3), 64 bits until the range is checked
@@ -71,7 +72,7 @@ class _Part:
 
 @dataclass
 class _Reading:
-    """What is gathered on the way."""
+    """State of reading one file."""
 
     gltf: Gltf
     materials: MaterialReader
@@ -84,25 +85,25 @@ class _Reading:
 def read_gltf(path: Path | str) -> Mesh:
     """Read a .glb or .gltf file.
 
-    Vertices of equal position and colour in one node's mesh become one, for the format doubles them along
-    seams. Normals that differ there become normals of corners, and their mean the vertex's. Nodes become
-    parts. `Mesh.diagnostics` says what was left out.
+    Vertices of one node with equal position and colour are welded, because glTF duplicates vertices along
+    seams. If normals differ at such a vertex, they become corner normals, and the vertex gets their mean.
+    Nodes become parts. `Mesh.diagnostics` lists dropped data.
 
     Raises
     ------
     InputError
-        If the file is damaged, needs a buffer that is missing, or is compressed.
+        If the file is damaged, refers to a missing buffer, or is compressed with Draco.
     MeshError
-        For a vertex that is not finite or an index out of range.
+        If a vertex is not finite or an index is out of range.
     """
     path = Path(path)
     try:
         gltf = read_container(path)
-        # What is not finite is refused, or left out, where it ends up.
+        # Non-finite values raise or are dropped at the place of use, so NumPy's warnings add nothing.
         with np.errstate(all="ignore"), collecting() as diagnostics:
             mesh = _read_scene(gltf)
         return mesh.with_(diagnostics=tuple(diagnostics))
-    # What a look-up in a damaged description leads to.
+    # Look-ups in a malformed JSON description can raise any of these.
     except (
         KeyError,
         IndexError,
@@ -114,7 +115,7 @@ def read_gltf(path: Path | str) -> Mesh:
     ) as error:
         raise InputError(
             MESH_FILE_DAMAGED,
-            "cannot be read as glTF: its description is damaged",
+            "cannot be read as glTF: its JSON description is damaged",
             path,
             remedy="get a whole copy of it.",
         ) from error
@@ -128,14 +129,14 @@ def _read_scene(gltf: Gltf) -> Mesh:
     extensions = gltf.tree.get("extensions")
     if isinstance(extensions, dict) and extensions:
         names = ", ".join(sorted(extensions))
-        reading.warn("what the file has of {names} is left out", names=names)
+        reading.warn("data of the extensions {names} is left out", names=names)
     parts: list[_Part] = []
     turn = _scan_from_world(reading)
     nodes = _placed_nodes(gltf, np.eye(4) if turn is None else turn)
     for number, (node, matrix) in enumerate(nodes):
         mesh = gltf.item("meshes", node["mesh"])
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
-            reading.warn("copies of EXT_mesh_gpu_instancing are left out; one is kept")
+            reading.warn("instances of EXT_mesh_gpu_instancing are left out, except one")
         name = str(node.get("name") or mesh.get("name") or ("" if len(nodes) == 1 else f"node {number}"))
         found = (_part(reading, primitive, matrix, number, name) for primitive in mesh["primitives"])
         parts += [part for part in found if part is not None]
@@ -147,14 +148,14 @@ def _read_scene(gltf: Gltf) -> Mesh:
 
 
 def _scan_from_world(reading: _Reading) -> Floats | None:
-    """Return the turn (4, 4) back to the axes of the scan that a file is of; None if it tells none."""
+    """Return the rotation (4, 4) from world to scan axes; None if the file has none."""
     extras = reading.gltf.tree["asset"].get("extras")
     given = extras.get(SCAN_FROM_WORLD) if isinstance(extras, dict) else None
     if given is None:
         return None
     matrix = _turn(given)
     if matrix is None:
-        reading.warn("{name} is left out: it is no rotation", name=SCAN_FROM_WORLD)
+        reading.warn("{name} is left out: it is not a rotation", name=SCAN_FROM_WORLD)
     return matrix
 
 
@@ -172,7 +173,10 @@ def _turn(given: Any) -> Floats | None:
 
 
 def _placed_nodes(gltf: Gltf, world: Floats) -> list[tuple[Tree, Floats]]:
-    """Return the nodes with a mesh, in the scene's order, and where they are, (4, 4), in `world` (4, 4)."""
+    """Return the nodes with a mesh, and their transforms (4, 4).
+
+    Nodes are in scene order. `world` (4, 4) is applied to the whole scene.
+    """
     nodes, scenes = gltf.items("nodes"), gltf.items("scenes")
     if scenes:
         roots = gltf.item("scenes", gltf.tree.get("scene", 0)).get("nodes", [])
@@ -189,7 +193,7 @@ def _placed_nodes(gltf: Gltf, world: Floats) -> list[tuple[Tree, Floats]]:
         seen.add(number)
         node = gltf.item("nodes", number)
         own = _matrix(node)
-        # A turn and the same back are nothing, also where their product is not quite.
+        # A root rotation that `world` inverts must cancel exactly; the float product would not.
         undone = number in roots and np.array_equal(own, world.T)
         matrix = np.eye(4) if undone else parent @ own
         if "mesh" in node:
@@ -223,7 +227,10 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
     compressed = any(key in COMPRESSED for key in primitive.get("extensions", {}))
     if compressed and "bufferView" not in gltf.item("accessors", attributes["POSITION"]):
         raise InputError(
-            MESH_COMPRESSION_UNKNOWN, "is compressed", gltf.path, remedy="write it again without compression."
+            MESH_COMPRESSION_UNKNOWN,
+            "uses an unsupported compression",
+            gltf.path,
+            remedy="write it again without compression.",
         )
     if "targets" in primitive:
         reading.warn("morph targets are left out")
@@ -238,7 +245,7 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
     if reading.corners > _MOST_CORNERS:
         raise InputError(
             MESH_FILE_DAMAGED,
-            "places more than {most_corners:,} corners and vertices; it is damaged.",
+            "its nodes have more than {most_corners:,} corners and vertices; it is damaged.",
             gltf.path,
             most_corners=_MOST_CORNERS,
         )
@@ -275,18 +282,22 @@ def _triangles(gltf: Gltf, primitive: Tree, mode: int, count: int) -> Rows:
         corners = np.stack((first, first + 1 + odd, first + 2 - odd), axis=1)
     triangles = indices[corners]
     a, b, c = triangles.T
-    # A repeated index joins two strips and is no triangle.
+    # Degenerate triangles connect strips and are dropped.
     return np.asarray(triangles[(a != b) & (b != c) & (c != a)])
 
 
 def _placed(vertices: Floats, triangles: Rows, matrix: Floats) -> tuple[Floats, Rows, Floats]:
-    """Return vertices where the node places them, triangles turned if it mirrors, and what places normals."""
+    """Apply a node transform; return vertices, triangles and the matrix for normals.
+
+    Triangles are flipped if the transform mirrors.
+    """
     linear, move = matrix[:3, :3], matrix[:3, 3]
     if not np.array_equal(linear, np.eye(3)):
         vertices = vertices @ linear.T
     if move.any():
         vertices = vertices + move
-    # The cofactors are the inverse transposed times the determinant, and exist where the inverse does not.
+    # The cofactor matrix is the inverse transpose times the determinant, and exists for singular matrices
+    # too.
     cofactors = np.stack([np.cross(linear[k - 2], linear[k - 1]) for k in range(3)])
     if np.linalg.det(linear) < 0:
         return vertices, triangles[:, [0, 2, 1]], -cofactors
@@ -298,7 +309,7 @@ def _attribute(reading: _Reading, attributes: Tree, name: str, columns: int, cou
         return None
     values = reading.gltf.array(attributes[name])
     if len(values) != count or values.shape[1] < columns:
-        reading.warn("{name} is left out: it does not fit the vertices", name=name)
+        reading.warn("{name} is left out: it does not match the vertices", name=name)
         return None
     return values
 
@@ -311,7 +322,7 @@ def _colors(reading: _Reading, attributes: Tree, count: int) -> NDArray[np.uint8
     if values is None:
         return None
     if not np.isfinite(values).all():
-        reading.warn("colours that are not finite are taken as 0", MESH_VALUES_REPLACED)
+        reading.warn("colours that are not finite become black", MESH_VALUES_REPLACED)
     if values.shape[1] == 4 and (values[:, 3] < 1).any():
         reading.warn("the transparency of vertices is left out")
     unit = np.nan_to_num(values[:, :3].astype(np.float64), nan=0, posinf=0, neginf=0).clip(0, 1)
@@ -339,7 +350,9 @@ def _uvs(reading: _Reading, attributes: Tree, placement: Placement, count: int) 
     wanted = f"TEXCOORD_{placement.uv_set}"
     others = sorted(set(sets) - {wanted})
     if others:
-        reading.warn("texture coordinates {names} are left out: one set is kept", names=", ".join(others))
+        reading.warn(
+            "texture coordinates {names} are left out: only one set is supported", names=", ".join(others)
+        )
     uvs = _attribute(reading, attributes, wanted, 2, count)
     if uvs is None:
         return None
@@ -349,7 +362,7 @@ def _uvs(reading: _Reading, attributes: Tree, placement: Placement, count: int) 
 
 
 def _assembled(reading: _Reading, parts: list[_Part]) -> Mesh:
-    """Return all primitives as one mesh, without the vertices that are doubled along a node's seams."""
+    """Merge all primitives to one mesh and weld the duplicated vertices of each node."""
     if not parts:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     for part in parts:
@@ -360,7 +373,7 @@ def _assembled(reading: _Reading, parts: list[_Part]) -> Mesh:
     triangles = np.concatenate(placed).astype(np.int32)
     colors = _filled([part.colors for part in parts], counts, 255)
     if any(part.colors is None for part in parts) and colors is not None:
-        reading.warn("vertices of parts without vertex colours are white", MESH_VALUES_REPLACED)
+        reading.warn("parts without vertex colours become white", MESH_VALUES_REPLACED)
     normals = _filled([part.normals for part in parts], counts, 0)
     corner_normals = None if normals is None else normals[triangles]
     names = list(dict.fromkeys((part.node, part.name) for part in parts if part.name))
@@ -409,7 +422,7 @@ def _texture(reading: _Reading, parts: list[_Part]) -> Texture | None:
 
 
 def _filled(arrays: list[Any], counts: list[int], value: float) -> Any:
-    """Put arrays end to end, with `value` where there is none; None if there are none at all."""
+    """Concatenate arrays, filling missing ones with `value`; None if all are missing."""
     shown = next((array for array in arrays if array is not None), None)
     if shown is None:
         return None

@@ -1,4 +1,4 @@
-"""The binary part of a glTF file that is being written, as its views and accessors describe it."""
+"""Binary buffer of a glTF file under construction, with its buffer views and accessors."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from scanloom.stages.surface.formats.gltf_packing import PACKED, VERTICES, Latti
 
 
 class Buffer:
-    """The bytes of a file, and what is told of them.
+    """Growing binary buffer that records buffer views and accessors in the glTF tree.
 
-    What is packed says of itself where it would be in a second buffer, which is not there.
+    Views compressed by meshoptimizer refer to a second, fallback buffer that has a size but no data
+    (EXT_meshopt_compression).
 
     Attributes
     ----------
-    lattice : of positions in whole numbers; None where numbers are in single precision.
-    texel_steps : of coordinates in whole numbers, for a texel of the image; 0 for as many as 16 bits hold.
-    pack : whether meshoptimizer packs them.
+    lattice : quantization of positions; None for single-precision positions.
+    texel_steps : quantization steps of texture coordinates per texel; 0 for the full 16-bit range.
+    pack : True to compress views with meshoptimizer.
     """
 
     def __init__(self, tree: Tree, lattice: Lattice | None, texel_steps: int = 0, *, pack: bool) -> None:
@@ -33,13 +34,22 @@ class Buffer:
         self.plain_size = 0
 
     def view(self, data: bytes, **details: Any) -> int:
-        """Append bytes, aligned for every type; return the number of the view."""
+        """Append bytes, aligned to 4; return the index of the new buffer view."""
         views: list[Tree] = self._tree.setdefault("bufferViews", [])
         views.append({"buffer": 0, "byteOffset": self._append(data), "byteLength": len(data), **details})
         return len(views) - 1
 
     def accessor(self, values: NDArray[Any], kind: str, code: int, target: int, **details: Any) -> int:
-        """Append numbers, rows of them with their filling; return the number of the accessor."""
+        """Append an array (rows padded to the alignment); return the accessor index.
+
+        Parameters
+        ----------
+        values : (n, columns) array.
+        kind : accessor type, such as "VEC3".
+        code : component type, such as 5126 for float.
+        target : buffer view target: vertex attributes or indices.
+        details : further properties of the accessor.
+        """
         accessors: list[Tree] = self._tree.setdefault("accessors", [])
         accessors.append({
             "bufferView": self._rows(np.ascontiguousarray(values, values.dtype.newbyteorder("<")), target),
@@ -84,7 +94,7 @@ class Buffer:
         return at
 
     def described(self, **details: Any) -> list[Tree]:
-        """Return what the file says of its buffers."""
+        """Return the entries of the file's "buffers" list."""
         buffers: list[Tree] = [{"byteLength": self.size, **details}]
         if self.pack:
             buffers.append({"byteLength": self.plain_size, "extensions": {PACKED: {"fallback": True}}})

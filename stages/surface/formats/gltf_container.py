@@ -1,7 +1,7 @@
-"""What a glTF file is made of, read without trusting it: its description, buffers, accessors.
+"""glTF container: JSON description, buffers and accessors, with all sizes and indices checked.
 
-Khronos Group, "glTF 2.0 specification", 2021 (ISO/IEC 12113:2022). Look-ups here may raise KeyError,
-IndexError, TypeError or ValueError where the description is damaged; `read_gltf` makes one sentence of them.
+Source: Khronos Group, "glTF 2.0 specification", 2021 (ISO/IEC 12113:2022). Look-ups in a malformed
+description raise KeyError, IndexError, TypeError or ValueError; `read_gltf` converts them to one InputError.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from scanloom.stages.surface.formats.textures import beside
 
 Tree = dict[str, Any]
 
-# What is not read: a codec of meshes, of which there is no well-kept package without a compiler.
+# Unsupported codec: no maintained package decodes Draco without a compiler.
 COMPRESSED = ("KHR_draco_mesh_compression",)
 PACKED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
-# Where `asset.extras` of a file holds the turn that was given to it so that it stands.
+# Key in `asset.extras` of the rotation (4, 4) from the y-up world to scan axes.
 SCAN_FROM_WORLD = "scan_from_world"
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -40,13 +40,14 @@ _DAMAGED = "it is damaged or cut short; get a whole copy of it."
 
 @dataclass(frozen=True, eq=False)
 class Gltf:
-    """A glTF file whose buffers are as long as it promises.
+    """A parsed glTF file; every buffer has at least its declared size.
 
     Attributes
     ----------
-    tree : the description.
-    buffers : the bytes of each buffer; none of one that only says where packed views would be.
-    unpacked : views that were packed, by their numbers.
+    path : file, for messages.
+    tree : the JSON description.
+    buffers : bytes of each buffer; empty for a fallback buffer of compressed views.
+    unpacked : decompressed buffer views by index.
     """
 
     path: Path
@@ -55,14 +56,14 @@ class Gltf:
     unpacked: dict[int, bytes] = field(default_factory=dict)
 
     def items(self, name: str) -> list[Any]:
-        """Return a list of the description, such as its "nodes"; empty if it has none."""
+        """Return a top-level list of the description, such as "nodes"; empty if absent."""
         items = self.tree.get(name, [])
         if not isinstance(items, list):
             raise TypeError(name)
         return items
 
     def item(self, name: str, index: Any) -> Tree:
-        """Return one entry of such a list."""
+        """Return one entry of a top-level list."""
         if not isinstance(index, int) or index < 0:
             raise ValueError(name)
         entry = self.items(name)[index]
@@ -71,7 +72,7 @@ class Gltf:
         return entry
 
     def view_bytes(self, index: Any) -> memoryview:
-        """Return what a buffer view spans."""
+        """Return the bytes of a buffer view, decompressed."""
         view = self.item("bufferViews", index)
         packed = packing_of(view)
         if packed is not None:
@@ -81,7 +82,7 @@ class Gltf:
         return self._span(view)
 
     def _unpack(self, packed: Tree) -> bytes:
-        """Return what a view holds that meshoptimizer packed, by its numbers of rows or indices."""
+        """Decompress a buffer view from its EXT_meshopt_compression properties."""
         data = bytes(self._span(packed))
         count, size = natural(packed["count"]), natural(packed["byteStride"])
         try:
@@ -91,20 +92,20 @@ class Gltf:
         except (ValueError, OverflowError) as error:
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "has a buffer view that cannot be unpacked ({error}); {damaged}",
+                "has a buffer view that cannot be decompressed ({error}); {damaged}",
                 self.path,
                 error=error,
                 damaged=_DAMAGED,
             ) from error
 
     def _span(self, view: Tree) -> memoryview:
-        """Return the bytes that a view, or what is packed in its place, spans."""
+        """Return the stored bytes of a buffer view or of a compression extension."""
         buffer = self.buffers[natural(view["buffer"])]
         start, length = natural(view.get("byteOffset", 0)), natural(view["byteLength"])
         if start + length > len(buffer):
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "has a buffer view up to byte {start:,} of a buffer of {buffer_count:,}; {damaged}",
+                "has a buffer view up to byte {start:,} in a buffer of {buffer_count:,} bytes; {damaged}",
                 self.path,
                 start=start + length,
                 buffer_count=len(buffer),
@@ -113,14 +114,15 @@ class Gltf:
         return memoryview(buffer)[start : start + length]
 
     def array(self, index: Any) -> NDArray[Any]:
-        """Return an accessor's elements (count, columns) in its type; normalized ones as float64."""
+        """Return an accessor as (count, columns) in its type; normalized integers as float64."""
         accessor = self.item("accessors", index)
         dtype, columns = np.dtype(_TYPES[accessor["componentType"]]), _COLUMNS[accessor["type"]]
         count = natural(accessor["count"])
         if "bufferView" in accessor:
             elements = self._elements(accessor["bufferView"], accessor, dtype, columns, count)
         else:
-            # It stands for zeros: a short file can ask for any amount of them.
+            # An accessor without a view means zeros. The count is limited, because a short file can request
+            # any amount.
             held = sum(map(len, self.buffers))
             if count > held:
                 raise InputError(
@@ -169,13 +171,19 @@ class Gltf:
 
 
 def packing_of(view: Tree) -> Tree | None:
-    """Return what a buffer view says of how it is packed; None if it is not."""
+    """Return the meshopt compression properties of a buffer view; None if uncompressed."""
     extensions = view.get("extensions", {})
     return next((extensions[name] for name in PACKED if name in extensions), None)
 
 
 def natural(value: Any) -> int:
-    """Return a whole number of the description that must not be negative."""
+    """Return the value if it is a non-negative integer.
+
+    Raises
+    ------
+    ValueError
+        For any other value.
+    """
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise ValueError(value)
     return value
@@ -187,7 +195,7 @@ def read_container(path: Path) -> Gltf:
     Raises
     ------
     InputError
-        If the file is no glTF 2.0 file or compressed, or a buffer is missing or shorter than promised.
+        If the file is not glTF 2.0, is compressed with Draco, or a buffer is missing or too short.
     """
     try:
         data = content_of(path)
@@ -201,18 +209,18 @@ def read_container(path: Path) -> Gltf:
         version = str(tree["asset"]["version"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
-            MESH_FILE_DAMAGED, "is not a sound glTF file: its description does not parse.", path
+            MESH_FILE_DAMAGED, "is not a valid glTF file: its JSON description cannot be parsed.", path
         ) from error
     if not version.startswith("2."):
         raise InputError(
             MESH_FILE_DAMAGED,
-            "is of glTF version {version!r}",
+            "has glTF version {version!r}, which is not supported",
             path,
             remedy="write it again as glTF 2.0.",
             version=version[:20],
         )
     gltf = Gltf(path, tree)
-    # First of all: a buffer that is there for its size only is no damage.
+    # Must come before the buffers are read: a fallback buffer without data is no damage.
     _require_uncompressed(gltf)
     for number, buffer in enumerate(gltf.items("buffers")):
         if any(buffer.get("extensions", {}).get(name, {}).get("fallback") for name in PACKED) and (
@@ -225,7 +233,7 @@ def read_container(path: Path) -> Gltf:
         if len(content) < promised:
             raise InputError(
                 MESH_FILE_DAMAGED,
-                "promises a buffer of {promised:,} bytes, but {content_count:,} are there; {damaged}",
+                "declares a buffer of {promised:,} bytes, but only {content_count:,} exist; {damaged}",
                 path,
                 promised=promised,
                 content_count=len(content),
@@ -240,7 +248,7 @@ def _require_uncompressed(gltf: Gltf) -> None:
         if name in COMPRESSED:
             raise InputError(
                 MESH_COMPRESSION_UNKNOWN,
-                "is compressed with {name}, which is not read here",
+                "is compressed with {name}, which is not supported",
                 gltf.path,
                 remedy="write it again without compression (in Blender, turn Compression off on export).",
                 name=name,
@@ -248,13 +256,13 @@ def _require_uncompressed(gltf: Gltf) -> None:
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
-    """Return the description and the binary chunk of a GLB file."""
+    """Return the JSON and the binary chunk of a GLB file."""
     if data[:4] != b"glTF":
-        raise InputError(MESH_FILE_DAMAGED, "is not a sound glTF file: it does not start with `glTF`.", path)
+        raise InputError(MESH_FILE_DAMAGED, "is not a valid glTF file: it does not start with `glTF`.", path)
     if data[4:8] != b"\2\0\0\0":
         raise InputError(
             MESH_FILE_DAMAGED,
-            "is not a sound glTF file of version 2",
+            "is not a valid glTF file of version 2",
             path,
             remedy="write it again as glTF 2.0.",
         )
@@ -263,7 +271,7 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
     while at + 8 <= len(data):
         length, kind = np.frombuffer(data, "<u4", 2, at).tolist()
         if at + 8 + length > len(data):
-            raise InputError(MESH_FILE_DAMAGED, "is not a sound glTF file: {damaged}", path, damaged=_DAMAGED)
+            raise InputError(MESH_FILE_DAMAGED, "is not a valid glTF file: {damaged}", path, damaged=_DAMAGED)
         chunks.setdefault(kind, data[at + 8 : at + 8 + length])
         at += 8 + length
     return chunks.get(_JSON, b""), chunks.get(_BIN, b"")
@@ -285,7 +293,7 @@ def _buffer(path: Path, buffer: Tree, binary: bytes) -> bytes:
 
 
 def data_of_uri(uri: str) -> bytes | None:
-    """Return the bytes inside a data URI; None if it is the name of a file."""
+    """Decode a data URI; None if the URI is a file name."""
     if not uri.startswith("data:"):
         return None
     kind, _, content = uri.partition(",")

@@ -1,7 +1,7 @@
-"""Materials of glTF files, to and from ours.
+"""Conversion between glTF materials and `Material`.
 
-Base colour, its image and how that repeats are understood. The rest is kept as it stands, with the images it
-names, for writing it back. glTF gives colours as amounts of light; ours are as displayed.
+The base colour, its image and the wrap modes are interpreted. All other properties and their images are kept
+unchanged for writing. Colours are linear in glTF and sRGB in `Material`.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from scanloom.stages.surface.texture import Image, Material
 
 _WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 _TRANSFORM = "KHR_texture_transform"
-# What the core of glTF allows; WebP is an extension that most programs know.
+# Core glTF allows PNG and JPEG; most programs support the WebP extension.
 _EMBEDDABLE = ("image/png", "image/jpeg", "image/webp")
 _WEBP = "EXT_texture_webp"
 UNLIT = "KHR_materials_unlit"
-# What a material of version 2.0 may say; anything else is of no standard.
+# Material properties of glTF 2.0; others are non-standard and are dropped.
 _KNOWN = (
     *("name", "pbrMetallicRoughness", "normalTexture", "occlusionTexture", "emissiveTexture"),
     *("emissiveFactor", "alphaMode", "alphaCutoff", "doubleSided", "extensions", "extras"),
 )
-# A material without further statements would be metal, as what has none is. Read back, this one says nothing.
+# Written for faces without a material, because glTF's default material is metallic. Read back as no material.
 _PLAIN: Tree = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
 _PLAIN_UNLIT: Tree = {**_PLAIN, "extensions": {UNLIT: {}}}
 
 
 @dataclass(frozen=True, eq=False)
 class GltfStatements:
-    """What a glTF file says of a material.
+    """The original glTF properties of a material, for writing them back.
 
     Attributes
     ----------
-    tree : the material; its textures have numbers of `textures`.
-    textures : image and sampler of each.
-    color, image, wrap : what was read from it.
-    multiplies : whether the file has vertex colours on it, which multiply the base colour.
+    tree : JSON of the material; its texture indices are keys of `textures`.
+    textures : image and sampler by texture index.
+    color, image, wrap : the `Material` fields derived from `tree`, to detect later changes.
+    multiplies : True if the file has vertex colours on this material; they multiply the base colour.
     """
 
     tree: Tree
@@ -62,25 +62,30 @@ class GltfStatements:
 
 @dataclass(frozen=True)
 class Placement:
-    """Which texture coordinates a material's base colour uses, and how they are moved."""
+    """UV set and texture transform of a material's base colour."""
 
     uv_set: int = 0
     transform: Tree = field(default_factory=dict)
 
     def moved(self, uvs: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return coordinates (n, 2), v down as in the file, as KHR_texture_transform moves them."""
+        """Apply KHR_texture_transform to coordinates (n, 2), with v pointing down."""
         if not self.transform:
             return uvs
         offset = np.array(self.transform.get("offset", (0, 0)), float).reshape(2)
         scale = np.array(self.transform.get("scale", (1, 1)), float).reshape(2)
         angle = float(self.transform.get("rotation", 0))
-        # Counter-clockwise as one looks at the image, which has v down.
+        # Counter-clockwise on the image, whose v axis points down.
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         return np.asarray((uvs * scale) @ turn.T + offset)
 
 
 class MaterialReader:
-    """Reads each material and image of a file once, when it is first used."""
+    """Reader of the materials and images in use; reads each one once.
+
+    Attributes
+    ----------
+    materials : the materials read so far.
+    """
 
     def __init__(self, gltf: Gltf) -> None:
         self._gltf = gltf
@@ -89,7 +94,10 @@ class MaterialReader:
         self.materials: list[Material] = []
 
     def number(self, index: Any, *, with_colors: bool) -> tuple[int, Placement]:
-        """Return which of `materials` a material of the file is, -1 for one that says nothing."""
+        """Return the index in `materials` of a glTF material, and its UV placement.
+
+        The index is -1 for a missing material and for the default material that scanloom writes.
+        """
         if index is None:
             return -1, Placement()
         if index not in self._found:
@@ -120,8 +128,8 @@ class MaterialReader:
             if found is None:
                 emit(
                     MESH_LEFT_OUT.warning(
-                        "{key} of material {name!r} is left out: its image is missing, or its coordinates "
-                        "are not those of the base colour",
+                        "{key} of material {name!r} is left out: its image is missing, or it uses other "
+                        "texture coordinates than the base colour",
                         self._gltf.path,
                         key=key,
                         name=name,
@@ -172,7 +180,7 @@ class MaterialReader:
         if not kind_of(data, name)[0]:
             emit(
                 MESH_TEXTURE_DAMAGED.warning(
-                    "the texture image {name} is of no known kind or damaged",
+                    "the texture image {name} has an unknown format or is damaged",
                     self._gltf.path,
                     name=name or number,
                 )
@@ -182,7 +190,7 @@ class MaterialReader:
 
 
 def _texture_holders(tree: Any) -> Iterator[tuple[Tree, str]]:
-    """Find all places of a material that name a texture, those of extensions too."""
+    """Yield the parent object and key of each texture reference, extensions included."""
     for key, value in tree.items():
         if isinstance(value, dict):
             if key.endswith("Texture"):
@@ -197,7 +205,7 @@ def _placement(info: Tree) -> Placement:
 
 
 def _forget_placement(info: Tree) -> None:
-    """Take out what the coordinates of the corners already follow."""
+    """Remove the UV set and transform, which the corner coordinates already include."""
     info.pop("texCoord", None)
     _forget(info, _TRANSFORM)
 
@@ -210,22 +218,25 @@ def _forget(tree: Tree, name: str) -> None:
 
 
 def shown_as_it_is() -> GltfStatements:
-    """Return what a file says of a material whose image has its light already, as photos do."""
+    """Return the properties of an unlit material.
+
+    It suits images with baked-in lighting, such as photos.
+    """
     return GltfStatements(copy.deepcopy(_PLAIN_UNLIT))
 
 
 def is_shown_as_it_is(material: Material) -> bool:
-    """Return whether a material takes no further light."""
+    """Return True if the material is unlit (KHR_materials_unlit)."""
     return isinstance(material.kept, GltfStatements) and UNLIT in material.kept.tree.get("extensions", {})
 
 
 def multiplies_colors(material: Material) -> bool:
-    """Return whether the material is from a file in which vertex colours multiply its image."""
+    """Return True if vertex colours multiply the material's image, as in its source file."""
     return isinstance(material.kept, GltfStatements) and material.kept.multiplies
 
 
 def has_images(material: Material | None) -> bool:
-    """Return whether a material has any image, its own or one that is kept for writing it back."""
+    """Return True if a material has an image, including images kept only for writing."""
     if material is None:
         return False
     return material.image is not None or bool(
@@ -234,14 +245,14 @@ def has_images(material: Material | None) -> bool:
 
 
 class MaterialWriter:
-    """Collects the materials, textures, samplers and images of a new file in its description.
+    """Builder of the materials, textures, samplers and images of a new file.
 
     Attributes
     ----------
-    tree : gets the lists "materials", "textures" and "samplers", and "extensionsUsed".
-    shading : of SHADINGS, as of `write_gltf`.
-    bare_colors : whether colours of vertices get no material.
-    images : the bytes of each image, its media type and name; textures name them by position.
+    tree : glTF description; receives "materials", "textures", "samplers" and "extensionsUsed".
+    shading : one of SHADINGS, see `write_gltf`.
+    bare_colors : True to write vertex colours without a material.
+    images : (bytes, media type, name) of each image; textures refer to their index.
     """
 
     def __init__(self, tree: Tree, shading: str, *, bare_colors: bool) -> None:
@@ -254,15 +265,16 @@ class MaterialWriter:
     def number(
         self, material: Material | None, *, with_colors: bool, steps: tuple[int, int] | None = None
     ) -> int | None:
-        """Return the number of a material in the file; None where colours of vertices get none.
+        """Add a material and return its index; None for bare vertex colours.
 
-        Vertex colours multiply it there. Unless they did so where it was read, it must leave the colour to
-        them.
+        glTF multiplies vertex colours with the base colour. A material that did not do so in its source file
+        is therefore written without a base colour.
 
         Parameters
         ----------
-        material : None is one that says nothing.
-        steps : along u and v, that coordinates are in; None where they are shares of the image.
+        material : None for faces without a material.
+        with_colors : True if the primitive has vertex colours.
+        steps : quantization steps of the texture coordinates along u and v; None if not quantized this way.
         """
         if material is None:
             if with_colors and self._bare_colors:
@@ -276,7 +288,7 @@ class MaterialWriter:
         surface = tree.setdefault("pbrMetallicRoughness", {})
         has_other_image = material.image is not kept.image or material.wrap != kept.wrap
         if has_other_image:
-            # Before images are stored: that one is not of this file.
+            # Must come before images are stored: the file no longer uses this image.
             surface.pop("baseColorTexture", None)
         for holder, key in list(_texture_holders(tree)):
             number = self._texture(*kept.textures[holder[key]["index"]])
@@ -311,7 +323,7 @@ class MaterialWriter:
         return self._number("materials", tree)
 
     def _texture(self, image: Image, sampler: Tree) -> int | None:
-        """Return the number of a texture; None if its image cannot be stored."""
+        """Add a texture and return its index; None if its image cannot be stored."""
         if id(image) not in self._image_numbers:
             self._image_numbers[id(image)] = self._stored(image)
         source = self._image_numbers[id(image)]
@@ -338,7 +350,7 @@ class MaterialWriter:
         return len(self.images) - 1
 
     def _number(self, name: str, entry: Any) -> int:
-        """Return where an entry is in a list of the description, after adding it if it is not."""
+        """Return an entry's index in a top-level list, appending new entries."""
         entries: list[Any] = self.tree.setdefault(name, [])
         if entry not in entries:
             entries.append(entry)

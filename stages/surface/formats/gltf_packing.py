@@ -1,6 +1,6 @@
-"""Buffers of glTF files in fewer bytes: whole numbers in place of floats, and meshoptimizer's codec.
+"""Compression of glTF buffers: quantization (KHR_mesh_quantization) and EXT_meshopt_compression.
 
-KHR_mesh_quantization; EXT_meshopt_compression. A row of a buffer begins at a multiple of four bytes in both.
+In both, each row of a buffer view starts at a multiple of four bytes.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 
-# How a file is made small: not at all, in whole numbers, or in whole numbers that are packed.
+# Values of `compress`: floats, quantized integers, or quantized integers with meshoptimizer's codec.
 COMPRESSIONS = ("none", "quantize", "meshopt")
-# How a surface takes light: as its materials say, where colours of vertices have none, or one that is lit;
-# not at all; as one without gloss.
+# Values of `shading`: "keep" follows the materials, and gives vertex colours a lit material. "bare" does the
+# same, but uncompressed vertex colours get no material. "unlit" and "lit" override the materials.
 SHADINGS = ("bare", "keep", "unlit", "lit")
 
 PACKED, QUANTIZED = "EXT_meshopt_compression", "KHR_mesh_quantization"
-VERTICES, INDICES = 34962, 34963  # what a buffer view is for
+VERTICES, INDICES = 34962, 34963  # bufferView.target
 
-# Bits of a number: of positions at most, of texture coordinates where nothing else is asked for.
+# Maximum bits of a position component, and default bits of a texture coordinate.
 _BITS = 16
 MAX_STEPS: int = 2**_BITS - 1
 _UNIT = 127
@@ -32,52 +32,56 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Places in steps, of which a few bits hold as many as there are along the longest side.
+    """Uniform quantization grid for positions.
 
     Attributes
     ----------
-    low : (3,) where it begins, metres.
-    step : metres; 1 where all is in one place.
+    low : (3,) origin, metres.
+    step : grid spacing in metres; 1 if all positions are equal.
     """
 
     low: Floats
     step: float
 
     def steps(self, vertices: Floats) -> NDArray[np.uint16]:
-        """Return places (n, 4), of which the last is filling."""
+        """Quantize positions (n, 3) to grid steps (n, 4); the last column is padding."""
         found = np.rint((vertices - self.low) / self.step).clip(0, MAX_STEPS)
         return np.pad(found.astype(np.uint16), ((0, 0), (0, 1)))
 
     @property
     def farthest(self) -> float:
-        """How far a vertex is moved at most, metres."""
+        """Maximum distance in metres by which quantization moves a vertex."""
         return float(0.5 * np.sqrt(3) * self.step)
 
 
 def lattice_of(vertices: Floats, bits: int = _BITS) -> Lattice:
-    """Return the lattice of a mesh, one for all its parts, so that they stay joined.
+    """Return the quantization grid of a mesh.
+
+    All parts share one grid, so shared boundaries stay closed.
 
     Parameters
     ----------
-    bits : of a number, 1 to 16.
+    vertices : (n, 3) positions, metres.
+    bits : bits per component, 1 to 16.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = float((high - low).max())
-    # A power of two: then places are exact sums in the numbers of viewers, too, where these are small enough.
+    # With a power of two as step, viewers dequantize in floats without rounding, if the coordinates are
+    # small.
     return Lattice(low, float(2.0 ** np.ceil(np.log2(size / (2**bits - 1)))) if size > 0 else 1.0)
 
 
 def quantized_unit(normals: NDArray[np.float32]) -> NDArray[np.int8]:
-    """Return unit vectors (n, 4) in 8 bits a number, of which the last is filling."""
+    """Quantize unit vectors (n, 3) to 8-bit components (n, 4); the last column is padding."""
     return np.pad(np.rint(normals * _UNIT).astype(np.int8), ((0, 0), (0, 1)))
 
 
 def quantized_uvs(uvs: Floats, steps: tuple[int, int] = (MAX_STEPS, MAX_STEPS)) -> NDArray[np.uint16] | None:
-    """Return texture coordinates (n, 2) in steps of the image's sides; None if they go beyond the image.
+    """Quantize texture coordinates (n, 2); None if some are outside the image.
 
     Parameters
     ----------
-    steps : along u and v.
+    steps : steps per image side along u and v.
     """
     places = np.rint(uvs * steps)
     if max(steps) > MAX_STEPS or (places.size and (places.min() < 0 or (places > steps).any())):
@@ -86,7 +90,17 @@ def quantized_uvs(uvs: Floats, steps: tuple[int, int] = (MAX_STEPS, MAX_STEPS)) 
 
 
 def strips(triangles: NDArray[np.int32], vertices: int) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Return triangles in an order that packs well, and which vertices these name, in the order of naming."""
+    """Reorder triangles for compression, and vertices by first use.
+
+    Parameters
+    ----------
+    triangles : (m, 3) vertex indices.
+    vertices : number of vertices.
+
+    Returns
+    -------
+    The reordered triangles (m, 3) with new vertex indices, and the old index of each new vertex.
+    """
     ordered = _kernels.strip_order(np.ascontiguousarray(triangles, np.int32), vertices)
     named, first = np.unique(ordered, return_index=True)
     order = named[np.argsort(first)]
@@ -96,11 +110,11 @@ def strips(triangles: NDArray[np.int32], vertices: int) -> tuple[NDArray[np.int3
 
 
 def packed(values: NDArray[Any], target: int) -> tuple[bytes, str]:
-    """Return the rows of a buffer packed, and the way in which they are.
+    """Compress a buffer with meshoptimizer; return the bytes and the extension's mode.
 
     Parameters
     ----------
-    values : (n, k) of a vertex each, k of them a multiple of four bytes; or (n, ) indices, three a triangle.
+    values : (n, k) attribute rows whose size is a multiple of four bytes, or (3 m,) triangle indices.
     target : VERTICES or INDICES.
     """
     values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))

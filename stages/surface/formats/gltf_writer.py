@@ -1,10 +1,9 @@
-"""Write glTF files: a primitive for each material of each part, images untouched.
+"""glTF writer: one primitive per part and material; images are stored unchanged.
 
-Khronos Group, "glTF 2.0 specification", 2021: sections 3.6 (alignment, bounds), 4 (the GLB container).
-Positions, normals and texture coordinates are single precision, which is all the format has; a mesh far from
-its origin is moved there by its node, so that it keeps its digits. Vertex colours are written as amounts of
-light, from which the 8 bits that are displayed come back exactly. For the web, all of these can be whole
-numbers, and packed.
+Source: Khronos Group, "glTF 2.0 specification", 2021, sections 3.6 (alignment, bounds) and 4 (GLB container).
+The format stores single precision. A mesh far from the origin is therefore centred and moved back by its
+node's translation. Vertex colours are written as linear light, from which the 8-bit sRGB values are recovered
+exactly. For the web, attributes can be quantized and compressed.
 """
 
 from __future__ import annotations
@@ -45,9 +44,10 @@ from scanloom.stages.surface.welding import same_rows
 _FLOAT, _SHORT, _INT, _BYTE, _SIGNED_BYTE = 5126, 5123, 5125, 5121, 5120
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _LARGEST = 1 << 32
-# A mesh this many times its size away from the origin loses digits that a move saves.
+# Ratio of the distance from the origin to the mesh size above which the mesh is centred to keep float32
+# precision.
 _FAR = 4.0
-# Normals this close to unit length are written as they are.
+# Tolerance of unit length; normals within it are written unchanged.
 _UNIT = 1e-4
 
 Floats = NDArray[np.float64]
@@ -64,33 +64,39 @@ def write_gltf(
     texel_steps: int = 0,
     values: NDArray[np.uint8] | None = None,
 ) -> None:
-    """Write a mesh as .glb, or as .gltf with its buffer and images beside; each file whole or not at all.
+    """Write a mesh as .glb, or as .gltf with separate buffer and images.
 
-    Triangles of one part and material are put together. Parts that share no vertices become nodes. Where the
-    mesh says what is up, a node above all turns it along y, and `asset.extras.scan_from_world` holds the turn
-    back.
+    Each file is replaced atomically. Triangles are grouped by part and material. Parts that share no vertices
+    become separate nodes. If the mesh has an up direction, a root node rotates it to +y, and
+    `asset.extras.scan_from_world` stores the inverse rotation.
 
     Parameters
     ----------
-    compress : of COMPRESSIONS. `quantize`: positions in steps, a power of two, of which 65,535 span the
-        longest side; normals in 8 bits, coordinates within the image in 16; viewers need
-        KHR_mesh_quantization. `meshopt`: the same, packed without loss, triangles and vertices in another
-        order; viewers need EXT_meshopt_compression.
-    shading : of SHADINGS. `keep`: as materials say; colours of vertices alone are lit. `bare`: the same, but
-        these have no material in a file that is not compressed, for trimesh forgets them beside any. `unlit`:
-        shown in the colours that are there, without further light, and without normals; of no effect on a
-        mesh without colours. `lit`: whatever materials say.
-    position_bits : of a number of a position that is compressed, 1 to 16.
-    texel_steps : of coordinates that are compressed, for a texel of their image; viewers need
-        KHR_texture_transform. 0 for 16 bits, without it.
-    values : (n, 4) four more numbers of each vertex, written as `_VALUES`, which programs pass over.
+    path : output file; its extension selects the container.
+    mesh : mesh in metres.
+    compress : one of COMPRESSIONS. `quantize`: positions with up to 65,535 steps along the longest side (the
+    step
+        is a power of two), normals with 8 bits, texture coordinates inside the image with 16 bits; viewers
+        need KHR_mesh_quantization. `meshopt`: the same, losslessly compressed, with triangles and vertices
+        reordered; viewers need EXT_meshopt_compression.
+    shading : one of SHADINGS. `keep`: as the materials state; vertex colours without a material are lit.
+    `bare`:
+        the same, but uncompressed files have no material for vertex colours, because trimesh drops colours
+        next to a material. `unlit`: colours are displayed without lighting, and normals are dropped; no
+        effect on a mesh without colours. `lit`: overrides the materials.
+    position_bits : bits per component of a compressed position, 1 to 16.
+    texel_steps : steps of compressed texture coordinates per texel; viewers need KHR_texture_transform. 0 for
+    16
+        bits per image side, without that extension.
+    values : (n, 4) additional 8-bit values per vertex, written as attribute `_VALUES`, which other programs
+        ignore.
 
     Raises
     ------
     StageError
-        If the system refuses to write, or the mesh is larger than a GLB file can be (4 GiB).
+        If the file cannot be written, or exceeds the 4 GiB limit of GLB.
     MeshError
-        For coordinates that are not finite or beyond single precision.
+        If coordinates are not finite or exceed single precision.
     """
     path = Path(path)
     require_writable(mesh, path, single_precision=True)
@@ -100,7 +106,7 @@ def write_gltf(
         shading = "unlit" if is_colored else "keep"
         mesh = mesh.with_(normals=None, corner_normals=None) if is_colored else mesh
     small = compress != "none" and len(mesh.triangles) > 0
-    # Vertices that no triangle names are not written.
+    # Unreferenced vertices are not written, so they must not enlarge the grid.
     lattice = lattice_of(mesh.vertices[np.unique(mesh.triangles)], position_bits) if small else None
     buffer = Buffer(tree, lattice, texel_steps, pack=small and compress == "meshopt")
     if small:
@@ -151,7 +157,7 @@ def _add_nodes(
 
 
 def _set_upright(tree: Tree, turn: Floats) -> None:
-    """Put a node above all others that turns what is up along y, and say what turns it back."""
+    """Add a root node that rotates the mesh upright, and store the inverse rotation."""
     tree["asset"]["extras"] = {SCAN_FROM_WORLD: _matrix_numbers(turn.T)}
     if not np.array_equal(turn, np.eye(3)):
         tree["nodes"].append({"matrix": _matrix_numbers(turn), "children": tree["scenes"][0]["nodes"]})
@@ -159,14 +165,14 @@ def _set_upright(tree: Tree, turn: Floats) -> None:
 
 
 def _matrix_numbers(turn: Floats) -> list[float]:
-    """Return a rotation as glTF writes a matrix: 16 numbers, column by column."""
+    """Return a rotation (3, 3) as glTF matrix: 16 numbers in column-major order."""
     matrix = np.eye(4)
     matrix[:3, :3] = turn
     return [float(value) for value in matrix.T.reshape(-1)]
 
 
 def _move(vertices: Floats) -> Floats:
-    """Return what to take off all positions so that single precision holds them well; 0 where it does."""
+    """Return the offset (3,) of positions that keeps float32 precision; 0 if none is needed."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre = np.rint(low / 2 + high / 2)
     if np.array_equal(vertices.astype(np.float32), vertices) or abs(centre).max() < _FAR * (high - low).max():
@@ -175,7 +181,10 @@ def _move(vertices: Floats) -> Floats:
 
 
 def _share_vertices(mesh: Mesh, parts: NDArray[np.int32]) -> bool:
-    """Return whether some vertex lies in two parts: as nodes of their own these would come apart."""
+    """Return True if a vertex belongs to two parts.
+
+    As separate nodes, these parts would lose their connection.
+    """
     part_of = np.full(len(mesh.vertices), -2, np.int32)
     corner_parts = np.repeat(parts, 3)
     part_of[mesh.triangles.reshape(-1)] = corner_parts
@@ -183,9 +192,9 @@ def _share_vertices(mesh: Mesh, parts: NDArray[np.int32]) -> bool:
 
 
 def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Rows | None]]:
-    """Give part, material and triangles of each primitive; None for all triangles.
+    """Yield part, material and triangle indices of each primitive; None for all triangles.
 
-    Those with texture coordinates or normals are apart from those without.
+    Triangles with and without texture coordinates or corner normals go to different primitives.
     """
     count = len(mesh.triangles)
     zero = np.zeros(count, np.int32)
@@ -201,7 +210,7 @@ def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Ro
     order = np.lexsort(keys[::-1])
     ordered = keys[:, order]
     begins = np.flatnonzero((ordered[:, 1:] != ordered[:, :-1]).any(axis=0)) + 1
-    # By their first triangles, so that a mesh whose groups lie together keeps its order.
+    # Sorted by first triangle, so that a mesh with contiguous groups keeps its triangle order.
     for chosen in sorted(np.split(order, begins), key=lambda rows: int(rows[0])):
         yield int(keys[0, chosen[0]]), int(keys[1, chosen[0]]), chosen
 
@@ -213,18 +222,18 @@ def _primitive(
     material: Material | None,
     values: NDArray[np.uint8] | None,
 ) -> tuple[Tree, tuple[int, int] | None]:
-    """Add the chosen triangles, which are alike in what they have.
+    """Add the chosen triangles, which must all have the same attributes.
 
     Returns
     -------
-    What the file says of them, and the steps along u and v that their coordinates are in, if they are.
+    The JSON of the primitive, and the quantization steps of its texture coordinates along u and v, or None.
     """
     rows: Any = slice(None) if chosen is None else chosen
     triangles = mesh.triangles[rows]
     columns: list[NDArray[Any]] = []
     texture = mesh.texture
     uvs = None
-    # A material with images needs coordinates, even where none are known.
+    # A material with images requires coordinates, even if the mesh has none for these triangles.
     if texture is not None and (texture.has_uvs()[rows][:1].any() or has_images(material)):
         uvs = texture.uvs[rows].reshape(-1, 2)
         columns += list(uvs.T)
@@ -237,7 +246,7 @@ def _primitive(
     if columns:
         first = same_rows([*columns, corners])
         wedges = np.flatnonzero(first == np.arange(len(first)))
-        # In the order of their vertices, which so come back in theirs.
+        # Sorted by source vertex, so that reading the file restores the vertex order.
         order = np.argsort(corners[wedges], kind="stable")
         index = np.argsort(order)[np.searchsorted(wedges, first)]
         wedges = wedges[order]
@@ -266,7 +275,7 @@ def _primitive(
         attributes |= _colors(buffer, mesh.colors[source], shown=shown)
     if values is not None:
         attributes["_VALUES"] = buffer.accessor(values[source], "VEC4", _BYTE, VERTICES, normalized=True)
-    narrow = len(source) < np.iinfo(np.uint16).max  # the last value stands for none in some programs
+    narrow = len(source) < np.iinfo(np.uint16).max  # 65535 is the primitive-restart index
     indices = index.astype(np.uint16 if narrow else np.uint32).reshape(-1)
     code = _SHORT if narrow else _INT
     return {"attributes": attributes, "indices": buffer.accessor(indices, "SCALAR", code, INDICES)}, steps
@@ -302,7 +311,7 @@ def _coordinates(
 
 
 def _steps(of_texel: int, material: Material | None) -> tuple[int, int] | None:
-    """Return the steps along u and v of a material's image; None where there is none that can be read."""
+    """Return the quantization steps along u and v; None without a readable image."""
     if of_texel == 0 or material is None or material.image is None:
         return None
     try:
@@ -313,7 +322,7 @@ def _steps(of_texel: int, material: Material | None) -> tuple[int, int] | None:
 
 
 def _unit(normals: Floats) -> NDArray[np.float32] | None:
-    """Return normals of unit length, as the format wants them; None if some have no length."""
+    """Normalize normals to float32; None if some have no finite, positive length."""
     with np.errstate(over="ignore"):
         length = np.linalg.norm(normals, axis=1, keepdims=True)
     if not (length > 0).all() or not np.isfinite(length).all():
@@ -322,13 +331,16 @@ def _unit(normals: Floats) -> NDArray[np.float32] | None:
 
 
 def _colors(buffer: Buffer, colors: NDArray[np.uint8], *, shown: bool) -> dict[str, int]:
-    """Add vertex colours; beside an image, which they would darken, as one that programs pass over."""
+    """Add vertex colours as COLOR_0 or as a private attribute.
+
+    COLOR_0 would darken a material's image.
+    """
     if not shown:
         padded = np.pad(colors, ((0, 0), (0, 1)), constant_values=255)
         return {"_COLOR_DISPLAYED": buffer.accessor(padded, "VEC4", _BYTE, VERTICES, normalized=True)}
     light = linear_from_srgb(np.arange(256) / 255)
     if buffer.lattice is None:
-        # Programs that take whole numbers of 16 bits for others read these rightly.
+        # Floats, because some programs misread 16-bit integer colours.
         return {"COLOR_0": buffer.accessor(light.astype(np.float32)[colors], "VEC3", _FLOAT, VERTICES)}
     light = np.rint(light * 65535).astype(np.uint16)
     padded = np.pad(light[colors], ((0, 0), (0, 1)), constant_values=65535)
@@ -348,7 +360,7 @@ def _write_one(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter
     if size >= _LARGEST:
         raise StageError(
             MESH_FILE_TOO_LARGE,
-            "would take {size:,} bytes, more than a GLB file can hold",
+            "needs {size:,} bytes, more than the 4 GiB limit of GLB",
             remedy="write PLY.",
             where=path,
             size=size,

@@ -1,7 +1,7 @@
-"""Read LAS and LAZ: points of laser scanners and of surveys.
+"""LAS and LAZ reader for laser scans and surveys.
 
-ASPRS, "LAS specification 1.4 - R15", 2019; by `laspy` and `lazrs`, which are an extra. Called in a process of
-its own: see `cloud_process`. What the header promises is checked here first.
+Source: ASPRS, "LAS specification 1.4 - R15", 2019. Requires the optional packages `laspy` and `lazrs`; runs
+in the subprocess of `cloud_process`. The header is validated before these packages see the file.
 """
 
 from __future__ import annotations
@@ -25,24 +25,26 @@ from scanloom.stages.surface.codes import (
 )
 from scanloom.stages.surface.formats.cloud_parts import PART, Parts
 
-# Of a header, with how many points there are as it has been told since version 1.4; and of a record that says
-# more about the file.
+# Bytes of the shortest header, of the 1.4 header up to its 64-bit point count, and of a variable-length
+# record's header.
 _SHORTEST_HEADER, _LONG_HEADER, _RECORD = 227, 255, 54
-# Of LAZ: the upper bits of the kind of points say that they are packed.
+# Upper bits of the point format, which mark LAZ compression.
 _PACKED = 0xC0
-# What CloudCompare and others call normals among the extra dimensions, in small letters.
+# Extra dimensions that CloudCompare and other programs use for normals, in lower case.
 _NORMALS = (("normalx", "normaly", "normalz"), ("nx", "ny", "nz"))
-# GeoTIFF's keys for the kind of coordinates and for their unit; the values that stand for angles and metres.
+# GeoTIFF keys: GTModelType (2 = geographic coordinates in degrees), ProjLinearUnits and VerticalUnits (9001 =
+# metre).
 _KIND_KEY, _UNIT_KEYS, _ANGLES, _METRE = 1024, (3076, 4099), 2, 9001
 
 
 def read_las(path: Path, parts: Parts) -> None:
-    """Read a file's points, with their colours and normals, part by part.
+    """Read a file's points in chunks, with colours and normals.
 
     Raises
     ------
     InputError
-        If it is damaged, or promises more than it holds. What laspy raises besides is damage, too.
+        If the file is damaged or shorter than its header states. Other exceptions of laspy also mean damage;
+        the caller handles them.
     """
     import laspy
 
@@ -69,7 +71,7 @@ def read_las(path: Path, parts: Parts) -> None:
         if outside:
             emit(
                 MESH_POINTS_OUTSIDE.warning(
-                    "{count:,} points are not where its header says that all are: it may be damaged",
+                    "{count:,} points are outside the bounding box of the header: the file may be damaged",
                     path,
                     count=outside,
                 )
@@ -77,12 +79,12 @@ def read_las(path: Path, parts: Parts) -> None:
 
 
 def _checked_points(path: Path) -> int:
-    """Return how many points a header promises, after a look at whether they, and its records, fit in it."""
+    """Return the header's point count, checked against the file size."""
     size = path.stat().st_size
     with opened(path) as file:
         head = file.read(_LONG_HEADER)
     if head[:4] != b"LASF":
-        raise InputError(MESH_CLOUD_DAMAGED, "is no LAS or LAZ file: it does not start with `LASF`.", path)
+        raise InputError(MESH_CLOUD_DAMAGED, "is not a LAS or LAZ file: it does not start with `LASF`.", path)
     if len(head) < _SHORTEST_HEADER:
         raise InputError(
             MESH_CLOUD_DAMAGED, "is cut short within its header", path, remedy="get a whole copy of it."
@@ -95,7 +97,7 @@ def _checked_points(path: Path) -> int:
     if is_short or (not kind & _PACKED and points > held):
         raise InputError(
             MESH_CLOUD_DAMAGED,
-            "promises {points:,} points, more than it holds; it is damaged or cut short.",
+            "declares {points:,} points, more than it holds; it is damaged or cut short.",
             path,
             points=points,
         )
@@ -103,7 +105,10 @@ def _checked_points(path: Path) -> int:
 
 
 def _outside(points: NDArray[np.float64], header: Any) -> int:
-    """Return how many points are outside of the box that a header tells: packed points have no check sum."""
+    """Count points outside the header's bounding box.
+
+    Compressed points have no checksum, so outliers are the only sign of damage.
+    """
     low, high = header.mins - 2 * header.scales, header.maxs + 2 * header.scales
     if not header.mins.any() and not header.maxs.any():
         return 0
@@ -122,12 +127,12 @@ def _normals(part: Any, names: Mapping[str, str]) -> NDArray[Any] | None:
 
 
 def _report_unit(header: Any, path: Path) -> None:
-    """Warn of coordinates in another unit than metres."""
+    """Warn if the coordinates are not in metres."""
 
     def report(unit: str) -> None:
         emit(
             MESH_UNIT_NOT_METRES.warning(
-                "its coordinates are in {unit}, and are taken as metres: all lengths are in that unit",
+                "its coordinates are in {unit} but used as metres: all lengths are in that unit",
                 path,
                 unit=unit,
             )

@@ -1,7 +1,7 @@
-"""Material libraries of OBJ files.
+"""Material libraries (MTL) of OBJ files.
 
-Alias Wavefront, "MTL material format", 1995. Of a material's statements Kd, d and map_Kd are understood; all
-of them are kept as they stand, for writing them back.
+Source: Alias Wavefront, "MTL material format", 1995. Kd, d and map_Kd are interpreted. All statements are
+kept unchanged for writing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_LEFT_OUT
 from scanloom.stages.surface.formats.textures import beside, read_texture, write_images
 from scanloom.stages.surface.texture import Image, Material
 
-# How many words follow each option of a map; -o, -s and -t take one to three numbers.
+# Argument count of each texture-map option; -o, -s and -t take one to three numbers.
 _OPTION_WORDS = {
     "-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-texres": 1, "-clamp": 1, "-bm": 1, "-imfchan": 1,
     "-type": 1, "-cc": 1, "-colorspace": 1,
@@ -30,7 +30,14 @@ _DIFFUSE = "map_Kd"
 
 @dataclass(frozen=True)
 class Map:
-    """A statement that names an image: what stands before the name, and the name."""
+    """A parsed texture-map statement.
+
+    Attributes
+    ----------
+    start : text before the file name, options included.
+    file : image file name.
+    options : arguments of each option.
+    """
 
     start: str
     file: str
@@ -39,7 +46,14 @@ class Map:
 
 @dataclass(frozen=True, eq=False)
 class MtlStatements:
-    """What an MTL file says of a material: its lines, the images of its maps, and what was read from it."""
+    """The original MTL statements of a material, for writing them back.
+
+    Attributes
+    ----------
+    lines : statements, in file order.
+    images : images of the texture maps by file name.
+    color, image : the `Material` fields derived from the statements, to detect later changes.
+    """
 
     lines: tuple[str, ...] = ()
     images: dict[str, Image] = field(default_factory=dict)
@@ -48,7 +62,7 @@ class MtlStatements:
 
 
 def text_of(data: bytes) -> str:
-    """Decode text that is UTF-8, or else from before it."""
+    """Decode UTF-8 text, falling back to Latin-1."""
     try:
         return data.decode()
     except UnicodeDecodeError:
@@ -56,9 +70,16 @@ def text_of(data: bytes) -> str:
 
 
 def read_libraries(path: Path, libraries: Iterable[str], names: Iterable[str]) -> tuple[Material, ...]:
-    """Return the materials of these names, each once, from the libraries that the OBJ file `path` names.
+    """Read the named materials from the libraries of an OBJ file, each once.
 
-    A library or an image that is missing gives a warning. A material no library has is one of a name alone.
+    A missing library or image is reported as a warning. A material in no library gets a name but no
+    properties.
+
+    Parameters
+    ----------
+    path : OBJ file; file names are relative to its folder.
+    libraries : arguments of the mtllib statements.
+    names : material names in use.
     """
     statements: dict[str, list[str]] = {}
     for library in _files(path.parent, libraries):
@@ -80,7 +101,10 @@ def read_libraries(path: Path, libraries: Iterable[str], names: Iterable[str]) -
 
 
 def _files(folder: Path, libraries: Iterable[str]) -> list[str]:
-    """Return the file names of mtllib statements: names may have spaces, and a line may have several."""
+    """Split mtllib arguments into file names.
+
+    File names can contain spaces, and one statement can list several files.
+    """
     files: dict[str, None] = {}
     for words in libraries:
         several = re.findall(r"\S.*?\.mtl(?=\s|$)", words, re.IGNORECASE)
@@ -92,7 +116,7 @@ def _files(folder: Path, libraries: Iterable[str]) -> list[str]:
 def _readable(file: Path) -> bool:
     try:
         return file.is_file()
-    except (OSError, ValueError):  # ValueError: a name with a zero byte.
+    except (OSError, ValueError):  # ValueError: the name contains a null byte
         return False
 
 
@@ -136,7 +160,7 @@ def _material(path: Path, name: str, lines: list[str], images: dict[str, Image |
     if main and image and any(option in main.options for option in _PLACING):
         emit(
             MESH_LEFT_OUT.warning(
-                "-o, -s and -t of the image {image} are kept, but colours are read without them",
+                "options -o, -s and -t of the image {image} are kept for writing, but ignored for colours",
                 path,
                 image=main.file,
             )
@@ -156,7 +180,10 @@ def _numbers(words: list[str]) -> list[float] | None:
 
 
 def _color(words: list[str]) -> list[float] | None:
-    """Return Kd as 0..1; one number is a grey. Spectra and XYZ, which nobody writes, are passed over."""
+    """Parse Kd to RGB 0 to 1; a single number is grey.
+
+    The forms `Kd spectral` and `Kd xyz` are unused in practice and ignored.
+    """
     numbers = _numbers(words)
     if not numbers or len(numbers) == 2:
         return None
@@ -164,7 +191,10 @@ def _color(words: list[str]) -> list[float] | None:
 
 
 def _map(line: str) -> Map | None:
-    """Take a map statement apart; the name is all that follows the options, with its spaces."""
+    """Parse a texture-map statement.
+
+    The file name is the rest of the line after the options.
+    """
     at = [(match.start(), match.group()) for match in re.finditer(r"\S+", line)]
     options: dict[str, list[str]] = {}
     k = 1
@@ -187,7 +217,10 @@ def _map(line: str) -> Map | None:
 
 
 def write_library(path: Path, materials: Sequence[Material], names: list[str]) -> None:
-    """Write materials under these names as NAME.mtl beside the OBJ file `path`, and their images."""
+    """Write materials and their images next to an OBJ file.
+
+    The library is named after the OBJ file `path`, with the extension .mtl.
+    """
     images: dict[int, Image] = {}
     for material in materials:
         kept = _kept(material).images.values()
@@ -205,7 +238,7 @@ def _kept(material: Material) -> MtlStatements:
 
 
 def _lines(material: Material, files: dict[int, str]) -> list[str]:
-    """Return the statements of a material: those it had, but for what has changed since."""
+    """Return a material's statements: the original ones, updated where fields changed."""
     kept = _kept(material)
     same_color, same_image = material.base_color == kept.color, material.image is kept.image
     lines = []
@@ -221,7 +254,7 @@ def _lines(material: Material, files: dict[int, str]) -> list[str]:
         red, green, blue, alpha = map(float, material.base_color)
         lines += [f"Kd {red!r} {green!r} {blue!r}", f"d {alpha!r}"]
     if material.image is not None and not same_image:
-        # Some programs take the colour to be black where none is given.
+        # Some programs default the diffuse colour to black.
         if not any(line.startswith("Kd") for line in lines):
             lines.append("Kd 1 1 1")
         clamp = "-clamp on " if material.wrap == ("clamp", "clamp") else ""

@@ -1,8 +1,8 @@
-"""Wavefront OBJ files with texture coordinates per corner.
+"""Wavefront OBJ reader and writer with texture coordinates per corner.
 
-trimesh reads the format too, but either splits the surface along texture seams or loses the coordinates
-there, and refuses negative indices when told to keep the order of vertices. Curves, lines, points and
-smoothing are left out; all objects and groups of a file become parts of one mesh.
+trimesh's reader either splits the surface along texture seams or loses seam coordinates. It also refuses
+negative indices when it keeps the vertex order. Curves, lines, points and smoothing groups are dropped;
+objects and groups become parts of one mesh.
 """
 
 from __future__ import annotations
@@ -39,27 +39,27 @@ from scanloom.stages.surface.mesh import Mesh, require_writable, validated
 from scanloom.stages.surface.texture import Material, Texture
 from scanloom.stages.surface.welding import same_rows
 
-# What programs write for a material that is none.
+# Names that programs write for faces without a material.
 _NO_MATERIAL = ("None", "(null)")
-# Lines that are put into words together.
+# Lines formatted per string operation.
 _AT_ONCE = 1 << 15
-# A corner's indices, by whether it has a texture coordinate (2) and a normal (1).
+# Corner formats, indexed by 2 (has a texture coordinate) plus 1 (has a normal).
 _CORNERS = ("%d", "%d//%d", "%d/%d", "%d/%d/%d")
 
 
 def read_obj(path: Path | str) -> Mesh:
-    """Read an OBJ file; polygons are split into triangles.
+    """Read an OBJ file and triangulate its polygons.
 
-    Colours after the positions (0..1, or 0..255) are kept if every vertex has them. Normals are those of
-    vertices if they agree at every vertex, else of corners. Materials come from the libraries that are there,
-    images as they are. `Mesh.diagnostics` says what was changed, left out or missing.
+    Colours after positions (0 to 1, or 0 to 255) are kept if every vertex has one. Normals become vertex
+    normals if all corners of a vertex agree, else corner normals. Materials come from the available
+    libraries, and images are kept unchanged. `Mesh.diagnostics` lists changed, dropped and missing data.
 
     Raises
     ------
     InputError
         If the file cannot be read or parsed.
     MeshError
-        For a vertex that is not finite or an index out of range.
+        If a vertex is not finite or an index is out of range.
     """
     with collecting() as diagnostics:
         mesh = _read(Path(path))
@@ -105,7 +105,7 @@ def _positions(text: bytes, path: Path) -> tuple[NDArray[np.float64], NDArray[np
     if table.shape[1] in (6, 7):
         colors = table[:, -3:]
         if not np.isfinite(colors).all():
-            emit(MESH_VALUES_REPLACED.warning("colours that are not finite are taken as 0", path))
+            emit(MESH_VALUES_REPLACED.warning("colours that are not finite become black", path))
         return table[:, :3], to_uint8(colors)
     if (counts >= 6).any():
         emit(MESH_LEFT_OUT.warning("colours are left out: some vertices have none", path))
@@ -113,9 +113,9 @@ def _positions(text: bytes, path: Path) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def _rows(text: bytes, width: int, path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Parse lines of numbers; if they differ in length, the first `width` of each.
+    """Parse lines of numbers to a table, and count the numbers per line.
 
-    Beside them, how many numbers stand in each line.
+    If lines differ in length, the table has the first `width` numbers of each.
     """
     counts = words_of_lines(text)[1]
     if not len(counts):
@@ -136,16 +136,17 @@ def _rows(text: bytes, width: int, path: Path) -> tuple[NDArray[np.float64], NDA
 
 
 def _references(text: bytes, seen: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Parse face lines of corners `v`, `v/vt`, `v//vn` or `v/vt/vn`.
+    """Parse faces with corners `v`, `v/vt`, `v//vn` or `v/vt/vn`.
 
     Parameters
     ----------
-    seen : (faces, 3) how many v, vt and vn were written before each.
+    text : face lines without the keyword.
+    seen : (faces, 3) number of v, vt and vn statements before each face.
 
     Returns
     -------
-    lengths : (faces,) corners of each.
-    references : (corners, 3) zero-based v, vt, vn; -1 where a corner has none.
+    lengths : (faces,) corner count of each face.
+    references : (corners, 3) zero-based indices v, vt, vn; -1 if a corner has none.
     """
     if not text:
         return np.zeros(0, np.int64), np.zeros((0, 3), np.int64)
@@ -172,9 +173,9 @@ def _references(text: bytes, seen: NDArray[np.int64]) -> tuple[NDArray[np.int64]
             written[has, part] = numbers[first[has] + part]
     references = written - 1
     if (written < 0).any():
-        # Negative numbers count back from the last one written before the face; 0 stands for none.
+        # A negative index counts back from the last element before the face. 0 means no index.
         references = np.where(written < 0, np.repeat(seen, lengths, axis=0) + written, references)
-    # A position must be named: 0 is an error there, and so is counting back beyond the first.
+    # The position index is required, so 0 and a negative index out of range are errors.
     references[references[:, 0] < 0, 0] = -1
     return lengths, references
 
@@ -182,7 +183,10 @@ def _references(text: bytes, seen: NDArray[np.int64]) -> tuple[NDArray[np.int64]
 def _normals(
     mesh: Mesh, references: NDArray[np.int64], normals: NDArray[np.float64], path: Path
 ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
-    """Return normals of the vertices, or of the corners where a vertex has several; 0 where one has none."""
+    """Return vertex normals, or corner normals if a vertex has several.
+
+    A corner without a normal gets 0.
+    """
     given = (references >= 0) & (references < len(normals))
     if not given.any():
         return None, None
@@ -200,7 +204,7 @@ def _normals(
 
 
 def _used(changes: list[tuple[int, str]], face_count: int) -> tuple[str, ...]:
-    """Return the names that hold for some face, in the order of their first ones."""
+    """Return the names in use, in order of first use."""
     ends = [first for first, _ in changes[1:]] + [face_count]
     return tuple(
         dict.fromkeys(name for (first, name), end in zip(changes, ends, strict=False) if first < end)
@@ -208,7 +212,10 @@ def _used(changes: list[tuple[int, str]], face_count: int) -> tuple[str, ...]:
 
 
 def _ids(changes: list[tuple[int, str]], names: tuple[str, ...], source: NDArray[np.int64]) -> Any:
-    """Return (m,) int32 which of the names holds for each triangle; -1 for others and before the first."""
+    """Return each triangle's name index (m,) int32.
+
+    It is -1 for other names and before the first one.
+    """
     number_of = {name: number for number, name in enumerate(names)}
     starts = np.array([first for first, _ in changes], np.int64)
     numbers = np.array([number_of.get(name, -1) for _, name in changes] + [-1], np.int32)
@@ -224,7 +231,7 @@ def _texture(
 ) -> Texture | None:
     names = _used(statements.materials, len(statements.seen))
     materials = read_libraries(path, statements.libraries, names)
-    # A name of no library that stands for no material.
+    # Drop placeholder names for "no material", unless a library defines them.
     materials = tuple(m for m in materials if m.kept is not None or m.name not in _NO_MATERIAL)
     names = tuple(material.name for material in materials)
     given = np.all((references >= 0) & (references < len(uvs)), axis=1)
@@ -249,22 +256,24 @@ def _texture(
 
 
 def write_obj(path: Path | str, mesh: Mesh) -> None:
-    """Write an OBJ file; materials go beside it as NAME.mtl, images under their own names, untouched.
+    """Write an OBJ file, its material library (NAME.mtl) and its images.
 
-    Numbers are written so that they read back equal, and triangles keep their order. Each file appears whole
-    or not at all.
+    Images keep their names and bytes. Numbers are written so that they read back equal, and triangles keep
+    their order. Each file is replaced atomically.
 
     Raises
     ------
+    MeshError
+        If coordinates are not finite.
     StageError
-        If the system refuses to write.
+        If a file cannot be written.
     """
     path = Path(path)
     require_writable(mesh, path)
     texture = mesh.texture
     columns: list[NDArray[Any]] = [mesh.vertices]
     if mesh.colors is not None:
-        # Of 256 shares, each is put into words once.
+        # Only 256 values occur, so each is formatted once.
         columns.append(np.array([repr(level / 255) for level in range(256)], object)[mesh.colors])
     texts = _number_texts("v", columns)
     corners = mesh.triangles.astype(np.int64) + 1
@@ -291,10 +300,10 @@ def write_obj(path: Path | str, mesh: Mesh) -> None:
 
 
 def _plain(texture: Texture, number: int) -> Material:
-    """Return a material, that clamps its image as one that repeats it where both look the same.
+    """Return a material, with wrap mode "repeat" instead of "clamp" where both look equal.
 
-    So it is where all coordinates are half a texel or more inside, and many programs do not find an image
-    that stands behind an option.
+    They look equal if all coordinates are at least half a texel inside the image. Many programs fail to load
+    an image whose name follows the `-clamp` option.
     """
     material = texture.materials[number]
     if material.image is None or material.wrap != ("clamp", "clamp"):
@@ -309,14 +318,14 @@ def _plain(texture: Texture, number: int) -> Material:
 
 
 def _numbered(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the distinct rows in the order in which they come, and (m, 3) which each corner has, from 1."""
+    """Deduplicate rows in order of first use; return them and one-based indices (m, 3)."""
     first = same_rows(list(rows.T))
     is_first = first == np.arange(len(rows))
     return rows[is_first], np.cumsum(is_first)[first].reshape(-1, 3)
 
 
 def _distinct(names: list[str]) -> list[str]:
-    """Return names that differ, and hold no line break."""
+    """Return unique names without line breaks."""
     found: dict[str, None] = {}
     for name in names:
         base = " ".join(name.split()) or "unnamed"
@@ -329,14 +338,14 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 def _statements(mesh: Mesh, materials: list[str]) -> dict[int, str]:
-    """Return lines with the names of parts and materials by the triangle before which they stand."""
+    """Return the part and material statements to write before each triangle index."""
     words: list[tuple[NDArray[np.int32], list[str]]] = []
-    # The last statement of each list is for an index of -1.
+    # The last statement of each list is addressed by -1, the index of no part and no material.
     if materials and mesh.texture is not None:
         none = next(name for name in (*_NO_MATERIAL, "") if name not in materials)
         words.append((mesh.texture.material_ids, [f"usemtl {name}\n" for name in (*materials, none)]))
     if mesh.part_ids is not None:
-        # As object and as group, since programs look for one or the other.
+        # Written as object and as group, because programs read one or the other.
         parts = [f"o {name}\ng {name}\n" for name in _distinct(list(mesh.part_names))]
         words.append((mesh.part_ids, [*parts, f"g {NO_PART}\n"]))
     found: dict[int, str] = {}
@@ -352,7 +361,7 @@ def _number_texts(key: str, columns: list[NDArray[Any]]) -> list[str]:
     texts = []
     for start in range(0, len(columns[0]), _AT_ONCE):
         rows = [column[start : start + _AT_ONCE] for column in columns]
-        # One list of all words: a list for each line would take as long as the words.
+        # One flat list, because a list per line would double the time.
         flat = rows[0] if len(rows) == 1 else np.hstack([row.astype(object) for row in rows])
         texts.append(line * len(flat) % tuple(flat.ravel().tolist()))
     return texts
@@ -364,10 +373,10 @@ def _face_texts(
     vn: NDArray[np.int64] | None,
     statements: dict[int, str],
 ) -> list[str]:
-    """Return lines of corners, with the statements before them; an index of 0 stands for none."""
+    """Format face lines, preceded by their statements; index 0 means absent."""
     none = np.zeros_like(v)
     indices = np.stack([v, none if vt is None else vt, none if vn is None else vn], axis=2)
-    # How the corners of each triangle are written; triangles that are written alike stand side by side.
+    # Format code of each triangle; consecutive triangles with equal codes are formatted together.
     kinds = (2 * (indices[..., 1] > 0) + (indices[..., 2] > 0)) @ np.array([16, 4, 1])
     if not len(v):
         return []

@@ -1,7 +1,7 @@
-"""The statements of an OBJ file, sorted by what they say.
+"""Parser that sorts the statements of an OBJ file by keyword.
 
-Nearly all lines of a file are numbers of four kinds. These are told apart and cut out in bulk; line by line
-are read only the others, and files that are written in an unusual way.
+Nearly all lines are numbers of four kinds (v, vt, vn, f). They are found and extracted with array operations.
+Only other lines, and files with unusual layout, are parsed line by line.
 """
 
 from __future__ import annotations
@@ -13,31 +13,32 @@ from numpy.typing import NDArray
 
 from scanloom.stages.surface.formats.mtl import text_of
 
-# What programs write for a group that is none.
+# Group name that programs write for faces without a group.
 NO_PART = "default"
 
-# Statements of a shape that is none of triangles, and what they are called.
+# Keywords of geometry other than triangles, with their names in messages.
 OTHERS = {b"l": "lines", b"p": "points", b"curv": "curves", b"curv2": "curves", b"surf": "free-form surfaces"}
 
 _KEYS = (b"v", b"vt", b"vn", b"f")
 _FACE = _KEYS.index(b"f")
-# White space within a line, which becomes blanks.
+# White space within a line, normalized to spaces.
 _BLANKS = bytes.maketrans(b"\t\v\f", b"   ")
 _IS_BLANK = np.isin(np.arange(256), list(b" \t\v\f"))
 
 
 @dataclass
 class Statements:
-    """The file's lines, sorted by what they say.
+    """The lines of an OBJ file, sorted by keyword.
 
     Attributes
     ----------
-    positions, uvs, normals, faces : lines of v, vt, vn and f without these words, line feeds between them;
-        blanks are the only other white space.
-    seen : (faces, 3) how many v, vt and vn stand before each face.
-    materials, parts : the first face for which each holds, and its name.
-    libraries : file names of materials.
-    others : what else there is of a shape, by words of OTHERS.
+    positions, uvs, normals, faces : lines of v, vt, vn and f without the keyword, separated by line feeds;
+    all
+        other white space is spaces.
+    seen : (faces, 3) number of v, vt and vn statements before each face.
+    materials, parts : (index of the first face, name) of each change of material or part.
+    libraries : arguments of the mtllib statements.
+    others : names from OTHERS of unsupported geometry in the file.
     """
 
     positions: bytes = b""
@@ -52,7 +53,13 @@ class Statements:
     _names: dict[bytes, str] = field(default_factory=lambda: {b"o": "", b"g": ""})
 
     def add(self, line: bytes, faces: int) -> None:
-        """Add a line that is no row of numbers, before which so many faces stand."""
+        """Record a statement other than v, vt, vn or f.
+
+        Parameters
+        ----------
+        line : the statement.
+        faces : number of faces before the line.
+        """
         words = line.split(None, 1)
         if len(words) < 2:
             if not words or words[0] not in self._names:
@@ -78,7 +85,7 @@ def _name(rest: bytes) -> str:
 
 
 def sorted_statements(data: bytes) -> Statements:
-    """Sort the lines of a file."""
+    """Sort the lines of an OBJ file by keyword."""
     if b"\\" in data:
         data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     if b"\r" in data:
@@ -89,11 +96,11 @@ def sorted_statements(data: bytes) -> Statements:
 
 
 def words_of_lines(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where each word of a text begins, and how many words each of its lines has."""
+    """Return the offset of each word in a text, and the word count of each line."""
     if not text:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     characters = np.frombuffer(text, np.uint8)
-    # All that separates words is below or equal to a blank.
+    # All separators have codes up to the space character.
     is_word = characters > ord(" ")
     begins = np.flatnonzero(is_word[1:] & ~is_word[:-1]) + 1
     if is_word[0]:
@@ -103,11 +110,11 @@ def words_of_lines(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _in_bulk(data: bytes) -> Statements | None:
-    """Sort the lines of a file whose numbers stand in lines of the usual form; None for any other."""
+    """Sort a file's lines with array operations; None if its layout is unusual."""
     characters = np.frombuffer(data, np.uint8)
     ends = np.flatnonzero(characters == ord("\n")) + 1
     starts = np.concatenate([[0], ends[:-1]])
-    # Two more at the end, for what would be the key of a last line.
+    # Padding, so that the last line can be indexed like the others.
     padded = np.concatenate([characters, np.full(3, ord("\n"), np.uint8)])
     first, second, third = (padded[starts + at] for at in range(3))
     is_v, then_blank = first == ord("v"), _IS_BLANK[third]
@@ -124,7 +131,7 @@ def _in_bulk(data: bytes) -> Statements | None:
         chosen = kinds == kind
         text = _without_key(_cut_out(data, starts, ends, chosen), key)
         words = words_of_lines(text)[1]
-        # Lines of the word alone say nothing, and are not counted.
+        # A keyword without values has no effect and would break the count.
         if len(words) != np.count_nonzero(chosen) or not words.all():
             return None
         texts.append(text)
@@ -138,14 +145,14 @@ def _in_bulk(data: bytes) -> Statements | None:
 
 
 def _lines_of(characters: NDArray[np.uint8], ends: NDArray[np.int64], character: str) -> NDArray[np.int64]:
-    """Return the lines in which a character stands."""
+    """Return the indices of the lines that contain a character, once per occurrence."""
     return np.searchsorted(ends, np.flatnonzero(characters == ord(character)), side="right")
 
 
 def _cut_out(
     data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64], chosen: NDArray[np.bool_]
 ) -> bytes:
-    """Return the chosen lines, each run of them in one piece."""
+    """Concatenate the chosen lines, copying runs of consecutive lines at once."""
     edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2)
     runs = zip(starts[edges[:, 0]].tolist(), ends[edges[:, 1] - 1].tolist(), strict=True)
     return b"".join([data[start:end] for start, end in runs])

@@ -1,6 +1,6 @@
-"""PLY files: meshes with colours, normals and texture, and coloured point clouds.
+"""PLY reader and writer: meshes with colours, normals and texture, and coloured point clouds.
 
-Files from outside are parsed here and not by Open3D, whose reader crashes on some malformed ones.
+Files are not parsed by Open3D, whose reader crashes on some malformed files.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from scanloom.stages.surface.formats.polygons import split_polygons
 from scanloom.stages.surface.mesh import Mesh, require_writable, validated
 
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-# Told of elsewhere, or used: by element, what it is called and its properties.
+# Properties that are used or reported elsewhere, by element, with the name of the element in messages.
 _OF_VERTICES = ("x", "y", "z", "nx", "ny", "nz", "alpha", "a", "s", "t", "u", "v", "texture_u", "texture_v")
 _OF_FACES = ("vertex_indices", "vertex_index", "texcoord", "texnumber", "alpha", "a")
 _OWN = ("material_index", "part_index", "corner_normals")
 _ALL_COLORS = tuple(name for names in _COLORS for name in names)
-# What scanloom writes of a mesh as it is: of another one it is not true, and is measured anew.
+# Measurements that scanloom writes. They are not read, because they need not be true for an edited mesh.
 _MEASURED_THERE = ("frames", "angle", "mean_angle", "pixel", "spread", "deviation")
 _FOUND_OF_FACES = ("shape_bound", "color_bound", "patch")
 _READ = {
@@ -47,24 +47,24 @@ _READ = {
     "face": ("faces", (*_OF_FACES, *_OWN, *_ALL_COLORS, *_FOUND_OF_FACES)),
 }
 _STRIPS = "tristrips"
-# Properties that are named.
+# Maximum number of dropped properties listed by name in the warning.
 _NAMED = 5
 
 
 def read_ply(path: Path | str) -> Mesh:
-    """Read a PLY file, text or binary, of either byte order.
+    """Read a PLY file: text, or binary of either byte order.
 
-    Polygons are split into triangles and triangle strips are unrolled; colours may be bytes or
-    floats. Texture coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture, with the
-    images the file names, as they are. A cloud is a mesh without triangles. Colours of faces, alpha,
-    and properties and elements of other names are left out; `Mesh.diagnostics` says what was changed or lost.
+    Polygons are triangulated and triangle strips unrolled. Colours can be integers or floats. Texture
+    coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture with the unchanged image
+    files. A point cloud becomes a mesh without triangles. Face colours, alpha, and other properties and
+    elements are dropped. `Mesh.diagnostics` lists changed and dropped data.
 
     Raises
     ------
     InputError
-        If the file is no PLY file, is damaged, or promises more than it holds.
+        If the file is not PLY, is damaged, or is shorter than its header states.
     MeshError
-        For a vertex that is not finite or an index out of range.
+        If a vertex is not finite or an index is out of range.
     """
     with collecting() as diagnostics:
         mesh = _read(Path(path))
@@ -90,7 +90,7 @@ def _read(path: Path) -> Mesh:
         normals=_normals(vertex, path),
     )
     if any(name in face for name in ("red", "diffuse_red", "r")):
-        emit(MESH_LEFT_OUT.warning("colours of faces are left out; only colours of vertices are used", path))
+        emit(MESH_LEFT_OUT.warning("face colours are left out; only vertex colours are used", path))
     _report_transparency(vertex, path)
     _report_others(header, path)
     mesh = validated(mesh, str(path))
@@ -116,7 +116,7 @@ def _vertex_colors(vertex: Table, path: Path) -> NDArray[np.uint8] | None:
         values = _columns(vertex, names)
         if values is not None:
             if not np.isfinite(values).all():
-                emit(MESH_VALUES_REPLACED.warning("colours that are not finite are taken as 0", path))
+                emit(MESH_VALUES_REPLACED.warning("colours that are not finite become black", path))
             return to_uint8(values)
     return None
 
@@ -131,12 +131,12 @@ def _report_transparency(vertex: Table, path: Path) -> None:
 
 
 def _report_others(header: Header, path: Path) -> None:
-    """Report which elements, and properties of vertices and faces, are passed over."""
+    """Warn about dropped elements, and dropped properties of vertices and faces."""
     for element in header.elements:
         if element.count == 0 or element.name == _STRIPS:
             continue
         if element.name not in _READ:
-            emit(MESH_LEFT_OUT.warning("what the file has of {name!r} is left out", path, name=element.name))
+            emit(MESH_LEFT_OUT.warning("the element {name!r} is left out", path, name=element.name))
             continue
         called, read = _READ[element.name]
         others = [one.name for one in element.properties if one.name not in read]
@@ -144,7 +144,7 @@ def _report_others(header: Header, path: Path) -> None:
             others.remove("confidence")
             emit(
                 MESH_CONFIDENCE_LEFT_OUT.warning(
-                    "the confidence of its vertices is left out: remesh carries it", path
+                    "the vertex confidence is left out: only remesh uses it", path
                 )
             )
         if others:
@@ -170,7 +170,7 @@ def _normals(vertex: Table, path: Path) -> NDArray[np.float64] | None:
 def _polygons(
     face: Table, vertices: NDArray[np.float64], path: Path
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
-    """Return what split_polygons does, and the vertex indices of all polygons, end to end."""
+    """Triangulate the faces; return the result of split_polygons and all corners' vertex indices."""
     lists = face.get("vertex_indices", face.get("vertex_index"))
     if not isinstance(lists, Lists):
         nothing = np.zeros(0, np.int64)
@@ -180,7 +180,10 @@ def _polygons(
 
 
 def _unrolled_strips(strips: Table) -> NDArray[np.int64]:
-    """Unroll triangle strips; -1 ends a strip, and every second triangle of a strip is turned over."""
+    """Unroll triangle strips to triangles (m, 3) with consistent orientation.
+
+    An index of -1 ends a strip.
+    """
     nothing = np.zeros((0, 3), np.int64)
     lists = strips.get("vertex_indices", strips.get("vertex_index"))
     if not isinstance(lists, Lists):
@@ -194,13 +197,13 @@ def _unrolled_strips(strips: Table) -> NDArray[np.int64]:
     odd = (position - start)[:-2] % 2 == 1
     triangles[odd] = triangles[odd][:, [1, 0, 2]]
     a, b, c = triangles.T
-    # A repeated index joins two strips and is no triangle.
+    # Degenerate triangles connect strips and are dropped.
     real = (triangles != -1).all(axis=1) & (a != b) & (b != c) & (c != a)
     return np.asarray(triangles[real])
 
 
 def read_vertex_values(path: Path | str, name: str) -> NDArray[np.float64] | None:
-    """Return a property (n,) of the vertices that `read_ply` passes over; None if the file has none.
+    """Read a vertex property (n,) that `read_ply` drops; None if absent.
 
     Raises
     ------
@@ -218,18 +221,25 @@ def write_ply(
     face_values: Mapping[str, NDArray[np.float64]] | None = None,
     vertex_values: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> None:
-    """Write a mesh as binary little-endian PLY; what is read back is equal to the bit.
+    """Write a mesh as binary little-endian PLY; reading it back is lossless.
 
-    `face_values`, (m,) each, become properties of the faces under their names, `vertex_values`, (n,) each,
-    properties of the vertices; `read_ply` passes them over.
-    All numbers are stored as 32-bit floats where that loses nothing (meshes from fusion), else as doubles,
-    which MeshLab, Blender, CloudCompare, Open3D and trimesh read as well. A texture's images are written
-    beside under their own names, untouched. The file appears whole or not at all.
+    Values are stored as 32-bit floats if that is lossless (as for fused meshes), else as doubles. MeshLab,
+    Blender, CloudCompare, Open3D and trimesh read both. Texture images are written to the same folder, with
+    unchanged names and bytes. Each file is replaced atomically.
+
+    Parameters
+    ----------
+    path : output file.
+    mesh : mesh in metres.
+    face_values : additional face properties by name, (m,) each; `read_ply` ignores them.
+    vertex_values : additional vertex properties by name, (n,) each; `read_ply` ignores them.
 
     Raises
     ------
+    MeshError
+        If coordinates are not finite.
     StageError
-        If the system refuses to write.
+        If a file cannot be written.
     """
     path = Path(path)
     require_writable(mesh, path)
@@ -263,9 +273,9 @@ def write_ply_cloud(path: Path | str, points: ArrayLike, colors: ArrayLike | Non
     Raises
     ------
     MeshError
-        For wrong shapes or points that are not finite.
+        If shapes are wrong or points are not finite.
     StageError
-        If the system refuses to write.
+        If the file cannot be written.
     """
     cloud = validated(Mesh(np.asarray(points), np.zeros((0, 3), np.int32), _optional(colors)), "points")
     _write(Path(path), [], {"vertex": _vertex_columns(cloud.vertices, cloud.colors, None)})
@@ -287,7 +297,7 @@ def _vertex_columns(
 
 
 def _narrowed(values: NDArray[np.float64]) -> NDArray[Any]:
-    """Return the values as little-endian float32 if all of them are, else as float64."""
+    """Convert to little-endian float32 if lossless, else to little-endian float64."""
     with np.errstate(over="ignore"):
         narrow = values.astype("<f4")
     return narrow if np.array_equal(narrow, values) else values.astype("<f8")
@@ -297,7 +307,7 @@ _NAMES = {"u1": "uchar", "i4": "int", "f4": "float", "f8": "double"}
 
 
 def _write(path: Path, comments: list[str], tables: dict[str, list[tuple[str, NDArray[Any]]]]) -> None:
-    """Write elements given as columns; a column of two dimensions is a list property."""
+    """Write elements given as columns; a 2-D column becomes a list property."""
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments)]
     blocks = []
     for element, columns in tables.items():

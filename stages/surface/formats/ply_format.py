@@ -1,8 +1,10 @@
-"""The PLY container: header and rows of numbers, whatever they mean. Trusts nothing the header promises.
+"""PLY container: header and element tables.
 
-A file is text lines up to `end_header`, then rows of numbers: as text, or binary of either byte order.
-Greg Turk, "The PLY polygon file format", 1994. An ASCII body is turned into doubles first and is from
-then on a binary body whose every value is a double, so there is one decoder.
+Their meaning is interpreted elsewhere. Counts in the header are not trusted.
+
+A file has text lines up to `end_header`, then rows of numbers, as text or binary in either byte order.
+Source: Greg Turk, "The PLY polygon file format", 1994. An ASCII body is first converted to a binary body of
+doubles, so one decoder handles both.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from scanloom.stages.files.opening import content_of, opened
 from scanloom.stages.files.text_numbers import parse_numbers
 from scanloom.stages.surface.codes import MESH_FILE_DAMAGED
 
-# Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
+# Bytes. Real headers take a few hundred; the limit avoids searching a huge non-PLY file for the header's end.
 _LONGEST_HEADER = 1 << 20
 # Characters of a line of the header in a message.
 _MAX_QUOTED = 80
@@ -40,7 +42,14 @@ _REMEDY = "get a whole copy of it."
 
 @dataclass(frozen=True)
 class Property:
-    """A column; `length` is the type a list's length is stored in, None for a scalar."""
+    """A property declared by the header.
+
+    Attributes
+    ----------
+    name : property name.
+    dtype : type of the values.
+    length : type of a list's length; None for a scalar.
+    """
 
     name: str
     dtype: np.dtype[Any]
@@ -49,7 +58,7 @@ class Property:
 
 @dataclass(frozen=True)
 class Element:
-    """A table: what the header promises of it."""
+    """An element declared by the header: name, row count and properties."""
 
     name: str
     count: int
@@ -58,7 +67,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """What stands before the rows; `size` is its length in bytes."""
+    """A parsed PLY header; `size` is its length in bytes."""
 
     encoding: str
     elements: tuple[Element, ...]
@@ -68,7 +77,7 @@ class Header:
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """A column of lists: `lengths` (rows,) and all their values, end to end."""
+    """A list property: `lengths` (rows,), and the concatenated values of all rows."""
 
     lengths: NDArray[np.int64]
     values: NDArray[Any]
@@ -78,14 +87,14 @@ Table = dict[str, "NDArray[Any] | Lists"]
 
 
 def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
-    """Read a PLY file's header and its elements, each a dictionary of columns.
+    """Read a PLY file's header and its elements, each as a dictionary of columns.
 
-    Memory and time are proportional to the size of the file, not to the counts in its header.
+    Memory and time are proportional to the file size, not to the counts in the header.
 
     Raises
     ------
     InputError
-        If the file cannot be opened, is no PLY file, or holds less than its header promises.
+        If the file cannot be opened, is not PLY, or is shorter than its header states.
     """
     try:
         data = content_of(path)
@@ -101,12 +110,12 @@ def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
 
 
 def promised(path: Path, element: str) -> int:
-    """Return how many rows of an element the header of a PLY file promises; 0 if it tells of none.
+    """Return an element's row count from the header of a PLY file; 0 if absent.
 
     Raises
     ------
     InputError
-        If the file cannot be opened, or is no PLY file.
+        If the file cannot be opened or is not PLY.
     """
     try:
         with opened(path) as file:
@@ -122,12 +131,14 @@ def promised(path: Path, element: str) -> int:
 
 @dataclass(frozen=True)
 class Rows:
-    """Where the rows of a table are in a binary file, all as long as each other.
+    """Location of a table with fixed-size rows in a binary file.
 
     Attributes
     ----------
-    dtype : of a row.
-    start : of the first, in bytes from the start of the file.
+    path : the file.
+    dtype : structured type of a row.
+    start : offset of the first row in bytes from the start of the file.
+    count : number of rows.
     """
 
     path: Path
@@ -136,7 +147,13 @@ class Rows:
     count: int
 
     def some(self, at_once: int) -> Iterator[NDArray[Any]]:
-        """Read so many rows at a time."""
+        """Yield the rows in chunks of `at_once`.
+
+        Raises
+        ------
+        InputError
+            If the file is truncated.
+        """
         for first in range(0, self.count, at_once):
             count = min(at_once, self.count - first)
             with opened(self.path) as file:
@@ -147,19 +164,20 @@ class Rows:
             yield rows
 
 
-# Columns of the rows of triangles: how many corners a face has, and these.
+# Fields of a face row: corner count and vertex indices.
 LENGTH, CORNERS = "length", "corners"
 
 
 def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
-    """Return where vertices and triangles are in a binary file that has both, in this order, and no more.
+    """Locate the vertex and face rows in a binary file, for reading in chunks.
 
-    Rows of triangles have LENGTH, which must be 3 in all if the others are to mean anything, and CORNERS.
+    The file must contain exactly the elements `vertex` and `face`, in this order. Face rows have the fields
+    LENGTH and CORNERS. The caller must check that LENGTH is 3 in every row, else CORNERS is meaningless.
 
     Raises
     ------
     InputError
-        If the file cannot be opened, is no such file, or shorter or longer than its header promises.
+        If the file cannot be opened, has other elements, or its size contradicts the header.
     """
     try:
         with opened(path) as file:
@@ -197,15 +215,15 @@ def rows_of_triangles(path: Path) -> tuple[Rows, Rows]:
 
 
 class _MalformedError(InputError):
-    """Error in the bytes of a file; its path is added where it is known."""
+    """Error in the content of a file, raised before the path is known."""
 
 
 def parse_header(data: bytes) -> Header:
-    """Parse the lines up to `end_header`; a few variants of line ends and keywords are in use."""
+    """Parse the header up to `end_header`; common variants of line ends are accepted."""
     start = data[:_LONGEST_HEADER]
     if not re.match(rb"ply[ \t]*[\r\n]", start):
         raise _MalformedError(MESH_FILE_DAMAGED, "is not a PLY file: it does not start with a line `ply`.")
-    # A binary body may begin with the byte of a line feed, so the first line tells how lines end; some
+    # The first line decides the line ending, because a binary body can start with a line-feed byte. Some
     # programs mix \n and \r\n.
     line_end = rb"\r?\n" if re.match(rb"[^\r\n]*\r?\n", start) else rb"\r"
     end = re.search(rb"[\r\n]end_header[ \t]*" + line_end, start)
@@ -307,7 +325,7 @@ def _as_stored(element: Element, encoding: str) -> Element:
 
 
 def _require_size(header: Header, size: int) -> None:
-    """Compare what the header promises, at the very least, with the bytes that are there."""
+    """Refuse a body shorter than the minimum size that the header implies."""
     needed = 0
     for element in header.elements:
         if header.encoding == "ascii":
@@ -328,7 +346,7 @@ def _require_size(header: Header, size: int) -> None:
 
 
 def _decode(element: Element, body: memoryview, at: int) -> tuple[list[NDArray[Any] | Lists], int]:
-    """Return the element's columns and the offset after its last row."""
+    """Decode an element; return its columns and the offset after its last row."""
     rows = _decode_equal_rows(element, body, at)
     return rows if rows is not None else _decode_ragged_rows(element, body, at)
 
@@ -336,7 +354,7 @@ def _decode(element: Element, body: memoryview, at: int) -> tuple[list[NDArray[A
 def _decode_equal_rows(
     element: Element, body: memoryview, at: int
 ) -> tuple[list[NDArray[Any] | Lists], int] | None:
-    """Decode rows whose lists are all as long as the first row's, without a loop; None if they are not."""
+    """Decode rows of equal size without a loop; None if list lengths differ between rows."""
     if element.count == 0:
         nothing = [np.empty(0, column.dtype) for column in element.properties]
         return [
@@ -388,8 +406,11 @@ def _decode_equal_rows(
 def _decode_ragged_rows(
     element: Element, body: memoryview, at: int
 ) -> tuple[list[NDArray[Any] | Lists], int]:
-    """Decode rows of different sizes: walk from length to length, then gather each column at its offsets."""
-    # One step a list: the bytes of scalars before it, how its length is stored, the size of a value.
+    """Decode rows of different sizes.
+
+    A loop finds the offset of each list; the columns are then gathered at these offsets.
+    """
+    # Per list property: bytes of scalars before it, type of its length, and size of a value.
     steps = []
     skip = 0
     for column in element.properties:
@@ -439,7 +460,7 @@ def _decode_ragged_rows(
 def _gather(body: memoryview, dtype: np.dtype[Any], offsets: NDArray[np.int64]) -> NDArray[Any]:
     if len(offsets) == 0:
         return np.empty(0, dtype)
-    # A view with one overlapping value a byte lets NumPy gather at any alignment.
+    # A strided view with one value per byte lets NumPy gather unaligned values.
     windows = np.ndarray(len(body) - dtype.itemsize + 1, dtype, body, 0, 1)
     return np.asarray(windows[offsets])
 
@@ -483,7 +504,7 @@ def _describe_length(element: Element, row: int, length: Any) -> _MalformedError
 
 
 def _as_declared(column: NDArray[Any] | Lists, declared: Property, element: str) -> NDArray[Any] | Lists:
-    """Give numbers that came from text the type the header declares."""
+    """Cast a column that was read from text to its declared type."""
     if isinstance(column, Lists):
         return Lists(column.lengths, _cast(column.values, declared, element))
     return _cast(column, declared, element)

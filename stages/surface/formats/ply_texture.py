@@ -1,8 +1,8 @@
 """Materials, texture coordinates and parts in PLY files.
 
-The format has no standard for them. As MeshLab does, images are named by comments `TextureFile NAME`, faces
-have a list `texcoord` and a number `texnumber` of an image. What that cannot say is in comments and face
-properties of our own: `comment Material {JSON}` and `material_index`, `comment Part NAME` and `part_index`,
+PLY has no standard for them. As in MeshLab's files, comments `TextureFile NAME` name the images, and faces
+have a list `texcoord` and an image index `texnumber`. Everything else uses scanloom's own comments and face
+properties: `comment Material {JSON}` with `material_index`, `comment Part NAME` with `part_index`, and
 `corner_normals`.
 """
 
@@ -38,9 +38,9 @@ def read_texture_of_ply(
     source: NDArray[np.int64],
     path: Path,
 ) -> Texture | None:
-    """Return the texture; None if the file has neither coordinates nor materials.
+    """Read the texture; None if the file has neither texture coordinates nor materials.
 
-    `corners` (m, 3) and `source` (m,) are those of split_polygons, or empty for strips.
+    `corners` (m, 3) and `source` (m,) come from split_polygons; they are empty for triangle strips.
     """
     uvs = _corner_uvs(vertex, face, triangles, corners)
     names = _comments(header, _IMAGE)
@@ -90,7 +90,10 @@ def _corner_uvs(
 
 
 def _some_uvs(per_corner: Lists, polygons: Lists, corners: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Return the coordinates of a file in which some faces have none."""
+    """Return texture coordinates (m, 3, 2) if only some faces have them.
+
+    The others get 0.
+    """
     whole = per_corner.lengths == 2 * polygons.lengths
     if not whole.any():
         return None
@@ -106,7 +109,10 @@ def _comments(header: Header, word: str) -> list[str]:
 
 
 def _of_triangles(face: Table, name: str, source: NDArray[np.int64], least: int, count: int) -> Ids | None:
-    """Return a face property as an index below `least` for each triangle, -1 for others."""
+    """Return a face property as index (m,) per triangle.
+
+    An index outside 0 to `least` - 1 becomes -1.
+    """
     numbers = face.get(name)
     if not isinstance(numbers, np.ndarray) or len(source) != count:
         return None
@@ -136,7 +142,7 @@ def _described_material(tree: Any, images: list[tuple[str, Image | None]]) -> Ma
 
 
 def read_parts(header: Header, face: Table, source: NDArray[np.int64], count: int) -> tuple[Ids | None, Any]:
-    """Return the part of each of `count` triangles, and the names of the parts."""
+    """Read the part index (m,) of each of `count` triangles, and the part names."""
     names = tuple(_unquoted(text) for text in _comments(header, _PART))
     ids = _of_triangles(face, "part_index", source, len(names), count)
     return ids, () if ids is None else names
@@ -150,7 +156,10 @@ def _unquoted(text: str) -> str:
 
 
 def read_corner_normals(face: Table, corners: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Return normals (m, 3, 3) of the corners if the file has nine finite numbers for each triangle."""
+    """Read corner normals (m, 3, 3).
+
+    The result is None unless every polygon has three finite numbers per corner.
+    """
     lists, polygons = face.get("corner_normals"), face.get("vertex_indices")
     if not isinstance(lists, Lists) or not isinstance(polygons, Lists) or len(corners) == 0:
         return None
@@ -161,13 +170,13 @@ def read_corner_normals(face: Table, corners: NDArray[np.int64]) -> NDArray[np.f
 
 
 def texture_comments(path: Path, texture: Texture) -> tuple[list[str], Ids, bool]:
-    """Write the images beside `path`.
+    """Write the images and return the comments that describe the texture.
 
     Returns
     -------
-    comments : which name them, and the materials where images alone do not tell them.
-    texnumber : (m,) the image of each triangle, -1 for none.
-    has_materials : whether `material_index` must tell more than that.
+    comments : image names, and materials if the images alone do not describe them.
+    texnumber : (m,) image index of each triangle, -1 for none.
+    has_materials : True if the file also needs the face property `material_index`.
     """
     files = write_images(path, texture.images)
     number_of = {key: number for number, key in enumerate(files)}
@@ -198,5 +207,5 @@ def _described(material: Material, image: int) -> str:
 
 
 def part_comments(names: tuple[str, ...]) -> list[str]:
-    """Return the comments that name the parts."""
+    """Return the header comments that name the parts."""
     return [f"{_PART} {json.dumps(name)}" for name in names]

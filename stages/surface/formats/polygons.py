@@ -1,9 +1,9 @@
-"""Polygons to triangles.
+"""Triangulation of polygons.
 
-Most polygons are convex, or at least star-shaped about their first corner: those become fans, in bulk. Quads
-that are not are cut along their other diagonal. The others are cut by mapbox's earcut in the plane of their
-mean normal (Newell's method: Sutherland, Sproull and Schumacker, 1974). Every corner stays a corner of a
-triangle, so that neighbours still meet.
+Polygons that are star-shaped about their first corner, as convex ones are, become triangle fans in bulk.
+Other quads are cut along their other diagonal. Other polygons are triangulated by mapbox's earcut in the
+plane of their mean normal (Newell's method: Sutherland, Sproull and Schumacker, 1974). Every corner stays a
+corner of a triangle, so neighbouring polygons stay connected.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.diagnostic import Location
 from scanloom.stages.surface.codes import MESH_LEFT_OUT, MESH_POLYGONS_NOT_SIMPLE, MESH_POLYGONS_SPLIT
 
-# Below this share of the polygon's area a triangle counts as flat, and areas count as equal.
+# Ratios to the polygon's area: a triangle below the first counts as degenerate; areas within the second count
+# as equal.
 _NO_AREA = 1e-10
 _SAME_AREA = 1e-6
 
@@ -28,21 +29,22 @@ Points = NDArray[np.float64]
 def split_polygons(
     lengths: Indices, indices: Indices, vertices: Points, where: Location
 ) -> tuple[Indices, Indices]:
-    """Split polygons into triangles that turn as the polygons do.
+    """Triangulate polygons, keeping their orientation.
 
-    Polygons that are split, cross themselves, have no area or have too few corners are reported.
+    Diagnostics report the number of triangulated polygons, and those that self-intersect, have no area, or
+    have fewer than three corners.
 
     Parameters
     ----------
-    lengths : (p,) the number of corners of each polygon.
-    indices : (c,) the vertex of each corner, all polygons end to end; may be out of range.
+    lengths : (p,) corner count of each polygon.
+    indices : (c,) vertex index of each corner, polygon by polygon; can be out of range.
     vertices : (n, 3) float64.
-    where : file that diagnostics begin with.
+    where : file, for messages.
 
     Returns
     -------
     corners : (m, 3) positions in `indices`.
-    source : (m,) the polygon each triangle comes from.
+    source : (m,) polygon of each triangle.
     """
     if (lengths == 3).all():
         return np.arange(3 * len(lengths)).reshape(-1, 3), np.arange(len(lengths))
@@ -70,11 +72,11 @@ def split_polygons(
 def _cut_concave(
     corners: Indices, source: Indices, fan: Indices, indices: Indices, vertices: Points, where: Location
 ) -> None:
-    """Replace, in place, the fans that turn back on themselves."""
+    """Replace fans that contain flipped or degenerate triangles, in place."""
     split = np.flatnonzero((fan > 1)[source])
     used = indices[corners[split]]
     if used.size == 0 or used.min() < 0 or used.max() >= len(vertices):
-        return  # the caller refuses such a mesh, and says why
+        return  # the caller refuses indices out of range
     doubled = _doubled_normals(vertices[used])
     polygon, row = np.unique(source[split], return_inverse=True)
     normal: Points = np.stack([np.bincount(row, doubled[:, k]) for k in range(3)], axis=1)
@@ -97,7 +99,7 @@ def _cut_concave(
     if left:
         emit(
             MESH_POLYGONS_NOT_SIMPLE.warning(
-                "{count:,} polygons cross themselves or have no area, and were split as if convex",
+                "{count:,} polygons intersect themselves or have no area: they are split as if convex",
                 where,
                 count=left,
             )
@@ -105,12 +107,13 @@ def _cut_concave(
 
 
 def _cut_quads(corners: Indices, first: Indices, normal: Points, indices: Indices, vertices: Points) -> int:
-    """Cut quads along their other diagonal, in place; return how many that does not help.
+    """Cut quads along their other diagonal, in place; return the number that stays invalid.
 
     Parameters
     ----------
-    first : (q,) the row of `corners` with the first of each quad's two triangles.
-    normal : (q, 3) of the quads.
+    corners : (m, 3) corners of all triangles, modified.
+    first : (q,) row in `corners` of the first of each quad's two triangles.
+    normal : (q, 3) normals of the quads.
     """
     (a, b, c), d = corners[first].T, corners[first + 1, 2]
     halves = np.stack((np.stack((b, c, d), axis=1), np.stack((b, d, a), axis=1)), axis=1)
@@ -122,20 +125,28 @@ def _cut_quads(corners: Indices, first: Indices, normal: Points, indices: Indice
 
 
 def _doubled_normals(triangles: Points) -> Points:
-    """Return the normals (m, 3) of triangles (m, 3, 3), as long as twice their areas."""
-    # Relative to the first corner, which keeps the digits of small polygons far away.
+    """Return normals (m, 3) of triangles (m, 3, 3), twice the area long."""
+    # Relative to the first corner, for precision of small polygons far from the origin.
     with np.errstate(all="ignore"):
         return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def _shares(doubled: Points, normal: Points) -> Points:
-    """Return what share of its polygon's area each triangle has, negative where it turns the other way."""
+    """Return each triangle's signed area as a ratio of its polygon's area.
+
+    It is negative for a flipped triangle.
+    """
     with np.errstate(all="ignore"):
         return np.asarray((doubled * normal).sum(axis=1) / (normal * normal).sum(axis=1))
 
 
 def _cut(ring: Points, normal: Points) -> Indices | None:
-    """Return (n - 2, 3) triangles of a ring of n points; None if it crosses itself or has no area."""
+    """Triangulate a polygon of n points with earcut.
+
+    Returns
+    -------
+    Triangles (n - 2, 3), or None if the polygon self-intersects or has no area.
+    """
     from mapbox_earcut import triangulate_float64
 
     length = np.linalg.norm(normal)
@@ -146,7 +157,7 @@ def _cut(ring: Points, normal: Points) -> Indices | None:
     found = triangulate_float64(np.ascontiguousarray(flat), np.array([len(flat)], np.uint32))
     triangles = found.astype(np.int64).reshape(-1, 3)
     doubled = _doubled_areas(flat, triangles)
-    # Its triangles all turn one way, which need not be the ring's.
+    # All triangles of earcut have one orientation, which can differ from the polygon's.
     if len(triangles) and doubled.sum() < 0:
         triangles = triangles[:, ::-1]
     after = np.roll(flat, -1, axis=0)
@@ -157,7 +168,7 @@ def _cut(ring: Points, normal: Points) -> Indices | None:
 
 
 def _in_plane(points: Points, normal: Points) -> Points:
-    """Return 2-D coordinates in which what turns about the normal turns counter-clockwise."""
+    """Project points (n, 3) to the plane of a unit normal, keeping their orientation."""
     axis = np.eye(3)[abs(normal).argmin()]
     across = np.cross(normal, axis)
     across /= np.linalg.norm(across)
@@ -171,9 +182,10 @@ def _doubled_areas(flat: Points, triangles: Indices) -> Points:
 
 
 def _with_all_corners(triangles: Indices, count: int) -> Indices | None:
-    """Put the corners back that earcut leaves out because they lie on a side or on another corner.
+    """Reinsert corners that earcut drops as collinear or duplicate; None if impossible.
 
-    Such a chain of corners d, e between corners a and b of a triangle a b c makes it a d c, d e c, e b c.
+    Example: corners d and e were dropped between a and b. They split the triangle a b c into a d c, d e c and
+    e b c.
     """
     if len(triangles) == count - 2:
         return triangles

@@ -1,4 +1,4 @@
-"""Texture images on disk."""
+"""Reading and writing of texture image files."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from scanloom.stages.files.replacing import replacing
 from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_TEXTURE_DAMAGED
 from scanloom.stages.surface.texture import Image
 
-# Bytes that file systems take; some are for what is put before or after.
+# File systems limit names to 255 bytes. The part limit leaves space for a prefix, a hash and an extension.
 _LONGEST_NAME = 255
 _LONGEST_PART = 80
-# What Windows takes for devices, whatever follows a dot.
+# Windows reserves these device names, with any extension.
 _DEVICES = re.compile(r"^((?:con|prn|aux|nul|com\d|lpt\d)(?:\.|$))", re.IGNORECASE)
 
 
 def beside(folder: Path, name: str) -> Path:
-    """Return where a file that a mesh file names is looked for: in the mesh's own folder, or a folder of it.
+    """Resolve a file name in a mesh file to a path.
 
-    Names that lead elsewhere carry the folders of the machine they were written on; only their last part
-    counts.
+    The path is below the mesh's folder. An absolute path, or one that leaves the folder, comes from another
+    machine; only its last part is used.
     """
     parts = PureWindowsPath(PurePosixPath(name)).parts
     inside = folder.joinpath(*parts)
@@ -37,14 +37,14 @@ def beside(folder: Path, name: str) -> Path:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # ValueError: a name with a zero byte.
+    except (OSError, ValueError):  # ValueError: the name contains a null byte
         return False
 
 
 def read_texture(path: Path, name: str) -> Image | None:
-    """Read the image file that the mesh file `path` names, its bytes as they are.
+    """Read an image that the mesh file `path` refers to, keeping its bytes.
 
-    A missing file and one that is no image give None and a warning.
+    A missing or undecodable file gives None and a warning.
     """
     file = beside(path.parent, name)
     try:
@@ -59,7 +59,7 @@ def read_texture(path: Path, name: str) -> Image | None:
     if not kind_of(data, file.name)[0]:
         emit(
             MESH_TEXTURE_DAMAGED.warning(
-                "the texture image {name} is of no known kind or damaged", path, name=name
+                "the texture image {name} has an unknown format or is damaged", path, name=name
             )
         )
         return None
@@ -67,10 +67,10 @@ def read_texture(path: Path, name: str) -> Image | None:
 
 
 def write_images(path: Path, images: Iterable[Image]) -> dict[int, str]:
-    """Write images beside the mesh file `path`, each under its own name, untouched; return names by id.
+    """Write images next to the mesh file `path`; return file names by `id(image)`.
 
-    A name that is taken by another file, or missing, is replaced by one that starts as the mesh's does;
-    only files named so are written over.
+    Images keep their bytes, and their names if these are free. Otherwise the name gets the mesh's name as
+    prefix. Only files with such a prefixed name are overwritten with other content.
     """
     names: dict[int, str] = {}
     written: dict[str, bytes] = {}
@@ -89,22 +89,25 @@ def write_images(path: Path, images: Iterable[Image]) -> dict[int, str]:
 
 
 def _name_after(stem: str, rest: str) -> str:
-    """Return the name of an image that starts as the mesh's does, as far as file systems let it."""
+    """Prefix an image name with the mesh's name, shortened to the file system's limit."""
     whole = f"{stem}_{rest}"
     if len(whole.encode("utf-8", "replace")) <= _LONGEST_NAME:
         return whole
-    # What is left out still tells one mesh from another.
+    # The hash keeps shortened names of different meshes distinct.
     mark = hashlib.sha256(stem.encode("utf-8", "replace")).hexdigest()[:8]
     return f"{_cut(stem, _LONGEST_PART)}-{mark}_{rest}"
 
 
 def _cut(name: str, most: int) -> str:
-    """Return the start of a name that takes at most `most` bytes."""
+    """Truncate a name to at most `most` bytes of UTF-8."""
     return name.encode("utf-8", "replace")[:most].decode("utf-8", "ignore")
 
 
 def _safe_name(name: str, extension: str) -> str:
-    """Return a name that stays in its folder on every system, and fits the kind of image."""
+    """Return a file name that is valid on every system.
+
+    Its extension matches the image format.
+    """
     last = PureWindowsPath(PurePosixPath(name).name).name
     last = re.sub(r'[\x00-\x1f<>:"|?*]', "_", last).strip(" .")
     last = _DEVICES.sub(r"_\1", last)

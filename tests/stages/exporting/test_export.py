@@ -31,7 +31,7 @@ def test_every_format_holds_the_shape_where_it_was(tmp_path, suffix, made):
     back = read_mesh(tmp_path / f"a{suffix}")
     np.testing.assert_allclose(np.sort(back.vertices, axis=0), np.sort(mesh.vertices, axis=0), atol=1e-6)
     is_bare = suffix in (".stl", ".off") and (mesh.colors is not None or mesh.texture is not None)
-    assert any("shape alone" in str(one) for one in written.diagnostics) == is_bare
+    assert any("geometry only" in str(one) for one in written.diagnostics) == is_bare
 
 
 @pytest.mark.parametrize("axes", AXES)
@@ -50,7 +50,7 @@ def test_formats_that_do_not_say_what_is_up_are_turned_where_asked(tmp_path, axe
 
 def test_where_nothing_tells_what_is_up_it_is_said(tmp_path):
     written = export(sheet(), tmp_path / "a.obj", axes="y-up")
-    assert any("what is up" in str(one) for one in written.diagnostics)
+    assert any("up direction is unknown" in str(one) for one in written.diagnostics)
     given = export(sheet(), tmp_path / "a.obj", axes="y-up", up="+z")
     assert given.diagnostics == ()
     back = read_mesh(tmp_path / "a.obj")
@@ -143,12 +143,12 @@ def test_blender_turns_obj_files_and_no_others(tmp_path):
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
-        ("a.fbx", {}, "stands for no format"),
-        ("a", {}, "stands for no format"),
-        ("a.obj", {"compress": "meshopt"}, "are of glTF"),
-        ("a.ply", {"shading": "unlit"}, "are of glTF"),
-        ("a.glb", {"unit": "mm"}, "is in metres"),
-        ("a.usdz", {"on_floor": True}, "is in metres"),
+        ("a.fbx", {}, "extension .fbx is unknown"),
+        ("a", {}, "is unknown"),
+        ("a.obj", {"compress": "meshopt"}, "only to glTF"),
+        ("a.ply", {"shading": "unlit"}, "only to glTF"),
+        ("a.glb", {"unit": "mm"}, "in metres"),
+        ("a.usdz", {"on_floor": True}, "in metres"),
         ("a.glb", {"up": "sideways"}, "up is"),
         ("a.glb", {"compress": "draco"}, "compress"),
         ("a.glb", {"quality": 0}, "quality"),
@@ -164,5 +164,5 @@ def test_presets_fit_every_format_that_they_are_used_with():
     for name in PRESETS:
         for suffix in SUFFIXES:
             require_fitting(Path(f"a{suffix}"), preset(name, suffix))
-    with pytest.raises(UsageError, match="there are web, unity, blender, print"):
+    with pytest.raises(UsageError, match="the presets are web, unity, blender, print"):
         preset("paper")

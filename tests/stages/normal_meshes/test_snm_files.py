@@ -240,15 +240,15 @@ def test_a_file_cut_anywhere_gives_the_levels_that_are_whole() -> None:
 
 def test_levels_that_are_not_there() -> None:
     made = small()
-    with pytest.raises(UsageError, match="level is 3, but data was made with levels 0 to 2"):
+    with pytest.raises(UsageError, match="level is 3, but data was encoded with levels 0 to 2"):
         decode(made.data, 3)
     with pytest.raises(UsageError, match="level is -1"):
         decode(made.data, -1)
     cut = made.data[: made.level_ends[1] + 5]
     assert_equal(decode(cut, 1), made, 2)
-    with pytest.raises(InputError, match="has no level 2, only levels 0 to 1 are whole"):
+    with pytest.raises(InputError, match="has no level 2; only levels 0 to 1 are intact"):
         decode(cut, 2)
-    with pytest.raises(InputError, match=r"has no level 2.*it was cut there"):
+    with pytest.raises(InputError, match=r"has no level 2.*the file ends there"):
         decode(made.data[: made.level_ends[1]], 2)
     with pytest.raises(UsageError, match="only levels 0 to 1"):
         decode(cut).save("never.snm", 2)

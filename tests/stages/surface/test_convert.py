@@ -187,7 +187,7 @@ def test_colors_of_faces_are_told():
     mesh.visual.face_colors = [255, 0, 0, 255]
     converted = convert.as_mesh(mesh)
     assert converted.colors is None
-    assert str(converted.diagnostics[0]).startswith("mesh: colours of faces are left out")
+    assert str(converted.diagnostics[0]).startswith("mesh: face colours are left out")
 
 
 def converted(way, mesh: Mesh) -> tuple[Mesh, str]:
@@ -249,7 +249,7 @@ def test_open3d_holds_all_but_names_and_the_up_direction(mesh):
     assert_same(back.with_(texture=None), mesh.with_(texture=None))
     np.testing.assert_array_equal(back.corner_normals, mesh.corner_normals)
     np.testing.assert_array_equal(back.part_ids, mesh.part_ids)
-    assert ("names of parts" in loss) == bool(mesh.part_names)
+    assert ("part names" in loss) == bool(mesh.part_names)
     assert ("the up direction" in loss) == (mesh.up is not None)
     assert_same_texture(back.texture, mesh.texture, exact=True)
 
@@ -259,7 +259,7 @@ def test_open3d_holds_all_but_names_and_the_up_direction(mesh):
 def test_open3d_legacy_holds_shape_colours_and_images(mesh):
     back, loss = converted(convert.to_open3d_legacy, mesh)
     assert_same(back.with_(texture=None), mesh.with_(texture=None))
-    assert ("normals of corners" in loss) == (mesh.corner_normals is not None)
+    assert ("corner normals" in loss) == (mesh.corner_normals is not None)
     assert ("parts" in loss) == (mesh.part_ids is not None)
     assert ("the up direction" in loss) == (mesh.up is not None)
     assert_same_texture(back.texture, mesh.texture, exact=False)
@@ -289,8 +289,8 @@ def test_colours_seen_through_materials_survive(way):
 @pytest.mark.parametrize(
     ("way", "lost"),
     [
-        (convert.to_open3d, ("names of materials", "wrap modes", "shading properties")),
-        (convert.to_open3d_legacy, ("names of materials", "wrap modes", "shading properties")),
+        (convert.to_open3d, ("material names", "wrap modes", "shading properties")),
+        (convert.to_open3d_legacy, ("material names", "wrap modes", "shading properties")),
         (convert.to_trimesh, ()),
     ],
 )

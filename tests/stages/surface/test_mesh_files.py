@@ -176,10 +176,10 @@ def write(tmp_path, name: str, data: bytes):
             bytes(80) + struct.pack("<I", 0xFFFFFFFF) + bytes(50),
             "4,294,967,295 triangles but holds 1",
         ),
-        ("a.glb", b"", "not a sound glTF"),
-        ("a.glb", b"glTF" + bytes(40), "not a sound glTF"),
-        ("a.gltf", b"[]", "not a sound glTF"),
-        ("a.gltf", b"{" * 5000, "not a sound glTF"),
+        ("a.glb", b"", "not a valid glTF"),
+        ("a.glb", b"glTF" + bytes(40), "not a valid glTF"),
+        ("a.gltf", b"[]", "not a valid glTF"),
+        ("a.gltf", b"{" * 5000, "not a valid glTF"),
     ],
 )
 def test_files_that_are_no_mesh(tmp_path, name, data, sentence):
@@ -278,10 +278,10 @@ def test_what_a_reader_passes_over_is_told(tmp_path):
     faces = "property list uchar int vertex_indices\nproperty int label\nelement edge 1\nproperty int a\n"
     rows = "end_header\n0 0 0 1 1\n1 0 0 1 1\n0 1 0 1 1\n3 0 1 2 7\n5\n"
     assert _messages_of(tmp_path, "a.ply", head + more + faces + rows) == (
-        "the confidence of its vertices is left out: remesh carries it",
+        "the vertex confidence is left out: only remesh uses it",
         "properties of its vertices are left out: quality",
         "properties of its faces are left out: label",
-        "what the file has of 'edge' is left out",
+        "the element 'edge' is left out",
     )
     rows = "vertex {0} 0 0\nvertex {1} 0 0\nvertex 0 {1} 0\n"
     facet = f"facet normal 0 0 1\nouter loop\n{rows}endloop\nendfacet\n"
@@ -295,16 +295,16 @@ def test_numbers_behind_the_rows_of_an_off_file_are_told(tmp_path):
     plain = "OFF # one\n\n3 1 0\n0 0 0\n1 0 0 # b\n0 1 0\n3 0 1 2\n"
     assert _messages_of(tmp_path, "a.off", plain) == ()
     assert _messages_of(tmp_path, "b.off", plain.replace("1 2\n", "1 2 255 0 0\n")) == (
-        "numbers behind its faces, such as colours, are left out",
+        "additional numbers of its faces, such as colours, are left out",
     )
     assert _messages_of(tmp_path, "c.off", "C" + plain.replace("0 1 0\n", "0 1 0 9 9 9 255\n")) == (
-        "numbers behind its vertices, such as colours, are left out",
+        "additional numbers of its vertices, such as colours, are left out",
     )
 
 
 def test_off_in_its_binary_form_is_not_called_damaged(tmp_path):
     (tmp_path / "a.off").write_bytes(b"OFF BINARY\n" + struct.pack(">3i", 0, 0, 0))
-    with pytest.raises(InputError, match=r"a\.off: is OFF in its binary form, which is not read"):
+    with pytest.raises(InputError, match=r"a\.off: is binary OFF, which is not supported"):
         read_mesh(tmp_path / "a.off")
 
 
@@ -315,7 +315,7 @@ def test_numbers_beside_the_triangles_of_a_binary_stl_are_told(tmp_path):
     data[84 + 48 : 84 + 50] = (31).to_bytes(2, "little")
     (tmp_path / "red.stl").write_bytes(bytes(data))
     assert [one.message for one in read_mesh(tmp_path / "red.stl").diagnostics] == [
-        "numbers beside triangles, which some programs take for colours, are left out",
+        "attribute numbers of triangles, which some programs use for colours, are left out",
     ]
 
 
@@ -327,4 +327,4 @@ def test_what_a_format_of_the_shape_alone_loses():
     assert lost_with(".stl", mesh.with_(colors=None)) == ""
     assert lost_with(".stl", mesh) == "colours"
     assert lost_with(".off", rest) == "colours and parts"
-    assert lost_with(".off", rest.with_(corner_normals=normals)) == "colours and parts and normals of corners"
+    assert lost_with(".off", rest.with_(corner_normals=normals)) == "colours and parts and corner normals"

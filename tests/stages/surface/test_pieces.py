@@ -63,10 +63,10 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "mesh.ply")
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])
-    with pytest.raises(InputError, match="damaged, or not the one"):
+    with pytest.raises(InputError, match="damaged, or does not match"):
         Pieces(path)
     path.write_bytes(whole[:-4] + np.array(99, "<i4").tobytes())
-    with pytest.raises(InputError, match="a vertex that is not there"):
+    with pytest.raises(InputError, match="a vertex that does not exist"):
         Pieces(path).part(1)
     path.write_bytes(whole)
     table = json.loads(table_of(path).read_text())

@@ -116,9 +116,9 @@ def test_figures_are_plain_numbers():
 @pytest.mark.parametrize(
     ("triangles", "sentence"),
     [
-        ([(0, 1, 2), (1, 0, 3), (0, 1, 4)], r"1 edges of more than two triangles \(0–1\)"),
+        ([(0, 1, 2), (1, 0, 3), (0, 1, 4)], r"1 edges with more than two triangles \(0–1\)"),
         ([(0, 1, 2), (0, 3, 4)], r"1 pinched vertices.*\(0\)"),
-        ([(0, 1, 2), (0, 1, 3)], r"oriented against each other \(0–1\)"),
+        ([(0, 1, 2), (0, 1, 3)], r"inconsistently oriented edges \(0–1\)"),
         ([(0, 1, 2), (3, 4, 4)], r"repeat a vertex \(1\)"),
     ],
 )

@@ -87,8 +87,8 @@ def test_what_is_known_is_taken_and_doubted_where_nothing_agrees(known: tuple[fl
     (doubt,) = diagnostics
     off = 180 if known[2] else 90
     assert str(doubt) == (
-        f"what is up is taken from layout other: wrong, but cameras were held as if it were {off}° off that, "
-        f"and most of the surface near that looks {off}° off it; upright.up=AXIS states it"
+        f"the up direction from layout other: wrong differs by {off}° from the cameras' up direction "
+        f"and by {off}° from the main direction of the surface; set upright.up=AXIS if it is wrong"
     )
 
 

@@ -128,9 +128,9 @@ def _as_text(path: Path) -> None:
     ("damage", "words"),
     [
         (_cut, "not as long as its header promises"),
-        (_named_wrongly, "names a vertex that is not there"),
+        (_named_wrongly, "references a vertex that does not exist"),
         (_not_finite, "a vertex is not finite"),
-        (_quad, "faces that are no triangles"),
+        (_quad, "faces that are not triangles"),
         (_as_text, "not a binary file of vertices and triangles alone"),
         (Path.unlink, "cannot be read"),
         (lambda path: path.write_bytes(b"solid"), "is not a PLY file"),

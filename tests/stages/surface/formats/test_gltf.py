@@ -455,6 +455,6 @@ def test_what_a_file_has_beside_its_meshes_is_told(tmp_path):
     mesh = make.read(tmp_path, extensions=lights, cameras=[camera])
     assert tuple(one.message for one in mesh.diagnostics) == (
         "cameras are left out",
-        "what the file has of KHR_lights_punctual is left out",
+        "data of the extensions KHR_lights_punctual is left out",
         "attributes _FEATURE_ID_0 are left out",
     )

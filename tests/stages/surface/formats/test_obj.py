@@ -87,7 +87,7 @@ def test_materials_groups_and_polygons(folder):
     assert tuple(one.message for one in mesh.diagnostics) == (
         "1 polygons were split into triangles",
         "the material library none.mtl is missing or cannot be read",
-        "-o, -s and -t of the image my wall.png are kept, but colours are read without them",
+        "options -o, -s and -t of the image my wall.png are kept for writing, but ignored for colours",
     )
 
 

@@ -156,12 +156,12 @@ def test_all_encodings_with_mixed_polygons_and_strange_columns(tmp_path, encodin
     assert mesh.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [4, 3, 2], [0, 1, 2], [0, 2, 3], [0, 3, 4]]
     assert tuple(one.message for one in mesh.diagnostics) == (
         "2 polygons were split into triangles",
-        "1 polygons cross themselves or have no area, and were split as if convex",
+        "1 polygons intersect themselves or have no area: they are split as if convex",
         "1 faces of fewer than three corners are left out",
-        "what the file has of 'marker' is left out",
+        "the element 'marker' is left out",
         "properties of its vertices are left out: quality",
         "properties of its faces are left out: flags, junk, tail",
-        "what the file has of 'edge' is left out",
+        "the element 'edge' is left out",
     )
 
 
@@ -213,7 +213,7 @@ def test_colors_of_faces_and_odd_normals_are_told(make):
     mesh = read_ply(make(header, b"0 0 0 nan 0 1 1 0 0 0 0 1 0 1 0 0 0 1 3 0 1 2 9"))
     assert mesh.normals is None
     assert any("normals" in one.message for one in mesh.diagnostics)
-    assert any("faces" in one.message for one in mesh.diagnostics)
+    assert any("face colours" in one.message for one in mesh.diagnostics)
 
 
 FOUR_BILLION = 4_294_967_296

@@ -87,7 +87,7 @@ def test_the_plane_of_a_polygon_may_lie_anywhere():
 def test_what_crosses_itself_or_has_no_area_is_split_as_if_convex(ring):
     corners, diagnostics = split(ring)
     assert corners.tolist() == [[0, k, k + 1] for k in range(1, len(ring) - 1)]
-    assert diagnostics[1].message.startswith("1 polygons cross themselves or have no area")
+    assert diagnostics[1].message.startswith("1 polygons intersect themselves or have no area")
     assert diagnostics[1].severity == Severity.WARNING
 
 
