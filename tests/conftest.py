@@ -24,15 +24,13 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 
 TESTS = Path(__file__).parent
 
-# Slow tests that `make test` runs too: golden files, cache keys, runs, commands, and the public functions.
+# Slow tests that `make test` also runs: golden files, cache keys, commands, and textured models.
 IN_EVERY_RUN = (
     "cli",
     "golden",
     "pipeline/test_keys.py",
-    "pipeline/test_new_stage.py",
     "stages/simplification/test_textured.py",
     "stages/texturing/test_bake_materials.py",
-    "test_recipes.py",
 )
 
 
