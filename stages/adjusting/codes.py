@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of adjustment, with explanations."""
+"""Diagnostic codes of the adjustment, with explanations."""
 
 from __future__ import annotations
 
