@@ -18,8 +18,8 @@ def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:
     Parameters
     ----------
     frame : frame with a colour image.
-    depth : (h, w) metres, depth map of the frame. If the colour camera and the depth camera stand apart, the
-        colour of a pixel without depth is a guess.
+    depth : (h, w) metres, depth map of the frame. If the colour camera and the depth camera have different
+        positions, the colour of a pixel without depth is a guess.
 
     Raises
     ------

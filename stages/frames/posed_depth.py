@@ -16,14 +16,14 @@ from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING, SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, pinhole
 
-# Largest angle between the line of sight and the surface normal, degrees. At grazing angles other frames see
-# the surface better; a single frame has no others.
+# Maximum angle between the line of sight and the surface normal, degrees: with several frames, and with a
+# single frame. At grazing angles other frames see the surface better.
 MAX_ANGLE, MAX_ANGLE_ALONE = 87.0, 89.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthLimits:
-    """Limits of the depth that is read; see the parameters of `fuse` with the same names."""
+    """Limits of the depth to read; see the parameters of `fuse` with the same names."""
 
     min_depth: float
     max_depth: float

@@ -9,7 +9,8 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.scans.codes import FRAME_POSE_MISSING, POSE_INVALID
 from scanloom.stages.scans.model.scan import Frame, Pose
 
-# Poses read from text have few digits, and the rotations of trackers drift.
+# Maximum deviation of R Rᵀ from the identity. Poses read from text have few digits, and rotations of trackers
+# drift.
 _RIGID_TOLERANCE = 1e-2
 
 
@@ -19,7 +20,7 @@ def require_rigid_pose(frame: Frame) -> Pose:
     Raises
     ------
     InputError
-        If the frame has no pose, or the pose is not a rotation and a shift.
+        If the frame has no pose, or its pose is not a rotation and a translation.
     """
     if frame.world_from_camera is None:
         raise InputError(FRAME_POSE_MISSING, "there is no camera pose.", Where(frame=frame.name))

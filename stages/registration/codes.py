@@ -1,4 +1,4 @@
-"""Codes of the diagnostics of registration, with explanations."""
+"""Diagnostic codes of registration, with explanations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How poses are found."""
+"""Parameters of registration."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _HOW = "How"
 
 @dataclass(frozen=True, kw_only=True)
 class RegisterParams:
-    """How poses are found for frames that have none."""
+    """Parameters of pose estimation for frames without poses."""
 
     enabled: bool | None = param(
         None,

@@ -1,4 +1,4 @@
-"""Diagnostics of registered poses: pieces, moving parts, refused loops, black and repeated frames."""
+"""Diagnostics of registration: components, moving parts, rejected loops, black and repeated frames."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DARK = 8.0
 
 
 def report_pieces(count: int, usable: int, piece: int, breaks: Sequence[SkippedFrame]) -> None:
-    """Warn if a scan fell into pieces."""
+    """Warn if the frames form several connected components."""
     if count <= 1:
         return
     another = f" (register.piece={1 if piece > 1 else 2} for another)" if usable > 1 else ""
@@ -52,7 +52,10 @@ def report_poses(
     used: Sequence[Edge],
     wrong: Sequence[Edge],
 ) -> None:
-    """Warn of doubtful poses of the piece that is used, of loops and frames of all pieces."""
+    """Warn about doubtful poses, rejected loops, and black or repeated frames.
+
+    Poses are checked for the selected component; loops and frames for all components.
+    """
     motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
     split = [motion for motion in motions if motion.is_split]
     if len(split) > 0.1 * max(len(motions), 1):

@@ -1,6 +1,7 @@
-"""What of a scan is registered: all that is seen, or the thing that moves before a camera that stands still.
+"""Registration subject: the whole scene, or an object that moves in front of a static camera.
 
-Surfaces begin where recognised points and marks end: see `turning` for these, `belonging` for the masks.
+Matched points and marks give initial poses of the object (see `turning`); surfaces refine these poses. The
+final masks are computed in `belonging`.
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ from scanloom.stages.scans.model.poses import inverted
 from scanloom.stages.scans.model.prefetch import read_ahead, workers
 from scanloom.stages.scans.model.scan import Frame, Pose
 
-# Frames by which it is decided, and more by which the backdrop is known.
+# Number of frames sampled to detect motion, and for the static background.
 _DECIDE, _BEHIND = 7, 24
-# Less of the image than this (share of all pixels) is no thing.
+# Minimum size of an object, as ratio of the image.
 _LEAST_SHOWN = 0.002
 
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """A thing that moves before a camera that stands still, as far as it is known before its poses are.
+    """Moving object in front of a static camera, before registration.
 
     Attributes
     ----------
-    frames : with masks of what may be the thing.
-    poses : world_from_camera of some frames by their places, the world being the thing: first guesses.
+    frames : frames of the scan, with masks of pixels that may show the object.
+    poses : initial world_from_camera of some frames by index; the world is the object.
     """
 
     frames: list[Frame]
@@ -47,16 +48,18 @@ class Thing:
 
 
 def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing | None:
-    """Return the thing that a scan is of; None if it is of a scene.
+    """Detect the moving object of a scan; None for a scene.
 
     Parameters
     ----------
-    subject : `scene`, `object`, or `auto`: the thing if the camera stands still and something moves.
+    frames : frames of the scan.
+    subject : `scene`, `object`, or `auto`: the object if the camera is static and something moves.
+    where : folder of the scan, for messages.
 
     Raises
     ------
     StageError
-        If the thing is asked for and nothing moves before a camera that stands still.
+        If `subject` is `object`, but the camera moves, or nothing moves in front of it.
     """
     if subject == "scene" or len(frames) < 2:
         return None
@@ -89,7 +92,10 @@ def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing
 
 
 def shows_thing(frames: Sequence[Frame]) -> bool:
-    """Say whether `auto` takes the thing that moves: the camera stands still."""
+    """Check whether something moves in front of a static camera.
+
+    This is the case in which `auto` registers the object alone.
+    """
     _, is_still, moves = _decided(frames)
     return is_still and moves
 
@@ -97,20 +103,21 @@ def shows_thing(frames: Sequence[Frame]) -> bool:
 def alone(
     frames: Sequence[Frame], posed: Mapping[int, Frame], thing: Thing, where: Path | None
 ) -> dict[int, Frame]:
-    """Return posed frames with masks of the thing alone.
+    """Mask posed frames to the moving object.
 
-    Where all were joined by what is recognised, that tells the poses, not the surfaces: what turns about an
-    axis slides along itself, and the edge of a mask goes with it.
+    If matched points and marks connect all frames, their poses replace the poses from surfaces. A surface of
+    revolution slides along itself, and the edge of a mask moves with the object.
 
     Parameters
     ----------
-    frames : of the scan, as they were given.
-    posed : frames by their places among them, with poses of one world, which is the thing.
+    frames : frames of the scan, as given.
+    posed : posed frames by index; the world is the object.
+    where : folder of the scan, for messages.
 
     Raises
     ------
     StageError
-        If hardly a pixel agrees with the poses: what moves is no rigid thing.
+        If hardly a pixel agrees with the poses, because the object is not rigid.
     """
     poses = {n: frame.world_from_camera for n, frame in posed.items() if frame.world_from_camera is not None}
     if all(n in thing.poses for n in poses):
@@ -127,7 +134,7 @@ def alone(
 
 
 def thing_not_placed(why: str, where: Path | None) -> StageError:
-    """Return the error for a thing whose poses cannot be found."""
+    """Create the error for an object whose poses cannot be estimated."""
     return StageError(
         REGISTER_TURNING_OBJECT,
         "a thing moves before a camera that stands still, and cannot be put together ({why}).",
@@ -138,7 +145,12 @@ def thing_not_placed(why: str, where: Path | None) -> StageError:
 
 
 def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
-    """Return what a few frames show, whether the camera stands still, and whether something moves."""
+    """Sample a few frames to detect a static camera and a moving object.
+
+    Returns
+    -------
+    Previews by frame index; whether the camera is static; whether something moves.
+    """
     looks = read_looks(frames, sample_evenly(len(frames), _DECIDE).tolist())
     views = {}
     for n in looks:
@@ -151,7 +163,10 @@ def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
 
 
 def _shown(frame: Frame, backdrop: Backdrop) -> tuple[Frame, Features | None]:
-    """Return the frame with a mask of what may be the thing, and what is recognised of that."""
+    """Mask a frame to pixels that may show the object, and detect its features.
+
+    The features are None if the frame is unreadable.
+    """
     look = read_look(frame)
     if look is None or look.depth.shape != backdrop.depth.shape:
         return frame, None
@@ -163,7 +178,7 @@ def _shown(frame: Frame, backdrop: Backdrop) -> tuple[Frame, Features | None]:
 
 
 def _with_mask(frame: Frame, mask: Mask) -> Frame:
-    """Return the frame with a mask beside its own."""
+    """Intersect the mask of a frame with another mask (h, w)."""
     import cv2
 
     both = mask.astype(np.uint8) * np.uint8(255)
