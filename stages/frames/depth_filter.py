@@ -73,7 +73,10 @@ def orient_depth(
 
 
 def bridge_gaps(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
-    """Bridge gaps of one pixel between depths that agree; return depth and inverse depth."""
+    """Bridge gaps of one pixel between depths that agree.
+
+    Returns depth and inverse depth (h, w); 0 where missing.
+    """
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     depth = depth.copy()
     for axis in (1, 0):

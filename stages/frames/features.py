@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Default contrast threshold of SIFT.
+# Default contrast threshold of SIFT in OpenCV.
 _CONTRAST = 0.04
 # Ratio of the darkest and of the brightest pixels that stretching the contrast may clip.
 _TAILS = 0.01

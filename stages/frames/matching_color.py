@@ -47,7 +47,7 @@ def _reproject_color(color: ColorImage, frame: Frame, camera: Camera, depth: Dep
     """Sample the colour image where the colour camera sees the pixels of the depth map."""
     import cv2
 
-    # Pixels of the depth map may be wider than those of the photo: the photo is averaged first.
+    # Photos with smaller pixels than the depth map are averaged first, against aliasing.
     spacing = (camera.fx / camera.width * color.shape[1]) / frame.camera.fx
     if spacing > 1:
         smaller = (max(round(color.shape[1] / spacing), 1), max(round(color.shape[0] / spacing), 1))

@@ -38,9 +38,9 @@ class PosedDepth:
     Attributes
     ----------
     surface : depth within the limits, filtered, without lens distortion.
-    camera : without lens distortion.
+    camera : pinhole camera of the depth map.
     pose : (4, 4) world_from_camera.
-    valid : number of pixels that had a depth before the filter.
+    valid : number of pixels with depth before filtering.
     """
 
     surface: OrientedDepth

@@ -26,8 +26,8 @@ _LOOP_POINTS = 25
 # similarity of views, above the similarity that occurs by chance.
 _RICH = 100
 _LEAST_LIKENESS = 0.15
-# Frame pairs of different parts that are tried, the most similar first. That takes little time, because pairs
-# without common features are rejected before surfaces are aligned.
+# Maximum number of frame pairs of different parts, the most similar first. Pairs take little time, because
+# those without common features are rejected before surfaces are aligned.
 _MAX_PAIRS_BETWEEN_PARTS = 500
 
 
