@@ -74,25 +74,25 @@ class AdjustParams:
 
     enabled: bool | None = param(
         None,
-        "Adjust poses and the colour camera: by default where frames have colour and depth; what is not "
-        "better is not used.",
+        "Adjust poses and the colour camera. Default: if frames have colour and depth. A result that is not "
+        "better is discarded.",
         # This option selects whether the stage runs; it does not change the result of the stage.
         invalidates=False,
     )
     camera: bool | None = param(
         None,
-        "Look for one colour camera of the whole scan (focal length, centre, k1, its place beside the depth "
-        "camera): by default used where it is clearly better than poses alone, and moved to where outlines "
-        "of things say that photos are; true asks for it, false keeps the given one.",
+        "Fit one colour camera for the whole scan (focal length, centre, k1, position relative to the depth "
+        "camera). Default: if clearly better than poses alone, or if silhouettes show that photos are offset "
+        "from depth. true always fits it, false keeps the given camera.",
     )
     shutter: bool | None = param(
         None,
-        "Look for how cameras turn while the rows of their images are read (a rolling shutter): by default "
-        "used where it is clearly better; true asks for it, false takes all rows as read at once.",
+        "Estimate the rotation of cameras while image rows are read out (rolling shutter). Default: if "
+        "clearly better. true always estimates it, false assumes that all rows are read at once.",
     )
     pose_deviation: float = param(
         0.02,
-        "Standard deviation of the given poses, with 0.3° for each 10 mm.",
+        "Standard deviation of the given poses: translation, and rotation with 0.3° per 10 mm.",
         unit="m",
         low=0,
         low_open=True,
@@ -250,7 +250,7 @@ def _adjusted(
     keys = list(views)
     key_views = list(views.values())
     if len(keys) < 2:
-        why = f"{len(keys)} frames can be used"
+        why = "fewer than two key frames can be used"
         return _left(begun, why, skipped, Transfer.of(seen.errors))
     start = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
     couples = partners(overlaps(key_views, start))
@@ -268,7 +268,7 @@ def _adjusted(
         lambda: steps.done(1),
     )
     if made is None:
-        why = "too few points are seen by three frames"
+        why = "too few points are matched in three or more frames"
         return _left(begun, why, skipped, Transfer.of(seen.errors))
     before, after = Transfer.of(made.before), Transfer.of(made.after)
     better, why = _judged(before, after)
@@ -343,8 +343,12 @@ def _held_by_outlines(begun: _Begun, view: View, cameras: Cameras) -> tuple[Came
 
 
 def _what(begun: _Begun, made: Bundle) -> str:
-    what = "poses and colour camera" if made.has_camera or begun.has_camera else "poses"
-    return f"{what}, and turns while rows are read (rolling shutter)," if made.has_turns else what
+    names = ["poses"]
+    if made.has_camera or begun.has_camera:
+        names.append("colour camera")
+    if made.has_turns:
+        names.append("rolling shutter")
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _strays(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
@@ -355,7 +359,7 @@ def _strays(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
         return ""
     return (
         f"poses would move by {1000 * metres:.0f} mm and {degrees:.1f}° (median), far more than "
-        "pose_deviation allows: they are of another scan, or taken the wrong way round"
+        "adjust.pose_deviation allows; they belong to another scan or have another pose convention"
     )
 
 
@@ -371,12 +375,12 @@ def _pose(frame: Frame) -> NDArray[np.float64]:
 def _judged(before: Transfer | None, after: Transfer | None) -> tuple[bool, str]:
     """Decide whether the adjusted result is better, and give the reason."""
     if before is None or after is None:
-        return False, "no held-out point is measured before and after"
+        return False, "no held-out point has depth both before and after"
     gained = before.median - after.median
-    told = f"held-out points land {after.median:.2f} px from their matches, {before.median:.2f} px before"
+    told = f"the median error of held-out points is {after.median:.2f} px, before {before.median:.2f} px"
     if gained > _BETTER_SHARE * before.median and gained > _BETTER_PX:
         return True, told
-    return False, f"{told}: not better by {_BETTER_SHARE:.0%} and {_BETTER_PX} px"
+    return False, f"{told}; an improvement of {_BETTER_SHARE:.0%} and {_BETTER_PX} px is required"
 
 
 def _with(
@@ -420,7 +424,7 @@ def _left(
     )
     why = f"left as given: {why}{_said_of(skipped)}"
     if begun.has_camera and begun.offset is not None:
-        why = f"colour camera moved {begun.offset.said}, to where outlines are in photos; poses {why}"
+        why = f"colour camera moved by {begun.offset.said}, to match silhouettes in the photos; poses {why}"
     return Adjusted(
         frames=begun.frames,
         places=(),
@@ -456,9 +460,9 @@ def _said_of(skipped: Sequence[SkippedFrame]) -> str:
     said = ""
     for what in (BLACK, OVER_EXPOSED):
         count = sum(exposure_of(one) == what for one in skipped)
-        said += f"; {counted(count, 'colour image')} {what}" if count else ""
+        said += f"; {counted(count, 'frame')} skipped: {what} colour image" if count else ""
     unread = sum(exposure_of(one) is None for one in skipped)
-    return said + (f"; {counted(unread, 'frame')} cannot be read" if unread else "")
+    return said + (f"; {counted(unread, 'frame')} skipped: unreadable" if unread else "")
 
 
 class _Steps:

@@ -57,15 +57,15 @@ class Look:
     def trouble(self) -> str:
         """Return why agreement could not be measured, as a clause; empty if it was."""
         if not self.views:
-            return "none of the frames looked at shows anything"
+            return "none of the sampled frames can be read"
         if self.matches < _LEAST:
-            return f"only {self.matches} points are recognised from frame to frame"
+            return f"only {self.matches} keypoints match between frames"
         if np.isnan(self.near_share):
-            return "no depth is measured where points are recognised"
+            return "no matched keypoint has depth"
         if self.is_of_another:
             return (
-                f"of {self.matches} points recognised from frame to frame, depth and poses bring only "
-                f"{self.near_share:.0%} together: the poses, the depth or the colour are of something else"
+                f"only {self.near_share:.0%} of {self.matches} keypoint matches agree in 3-D; poses, depth "
+                "or colour belong to another scan"
             )
         return ""
 

@@ -89,6 +89,10 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
         max_depth=limits.max_depth,
     )
     if not oriented.depth.any():
-        message = "no pixel has a depth." if valid == 0 else "no pixel's depth is within the limits."
+        message = (
+            "no pixel has a depth."
+            if valid == 0
+            else "no depth is within the limits of distance, depth jumps and angle."
+        )
         raise InputError(SCAN_FRAMES_SKIPPED, message, Where(frame=frame.name))
     return PosedDepth(oriented, camera, pose, valid)

@@ -31,6 +31,6 @@ def require_rigid_pose(frame: Frame) -> Pose:
     deviation = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if deviation > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         raise InputError(
-            POSE_INVALID, "the camera pose is not a rotation and a shift.", Where(frame=frame.name)
+            POSE_INVALID, "the camera pose is not a rotation and a translation.", Where(frame=frame.name)
         )
     return pose

@@ -171,11 +171,11 @@ def _best(
     if found < (1 - _BETTER) * as_given:
         return best
     message = (
-        "the poses found are not better, those given are kept: points that are recognised land {found:.2f} "
-        "px from their matches, {given:.2f} px with those given"
+        "refined poses are not better, so the given poses are kept: the median error of held-out points is "
+        "{found:.2f} px, with the given poses {given:.2f} px"
         if are_enough
-        else "the poses found are not better, those given are kept: {found:.1%} of surfaces do not meet, "
-        "{given:.1%} with those given"
+        else "refined poses are not better, so the given poses are kept: {found:.1%} of the surfaces do not "
+        "overlap, with the given poses {given:.1%}"
     )
     emit(REGISTER_NOT_BETTER.warning(message, found=found, given=as_given))
     return Placed(_completed(chain, groups, given, free.poses), free.used, free.wrong)

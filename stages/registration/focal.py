@@ -76,7 +76,7 @@ class Focal:
 
     def __str__(self) -> str:
         """Return the focal length with its error, as text."""
-        return f"{self.focal_px:.1f} ± {self.error_px:.1f} px by {self.couples} couples of views"
+        return f"{self.focal_px:.1f} ± {self.error_px:.1f} px from {self.couples} frame pairs"
 
     def camera(self, guessed: Camera) -> Camera:
         """Return the guessed camera with the estimated focal length."""
@@ -88,8 +88,7 @@ def report_focal(focal: Focal | None, guess: Camera) -> None:
     if focal is None:
         emit(
             CAMERA_INTRINSICS_GUESSED.warning(
-                "the focal length could not be estimated from what the frames show: the {guess:g} px that "
-                "were guessed stay",
+                "the focal length could not be estimated from the frames; the guess of {guess:g} px is used",
                 remedy="set scan.intrinsics=fx,fy,cx,cy",
                 guess=guess.fx,
             )
@@ -97,9 +96,9 @@ def report_focal(focal: Focal | None, guess: Camera) -> None:
         return
     emit(
         CAMERA_FOCAL_ESTIMATED.warning(
-            "the focal length is estimated to be {focal}, in place of the {guess:g} px that were guessed; "
-            "the middle of the image is taken for its centre.",
-            remedy="What is known better: scan.intrinsics=fx,fy,cx,cy",
+            "the focal length is estimated to be {focal} (guess: {guess:g} px); the principal point is "
+            "assumed at the image centre.",
+            remedy="If the intrinsics are known, set scan.intrinsics=fx,fy,cx,cy",
             focal=focal,
             guess=guess.fx,
         )

@@ -140,8 +140,8 @@ def by_surface(
     if min(source.firmness, target.firmness) < _FIRM:
         return NoMotion(
             REGISTER_PAIR_NOT_ALIGNED.warning(
-                "the surface in view is flat or slides along itself, and nothing on it is recognised: "
-                "nothing holds the motion"
+                "the surface in view is flat or slides along itself, and no keypoints match, so that nothing "
+                "constrains the motion"
             )
         )
     there = fit(source, target, guess, max_depth)
@@ -150,7 +150,11 @@ def by_surface(
         return _apart(meets, is_recognised=near or not rich)
     back = fit(target, source, inverted(guess), max_depth)
     if back is None or not agree(back[0] @ there[0], source.depth_m):
-        return NoMotion(REGISTER_PAIR_NOT_ALIGNED.warning("the surfaces fit in more than one way"))
+        return NoMotion(
+            REGISTER_PAIR_NOT_ALIGNED.warning(
+                "alignments in both directions disagree, because the surfaces fit in several ways"
+            )
+        )
     return _of(there[0], told(target, meets), meets, there[1])
 
 
@@ -201,7 +205,7 @@ def _refined(
     if not sure:
         return NoMotion(
             REGISTER_PAIR_NOT_ALIGNED.warning(
-                "the {points} points that are recognised and the surface do not agree on the motion",
+                "{points} matched keypoints and the surface disagree on the motion",
                 points=seen.points,
             )
         )
@@ -226,9 +230,9 @@ def _of(
 
 
 def _apart(meets: float | None, *, is_recognised: bool = True) -> NoMotion:
-    message = "only {share:.0%} of the surface meets the other view's"
+    message = "only {share:.0%} of the surface overlaps with the other view"
     if not is_recognised:
-        message = f"nothing is recognised in both, and {message}"
+        message = f"no keypoints match, and {message}"
     return NoMotion(REGISTER_PAIR_NOT_ALIGNED.warning(message, share=0.0 if meets is None else meets))
 
 

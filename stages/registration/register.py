@@ -161,9 +161,10 @@ def _registered(
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(
                 REGISTER_FRAMES_UNUSABLE,
-                "{seen_count} frames can be used; poses need two at least{first}",
+                "{seen_count} of {count} frames can be used, but registration needs at least two{first}",
                 where,
                 seen_count=len(chain.seen),
+                count=len(frames),
                 first=first,
             )
         edges = list(key_edges(chain, max_depth))
@@ -247,12 +248,9 @@ def _result(
     if not usable:
         raise InputError(
             REGISTER_NOT_CONNECTED,
-            (
-                "no two of its {numbers_count} frames can be placed to each other (frame "
-                "{breaks_name}: {reason})"
-            ),
+            "no two of the {numbers_count} frames can be aligned (frame {breaks_name}: {reason})",
             where,
-            remedy="if poses are known, name them with scan.poses=FILE.",
+            remedy="if poses are known, set scan.poses=FILE.",
             numbers_count=len(numbers),
             breaks_name=breaks[0].name,
             reason=breaks[0].reason,
@@ -260,7 +258,7 @@ def _result(
     if piece > usable:
         raise InputError(
             REGISTER_NOT_CONNECTED,
-            "there is no piece {piece} of two frames or more; there are {usable}",
+            "register.piece={piece} does not exist; pieces of two or more frames: {usable}",
             where,
             piece=piece,
             usable=usable,
@@ -270,7 +268,7 @@ def _result(
         SkippedFrame(
             frames[n].name,
             REGISTER_NOT_CONNECTED.warning(
-                "it is in piece {own} of {count}, which could not be joined to piece {piece}",
+                "the frame is in piece {own} of {count}, which could not be connected to piece {piece}",
                 own=rank[piece_of[n]],
                 count=len(order),
                 piece=piece,

@@ -66,16 +66,16 @@ def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing
     looks, is_still, moves = _decided(frames)
     if not (is_still and moves):
         if subject == "object":
-            told = "nothing moves before it" if is_still else "it moves"
+            reason = "nothing moves in front of the camera" if is_still else "the camera moves"
             raise StageError(
                 REGISTER_TURNING_OBJECT,
-                (
-                    "no thing can be told from what is around it: that needs a camera "
-                    "that stands still while the thing moves, but {told}."
-                ),
+                "cannot separate a moving object from the scene: {reason}.",
                 where,
-                remedy="register.subject=scene takes all that is seen.",
-                told=told,
+                remedy=(
+                    "register.subject=object needs a static camera and a moving object; use "
+                    "register.subject=scene to register the whole scene."
+                ),
+                reason=reason,
             )
         return None
     more = [n for n in sample_evenly(len(frames), _BEHIND).tolist() if n not in looks]
@@ -129,7 +129,7 @@ def alone(
         return found
     masks = masks_of_thing(found)
     if float(np.median([mask.mean() for mask in masks.values()])) < _LEAST_SHOWN:
-        raise thing_not_placed("no motion of it as one rigid thing fits what the frames show", where)
+        raise thing_not_placed("no motion of a rigid object fits the frames", where)
     return {n: _with_mask(frame, masks[n]) if n in masks else frame for n, frame in found.items()}
 
 
@@ -137,9 +137,12 @@ def thing_not_placed(why: str, where: Path | None) -> StageError:
     """Create the error for an object whose poses cannot be estimated."""
     return StageError(
         REGISTER_TURNING_OBJECT,
-        "a thing moves before a camera that stands still, and cannot be put together ({why}).",
+        "an object moves in front of a static camera, but its poses cannot be estimated ({why}).",
         where,
-        remedy=("Turn it in smaller steps, on printed paper; register.subject=scene takes all that is seen."),
+        remedy=(
+            "Turn the object in smaller steps, on printed paper, or use register.subject=scene to register "
+            "the whole scene."
+        ),
         why=why,
     )
 
