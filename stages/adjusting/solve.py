@@ -44,7 +44,8 @@ def solve(problem: Problem, state: State, steps: int) -> State:
 class _Normal:
     """Normal equations in blocks of poses, colour camera and points.
 
-    `poses_apart` are the blocks between the two poses of a frame pair. `towards_*` are the right-hand sides.
+    `poses_apart` are the blocks between the two poses of a frame pair. `towards_poses`, `towards_camera` and
+    `towards_points` are the right-hand sides.
     """
 
     problem: Problem
