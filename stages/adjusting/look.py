@@ -55,7 +55,7 @@ class Look:
 
     @property
     def trouble(self) -> str:
-        """Return why agreement could not be measured, as a clause; empty if it was."""
+        """Return why agreement is unknown, as a clause; empty if it was measured."""
         if not self.views:
             return "none of the sampled frames can be read"
         if self.matches < _LEAST:
@@ -80,7 +80,7 @@ def usable(frames: Sequence[Frame]) -> list[int]:
 
 
 def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
-    """Measure the agreement of colour, depth and poses on a few frame pairs.
+    """Measure agreement of colour, depth and poses on a few frame pairs.
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 Feature matches barely constrain a constant photo-to-depth offset: depth changes little over a few pixels of
 a surface, and poses absorb the rest. Silhouettes show the offset directly. The photo's gradient is sampled
 along the normal of each silhouette point of the depth map. The offset is the shift with the largest mean
-gradient (as in Levinson and Thrun, "Automatic online calibration of cameras and lasers", 2013, for a lidar).
+gradient. Levinson and Thrun ("Automatic online calibration of cameras and lasers", 2013) do this for a lidar.
 Sensors also make objects wider or thinner on all sides. A shift moves opposite sides in the same direction,
 which separates the two effects. If near and far silhouettes shift differently, the position of the colour
 camera is wrong; its error is estimated together with the shift.

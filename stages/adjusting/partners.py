@@ -56,7 +56,7 @@ def overlaps(views: Sequence[View], cameras: Cameras) -> NDArray[np.float64]:
 
 
 def overlap_of(view: View, pose: Pose, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the overlap of a view with the same camera at other poses.
+    """Compute the overlap of a view with other poses of its camera.
 
     Parameters
     ----------

@@ -226,9 +226,9 @@ class Problem:
 
     @property
     def turn_coupling(self) -> float:
-        """Return the second derivative of the cost by readout rotations of two views.
+        """Return the coupling of the readout rotations of two views.
 
-        It comes from the prior that holds the mean rotation of all views to 0.
+        This second derivative of the cost comes from the prior that holds their mean rotation to 0.
         """
         together = self.frees.turns and len(self.given) > 1
         return (_MEAN_TURN_PRIOR * len(self.given)) ** -2 if together else 0.0

@@ -43,9 +43,8 @@ def placed_between(
 ) -> Iterator[tuple[int, Placed | SkippedFrame | None]]:
     """Localise frames between the adjusted key frames.
 
-    Yields the index of each frame with its pose, with the reason if the frame is unusable, or with None if
-    too
-    few points match.
+    Yields the index and the pose of each frame. Unusable frames have the reason instead of the pose; frames
+    with too few matches have None.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def view_or_none(frame: Frame) -> View | SkippedFrame:
 
 
 def exposure_of(skipped: SkippedFrame) -> str | None:
-    """Return BLACK or OVER_EXPOSED for a frame skipped for this reason, else None."""
+    """Return BLACK or OVER_EXPOSED if a frame was skipped for it; else None."""
     diagnostic = skipped.diagnostic
     return str(diagnostic.values["what"]) if diagnostic.code == REGISTER_FRAMES_UNUSABLE.name else None
 

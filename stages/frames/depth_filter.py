@@ -85,7 +85,7 @@ def bridge_gaps(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
 
 
 def _bridge_along(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> None:
-    """Fill single missing pixels between two similar depths along an axis, in place."""
+    """Fill single missing pixels between similar depths, in place."""
     # Transposed views let the same slices serve both axes.
     inverse, depth = (inverse, depth) if axis else (inverse.T, depth.T)
     before, after = inverse[:, :-2], inverse[:, 2:]
@@ -111,7 +111,10 @@ class Differences:
     known: Image
 
     def mean(self, window: int, at: Any = ...) -> Image:
-        """Average the known differences in a window around each pixel, or around the pixels `at`."""
+        """Average the known differences in a window around each pixel.
+
+        `at` selects the pixels; by default all.
+        """
         import cv2
 
         total, count = (

@@ -13,7 +13,7 @@ from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Fra
 
 
 def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:
-    """Read the colour image of a frame at the pixels of its depth map.
+    """Read the colour of a frame at the pixels of its depth map.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:
 
 
 def _reproject_color(color: ColorImage, frame: Frame, camera: Camera, depth: DepthImage) -> ColorImage:
-    """Sample the colour image where the colour camera sees the pixels of the depth map."""
+    """Reproject the colour image to the pixels of the depth map."""
     import cv2
 
     # Photos with smaller pixels than the depth map are averaged first, against aliasing.

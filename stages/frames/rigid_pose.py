@@ -15,7 +15,7 @@ _RIGID_TOLERANCE = 1e-2
 
 
 def require_rigid_pose(frame: Frame) -> Pose:
-    """Return the camera pose of a frame as float64, checked to be rigid.
+    """Return the camera pose of a frame, checked to be rigid, as float64.
 
     Raises
     ------

@@ -52,7 +52,7 @@ class KeyViews:
         self._lock = Lock()
 
     def keep(self, number: int, view: View) -> None:
-        """Store the view of a key frame; drop the least recently used view if necessary."""
+        """Store the view of a key frame; drop the least recently used view."""
         with self._lock:
             self.features[number] = view.features
             self._held[number] = view
@@ -199,7 +199,7 @@ def key_edges(chain: Chain, max_depth: float) -> Iterator[Edge]:
 def _append(
     chain: Chain, before: int, target: View, number: int, source: View, motion: Motion | NoMotion
 ) -> None:
-    """Append a frame to the chain, and to the key frames if due."""
+    """Append a frame to the chain, as a key frame if due."""
     chain.motions[before] = motion
     if isinstance(motion, NoMotion):
         # The last frame before a break becomes a key frame, because later frames match it best when the

@@ -60,7 +60,7 @@ class Placed:
 def placed(
     chain: Chain, groups: Sequence[Sequence[int]], edges: Sequence[Edge], given: Mapping[int, Pose]
 ) -> Placed:
-    """Compute the poses of all frames; keep given poses that are not improved.
+    """Compute the poses of all frames; keep given poses unless improved.
 
     Parameters
     ----------

@@ -77,11 +77,11 @@ class Recognised:
 
 
 def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> Features:
-    """Detect keypoints with depth in an image taken from the depth camera's position.
+    """Detect keypoints with depth.
 
     Parameters
     ----------
-    grey : image of any size.
+    grey : image from the position of the depth camera, any size.
     camera : camera of the grey image, without distortion.
     depth : metres, any size.
     """
@@ -153,7 +153,7 @@ def _depth_at(depth: DepthImage, pixels: NDArray[np.floating]) -> NDArray[np.flo
 
 
 def _spread(places: NDArray[np.floating], strength: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return an order in which image cells contribute their strongest keypoints in turn.
+    """Order keypoints so that image cells take turns, strongest keypoints first.
 
     Otherwise a single textured object, which may move independently, could take all keypoints.
 

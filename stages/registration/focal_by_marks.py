@@ -54,7 +54,7 @@ def focal_by_marks(frames: Sequence[Frame]) -> Focal | None:
 
 
 def _agreeing(frames: Sequence[Frame], log: float) -> tuple[int, int]:
-    """Count coinciding marks and frame pairs for the log of a focal factor."""
+    """Count coinciding marks and frame pairs for a log focal factor."""
     factor = float(np.exp(log))
     tried = [
         replace(frame, camera=replace(frame.camera, fx=frame.camera.fx * factor, fy=frame.camera.fy * factor))

@@ -166,7 +166,7 @@ def marks_on(frame: Frame, plate: Plate) -> Floats:
 
 
 def moving_marks(marks: Mapping[int, Floats], plate: Plate) -> dict[int, Floats]:
-    """Drop marks that stay in place in other frames, since those are on the table."""
+    """Drop marks that stay in place, because they are on the table."""
     from scipy.spatial import cKDTree
 
     trees = {n: cKDTree(places) for n, places in marks.items() if len(places)}

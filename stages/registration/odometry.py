@@ -47,7 +47,7 @@ def one_thread_each() -> Iterator[None]:
 
 
 def align(source: View, target: View, start: Pose, max_depth: float) -> tuple[Pose, float] | None:
-    """Align the surface of a view to another view, from a good guess.
+    """Align the surfaces of two views from a good initial guess.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def align(source: View, target: View, start: Pose, max_depth: float) -> tuple[Po
 
 
 def align_from_afar(source: View, target: View, start: Pose, max_depth: float) -> tuple[Pose, float] | None:
-    """Align the surface of a view to another view, from a poor guess.
+    """Align the surfaces of two views from a poor initial guess.
 
     A coarse alignment with a larger correspondence distance comes first. Parameters and results as for
     `align`.

@@ -167,7 +167,7 @@ def _without_spots(mask: Mask) -> Mask:
 
 
 def _around(mask: Mask) -> Mask:
-    """Return the convex hull of the largest part of a mask, with a margin."""
+    """Compute the convex hull of the largest mask component, with a margin."""
     import cv2
 
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

@@ -148,7 +148,7 @@ def thing_not_placed(why: str, where: Path | None) -> StageError:
 
 
 def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
-    """Sample a few frames to detect a static camera and a moving object.
+    """Detect a static camera and a moving object in sampled frames.
 
     Returns
     -------
@@ -166,9 +166,9 @@ def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
 
 
 def _shown(frame: Frame, backdrop: Backdrop) -> tuple[Frame, Features | None]:
-    """Mask a frame to pixels that may show the object, and detect its features.
+    """Mask a frame to candidate pixels of the object, and detect features.
 
-    The features are None if the frame is unreadable.
+    Unreadable frames have no features (None).
     """
     look = read_look(frame)
     if look is None or look.depth.shape != backdrop.depth.shape:

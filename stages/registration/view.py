@@ -104,7 +104,10 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
 
 
 def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
-    """Read the downscaled colour image at the depth camera's position, and its camera."""
+    """Read the downscaled colour image and its camera.
+
+    The image is reprojected to the position of the depth camera if necessary.
+    """
     import cv2
 
     color = read_matching_color(frame, depth) if frame.color_camera is not None else read_color(frame)
